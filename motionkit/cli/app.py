@@ -1,0 +1,42 @@
+"""The app, assembled from entry points: each `motionkit.commands` entry is one typer command.
+
+An entry point names a command (`ingest`, `eval` …) and a function; nothing heavy may be imported by the module that
+holds it, so that `motionkit --help` stays light. Anybody's package can add a command the same way.
+"""
+
+import sys
+from importlib.metadata import entry_points
+
+import typer
+
+from motionkit.console import stderr
+from motionkit.errors import MotionkitError, UsageError
+
+
+def build_app() -> typer.Typer:
+    """A typer app with every registered command, in alphabetical order of its name."""
+    app = typer.Typer(
+        name="motionkit",
+        help="Human motion at native framerates: a corpus, continuous-time models, one evaluator suite.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+    )
+    for entry in sorted(entry_points(group="motionkit.commands"), key=lambda entry: entry.name):
+        app.command(name=entry.name)(entry.load())
+    return app
+
+
+def main() -> None:
+    """Run the app; explained faults become one line on stderr and exit code 1 (2 for usage)."""
+    try:
+        build_app()()
+    except UsageError as error:
+        stderr.print(f"motionkit: {error}", markup=False)
+        sys.exit(2)
+    except MotionkitError as error:
+        stderr.print(f"motionkit: {error}", markup=False)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        stderr.print("motionkit: stopped")
+        sys.exit(130)

@@ -1,0 +1,52 @@
+"""The project's own errors: each says where, what was found, what was expected."""
+
+from pathlib import Path
+
+
+class MotionkitError(Exception):
+    """A fault that is explained to a person; the command line prints it as one line and exits with 1."""
+
+
+class FormatError(MotionkitError):
+    """A file that cannot be read as a motion.
+
+    `reason` is a short fixed slug (`truncated`, `channel-count`, `nan`, `frame-time` …) by which ingest counts;
+    `line` and `frame` are 1-based and 0-based positions where they are known.
+    """
+
+    def __init__(
+        self, message: str, *, path: Path | str, reason: str, line: int | None = None, frame: int | None = None
+    ) -> None:
+        self.path = Path(path)
+        self.reason = reason
+        self.line = line
+        self.frame = frame
+        self.message = message
+        where = str(path)
+        if line is not None:
+            where += f", line {line}"
+        if frame is not None:
+            where += f", frame {frame}"
+        super().__init__(f"{where}: {message}")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild_format_error, (self.message, str(self.path), self.reason, self.line, self.frame)
+
+
+def _rebuild_format_error(message: str, path: str, reason: str, line: int | None, frame: int | None) -> FormatError:
+    return FormatError(message, path=path, reason=reason, line=line, frame=frame)
+
+
+class StoreError(MotionkitError):
+    """A store that is missing, damaged, or of another format version."""
+
+
+class UsageError(MotionkitError):
+    """A request that makes no sense as given; the command line exits with 2."""
+
+
+class MissingExtraError(MotionkitError):
+    """An optional dependency that is not installed."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f"this needs the package {package!r}: pip install 'motionkit[{extra}]'")

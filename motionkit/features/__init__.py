@@ -1,0 +1,1 @@
+"""Pose vectors made from motions, their inverse, their statistics."""

@@ -1,0 +1,65 @@
+"""What a generative model of continuous motion offers: requests in, motion fields out.
+
+Models register a loader under the entry point group `motionkit.models`; the table code and `motionkit generate` know
+only this interface.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Protocol
+
+from motionkit.errors import UsageError
+from motionkit.motionfield import MotionField
+from motionkit.skeleton import Skeleton
+
+
+@dataclass(frozen=True)
+class GenerationRequest:
+    """One motion wanted: a duration, and a text, an action or neither as its condition."""
+
+    duration_seconds: float
+    text: str = ""
+    action: str = ""
+
+
+class GenerativeModel(Protocol):
+    """A trained model that turns requests into motion fields."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        ...
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """Skeleton of everything it generates."""
+        ...
+
+    @property
+    def max_training_fps(self) -> Fraction:
+        """Highest framerate in its training data; detail above it is invented."""
+        ...
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """Longest motion one request can ask for (l_max)."""
+        ...
+
+    def generate(
+        self, requests: Sequence[GenerationRequest], *, seed: int, guidance_scale: float | None = None
+    ) -> list[MotionField]:
+        """One field per request, in order; the same seed and requests give the same fields."""
+        ...
+
+
+def load_model(name: str, run: Path) -> GenerativeModel:
+    """Load the model that an entry point of group `motionkit.models` names, from a run folder."""
+    found = entry_points(group="motionkit.models", name=name)
+    if not found:
+        known = ", ".join(sorted(entry.name for entry in entry_points(group="motionkit.models"))) or "none"
+        raise UsageError(f"no model is called {name!r}; installed models: {known}")
+    loader: Callable[[Path], GenerativeModel] = next(iter(found)).load()
+    return loader(run)

@@ -1,0 +1,207 @@
+"""Rotations, forward and inverse kinematics, vectorised over frames. Quaternions are (w, x, y, z)."""
+
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from motionkit.skeleton import Skeleton
+
+Array = npt.NDArray[np.floating]
+
+
+def quaternion_multiply(a: Float[np.ndarray, "*n 4"], b: Float[np.ndarray, "*m 4"]) -> Float[np.ndarray, "*k 4"]:
+    """Hamilton product a·b: the rotation b followed by a. Shapes broadcast."""
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ),
+        axis=-1,
+    )
+
+
+def quaternion_conjugate(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 4"]:
+    """The inverse of a unit quaternion."""
+    inverse: Array = q * np.array([1.0, -1.0, -1.0, -1.0], dtype=q.dtype)
+    return inverse
+
+
+def quaternion_rotate(q: Float[np.ndarray, "*n 4"], v: Float[np.ndarray, "*m 3"]) -> Float[np.ndarray, "*k 3"]:
+    """Rotate vectors by unit quaternions. Shapes broadcast."""
+    scalar, vector = q[..., :1], q[..., 1:]
+    t = 2.0 * np.cross(vector, v)
+    return v + scalar * t + np.cross(vector, t)
+
+
+def quaternion_to_matrix(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:
+    """Unit quaternions → rotation matrices."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    matrix = np.empty((*q.shape[:-1], 3, 3), dtype=q.dtype)
+    matrix[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    matrix[..., 0, 1] = 2 * (x * y - w * z)
+    matrix[..., 0, 2] = 2 * (x * z + w * y)
+    matrix[..., 1, 0] = 2 * (x * y + w * z)
+    matrix[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    matrix[..., 1, 2] = 2 * (y * z - w * x)
+    matrix[..., 2, 0] = 2 * (x * z - w * y)
+    matrix[..., 2, 1] = 2 * (y * z + w * x)
+    matrix[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    return matrix
+
+
+def matrix_to_quaternion(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 4"]:
+    """Rotation matrices → unit quaternions with w ≥ 0."""
+    q = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
+    return np.asarray(q, dtype=matrix.dtype).reshape(*matrix.shape[:-2], 4)
+
+
+def quaternion_between(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*m 3"]) -> Float[np.ndarray, "*k 4"]:
+    """The shortest rotation that takes direction a to direction b (no twist). Shapes broadcast; lengths are ignored.
+
+    Opposite directions turn by π about an arbitrary perpendicular axis; zero vectors give the identity.
+    """
+    a, b = np.broadcast_arrays(a, b)
+    lengths = np.linalg.norm(a, axis=-1, keepdims=True) * np.linalg.norm(b, axis=-1, keepdims=True)
+    q = np.concatenate((lengths + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)), axis=-1)
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    opposite = (norm <= 1e-7 * np.maximum(lengths, 1e-30)) & (lengths > 0)
+    if np.any(opposite):
+        axis = np.cross(
+            a, np.where(np.abs(a[..., :1]) < 0.6 * np.linalg.norm(a, axis=-1, keepdims=True), (1, 0, 0), (0, 1, 0))
+        )
+        half_turn = np.concatenate((np.zeros_like(axis[..., :1]), axis), axis=-1)
+        q = np.where(opposite, half_turn, q)
+        norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    identity = np.zeros_like(q)
+    identity[..., 0] = 1.0
+    return np.where(norm > 0, q / np.where(norm > 0, norm, 1.0), identity)
+
+
+def quaternion_slerp(
+    a: Float[np.ndarray, "*n 4"], b: Float[np.ndarray, "*n 4"], fraction: Float[np.ndarray, "*m"]
+) -> Float[np.ndarray, "*n 4"]:
+    """Spherical linear interpolation on the shorter arc (Shoemake 1985); `fraction` broadcasts over leading axes."""
+    dot = np.sum(a * b, axis=-1, keepdims=True)
+    b = np.where(dot < 0, -b, b)
+    angle = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
+    sine = np.sin(angle)
+    t = fraction[..., None]
+    near = sine < 1e-6
+    safe = np.where(near, 1.0, sine)
+    q = np.where(near, 1 - t, np.sin((1 - t) * angle) / safe) * a + np.where(near, t, np.sin(t * angle) / safe) * b
+    unit: Array = (q / np.linalg.norm(q, axis=-1, keepdims=True)).astype(a.dtype, copy=False)
+    return unit
+
+
+def euler_to_matrix(
+    angles: Float[np.ndarray, "*n axes"], order: str, *, kind: Literal["intrinsic", "extrinsic"] = "intrinsic"
+) -> Float[np.ndarray, "*n 3 3"]:
+    """Euler angles in radians → rotation matrices, for any order of axes such as "ZYX" (repeats allowed).
+
+    Intrinsic: R = R(order[0])·R(order[1])·…, as BVH lists its channels; extrinsic: the reverse product.
+    """
+    axes = order if kind == "intrinsic" else order[::-1]
+    columns = range(len(order)) if kind == "intrinsic" else range(len(order) - 1, -1, -1)
+    sine, cosine = np.sin(angles), np.cos(angles)
+    product: Array | None = None
+    for axis, column in zip(axes, columns, strict=True):
+        rotation = np.zeros((*angles.shape[:-1], 3, 3), dtype=angles.dtype)
+        i, j, k = {"X": (0, 1, 2), "Y": (1, 2, 0), "Z": (2, 0, 1)}[axis.upper()]
+        rotation[..., i, i] = 1.0
+        rotation[..., j, j] = rotation[..., k, k] = cosine[..., column]
+        rotation[..., j, k] = -sine[..., column]
+        rotation[..., k, j] = sine[..., column]
+        product = rotation if product is None else product @ rotation
+    if product is None:
+        raise ValueError("an Euler order needs at least one axis")
+    return product
+
+
+def forward_kinematics(
+    local_rotations: Float[np.ndarray, "frames joints 4"],
+    root_translation: Float[np.ndarray, "frames 3"],
+    skeleton: Skeleton,
+    offsets: Float[np.ndarray, "*frames joints 3"] | None = None,
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Joint positions in metres from local rotations and the root's position.
+
+    `offsets` replaces the skeleton's, and may differ per frame (sources whose bones have translation channels).
+    """
+    return forward_kinematics_matrices(quaternion_to_matrix(local_rotations), root_translation, skeleton, offsets)[0]
+
+
+def forward_kinematics_matrices(
+    local_matrices: Float[np.ndarray, "frames joints 3 3"],
+    root_translation: Float[np.ndarray, "frames 3"],
+    skeleton: Skeleton,
+    offsets: Float[np.ndarray, "*frames joints 3"] | None = None,
+) -> tuple[Float[np.ndarray, "frames joints 3"], Float[np.ndarray, "frames joints 3 3"]]:
+    """Joint positions and global rotation matrices from local rotation matrices."""
+    bones = skeleton.offsets if offsets is None else offsets
+    positions = np.empty((*local_matrices.shape[:2], 3), dtype=local_matrices.dtype)
+    rotations = np.empty_like(local_matrices)
+    positions[:, 0] = root_translation
+    rotations[:, 0] = local_matrices[:, 0]
+    for joint, parent in enumerate(skeleton.parents[1:], start=1):
+        bone = bones[..., joint, :].astype(local_matrices.dtype, copy=False)
+        positions[:, joint] = positions[:, parent] + (rotations[:, parent] @ bone[..., None])[..., 0]
+        np.matmul(rotations[:, parent], local_matrices[:, joint], out=rotations[:, joint])
+    return positions, rotations
+
+
+def global_rotations(
+    local_rotations: Float[np.ndarray, "frames joints 4"], skeleton: Skeleton
+) -> Float[np.ndarray, "frames joints 4"]:
+    """Rotations relative to the world from rotations relative to the parent."""
+    result = np.empty_like(local_rotations)
+    result[:, 0] = local_rotations[:, 0]
+    for joint, parent in enumerate(skeleton.parents[1:], start=1):
+        result[:, joint] = quaternion_multiply(result[:, parent], local_rotations[:, joint])
+    return result
+
+
+def inverse_kinematics(
+    joint_positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton
+) -> Float[np.ndarray, "frames joints 4"]:
+    """Local rotations that point the skeleton's rest bones along the observed ones.
+
+    A joint with one child takes the shortest rotation (its twist is not observable); a joint with several takes the
+    least-squares rotation of all its bones; a leaf keeps its parent's. Forward kinematics with the observed bone
+    lengths restores the positions of every joint whose parent has one child. Source: Kabsch 1976 for the least squares.
+    """
+    positions = joint_positions.astype(np.float64)
+    num_frames, num_joints = positions.shape[:2]
+    world = np.zeros((num_frames, num_joints, 4))
+    local = np.zeros_like(world)
+    identity = np.array([1.0, 0.0, 0.0, 0.0])
+    rest = skeleton.offsets.astype(np.float64)
+    for joint in range(num_joints):
+        parent = skeleton.parents[joint]
+        above = world[:, parent] if parent >= 0 else np.broadcast_to(identity, (num_frames, 4))
+        children = [child for child in skeleton.children(joint) if np.linalg.norm(rest[child]) > 1e-6]
+        if not children:
+            local[:, joint], world[:, joint] = identity, above
+            continue
+        bones = quaternion_rotate(quaternion_conjugate(above)[:, None], positions[:, children] - positions[:, [joint]])
+        if len(children) == 1:
+            local[:, joint] = quaternion_between(rest[children[0]], bones[:, 0])
+        else:
+            local[:, joint] = _fit_rotation(rest[children], bones)
+        world[:, joint] = quaternion_multiply(above, local[:, joint])
+    return local.astype(np.float32)
+
+
+def _fit_rotation(
+    rest: Float[np.ndarray, "bones 3"], observed: Float[np.ndarray, "frames bones 3"]
+) -> Float[np.ndarray, "frames 4"]:
+    covariance = np.einsum("fbi,bj->fij", observed, rest)
+    u, _, vt = np.linalg.svd(covariance)
+    u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
+    return matrix_to_quaternion(u @ vt)

@@ -1,0 +1,30 @@
+"""Where things lie by default: command-line option, then environment variable, then motionkit.toml, then ./name."""
+
+import os
+import tomllib
+from pathlib import Path
+
+from motionkit.errors import UsageError
+
+KEYS = ("store", "runs", "results")
+
+
+def default_path(key: str, folder: Path | None = None) -> Path:
+    """Default path of `store`, `runs` or `results`, seen from `folder` (the current one).
+
+    Raises `UsageError` for a motionkit.toml that cannot be read.
+    """
+    if key not in KEYS:
+        raise KeyError(key)
+    from_environment = os.environ.get(f"MOTIONKIT_{key.upper()}")
+    if from_environment:
+        return Path(from_environment)
+    config = (folder or Path()) / "motionkit.toml"
+    if config.is_file():
+        try:
+            value = tomllib.loads(config.read_text(encoding="utf-8")).get(key)
+        except tomllib.TOMLDecodeError as error:
+            raise UsageError(f"{config}: {error}") from None
+        if isinstance(value, str):
+            return Path(value)
+    return Path(key)

@@ -1,0 +1,1 @@
+"""The store: Parquet is the record, a memory map is for training."""

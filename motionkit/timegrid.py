@@ -1,0 +1,138 @@
+"""Framerates as exact fractions; seconds ↔ frames ↔ normalised coordinates in [−1, 1]; clip windows.
+
+Frame k of a sequence is at `start_seconds + k / fps`. Intervals are half-open: T frames last T / fps seconds, while the
+instants that were really observed span (T − 1) / fps.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float64
+
+COMMON_FPS: tuple[Fraction, ...] = (
+    *(Fraction(n) for n in (10, 12, 15, 16, 20, 24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 144, 150, 200, 240, 250)),
+    *(Fraction(n) for n in (300, 360, 480, 500, 1000)),
+    Fraction(25, 2),
+    Fraction(24000, 1001),
+    Fraction(30000, 1001),
+    Fraction(60000, 1001),
+    Fraction(120000, 1001),
+)
+SNAP_TOLERANCE = 1e-3
+MIN_FPS, MAX_FPS = Fraction(1), Fraction(10_000)
+
+
+def parse_fps(value: str | int | float | Fraction) -> Fraction:
+    """Read a framerate exactly: `120`, `"30000/1001"`, `"59.94"`, or a float that is snapped to a common rate.
+
+    A float or decimal string within 0.1 % of a common framerate becomes that rate (120.00004577636719 → 120), because
+    files print them with few digits; anything else is kept as the closest fraction with a denominator up to 100,000.
+    Raises `ValueError` for values that are not finite or outside 1 … 10,000 frames a second.
+    """
+    if isinstance(value, str) and "/" not in value:
+        value = float(value)
+    if isinstance(value, float):
+        if not np.isfinite(value):
+            raise ValueError(f"a framerate must be a finite number, not {value}")
+        exact = Fraction(value)
+        nearest = min(COMMON_FPS, key=lambda rate: abs(rate - exact))
+        fps = nearest if abs(nearest - exact) <= SNAP_TOLERANCE * nearest else exact.limit_denominator(100_000)
+    else:
+        fps = Fraction(value)
+    if not MIN_FPS <= fps <= MAX_FPS:
+        raise ValueError(f"a framerate must lie between {MIN_FPS} and {MAX_FPS} frames a second, not {float(fps):g}")
+    return fps
+
+
+def format_fps(fps: Fraction) -> str:
+    """Write a framerate so that `parse_fps` reads the same fraction back: `120` or `30000/1001`."""
+    return str(fps)
+
+
+@dataclass(frozen=True)
+class TimeGrid:
+    """The instants of a uniformly sampled sequence: `num_frames` frames at `fps`, the first at `start_seconds`."""
+
+    fps: Fraction
+    num_frames: int
+    start_seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.num_frames < 1:
+            raise ValueError(f"a time grid needs at least one frame, not {self.num_frames}")
+        if self.fps <= 0:
+            raise ValueError(f"fps must be positive, not {self.fps}")
+
+    @property
+    def seconds_between_frames(self) -> float:
+        """1 / fps."""
+        return float(1 / self.fps)
+
+    @property
+    def duration_seconds(self) -> float:
+        """Length of the half-open interval that the frames cover: num_frames / fps."""
+        return float(self.num_frames / self.fps)
+
+    @property
+    def span_seconds(self) -> float:
+        """Time between the first and the last frame: (num_frames − 1) / fps."""
+        return float((self.num_frames - 1) / self.fps)
+
+    def seconds(self) -> Float64[np.ndarray, "frames"]:
+        """Time stamps of all frames in seconds; frame k times one second exactly, then one rounding."""
+        frames = np.arange(self.num_frames, dtype=np.float64)
+        return self.start_seconds + frames * self.fps.denominator / self.fps.numerator
+
+    def normalised(self, max_duration_seconds: float) -> Float64[np.ndarray, "frames"]:
+        """Coordinates t = −1 + 2·seconds / l_max of all frames, from the start of the sequence (NeRM §3.1)."""
+        return normalise_seconds(self.seconds() - self.start_seconds, max_duration_seconds)
+
+
+def normalise_seconds(
+    seconds: Float64[np.ndarray, "*shape"], max_duration_seconds: float
+) -> Float64[np.ndarray, "*shape"]:
+    """Seconds since the start of a window of l_max seconds → coordinates in [−1, 1]."""
+    return -1.0 + 2.0 * seconds / max_duration_seconds
+
+
+def denormalise_coordinates(
+    coordinates: Float64[np.ndarray, "*shape"], max_duration_seconds: float
+) -> Float64[np.ndarray, "*shape"]:
+    """Coordinates in [−1, 1] → seconds since the start of a window of l_max seconds."""
+    return (coordinates + 1.0) * (max_duration_seconds / 2.0)
+
+
+def num_frames_within(span_seconds: float, fps: Fraction) -> int:
+    """Number of frames k / fps that lie in [0, span_seconds], the end included within a microsecond."""
+    return int(np.floor((span_seconds + 1e-6) * float(fps))) + 1
+
+
+@dataclass(frozen=True)
+class ClipWindow:
+    """A clip of `num_poses` (m) poses at `fps` (s) around `centre_seconds` (v), in seconds of its sequence."""
+
+    centre_seconds: float
+    num_poses: int
+    fps: Fraction
+
+    @property
+    def start_seconds(self) -> float:
+        """Time of the clip's first pose."""
+        return self.centre_seconds - float((self.num_poses - 1) / self.fps) / 2
+
+    def seconds(self) -> Float64[np.ndarray, "poses"]:
+        """Time stamps of the clip's poses."""
+        return TimeGrid(self.fps, self.num_poses, self.start_seconds).seconds()
+
+    def normalised(self, max_duration_seconds: float) -> Float64[np.ndarray, "poses"]:
+        """t_{v,s}: the clip's coordinates, spanning (2 / l_max)·(m / s) around its centre (NeRM §3.1, Eq. 2)."""
+        return normalise_seconds(self.seconds(), max_duration_seconds)
+
+
+def clip_centre_bounds(span_seconds: float, num_poses: int, fps: Fraction) -> tuple[float, float] | None:
+    """The interval of centres v for which a clip of m poses lies inside [0, span_seconds]; None where none does."""
+    half = float((num_poses - 1) / fps) / 2
+    if 2 * half > span_seconds + 1e-9:
+        return None
+    return half, max(half, span_seconds - half)

@@ -1,0 +1,1 @@
+"""The one training loop: run folder, checkpoints, resume, devices, progress, metrics log."""

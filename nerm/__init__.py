@@ -1,0 +1,1 @@
+"""NeRM: neural representations for high-framerate human motion synthesis (variational INR + latent diffusion)."""

@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from motionkit import kinematics
+from motionkit.skeleton import KIT21, SMPL22, Skeleton
+
+
+def random_quaternions(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    return Rotation.random(int(np.prod(shape)), rng).as_quat(scalar_first=True).reshape(*shape, 4)
+
+
+def test_quaternion_algebra_agrees_with_scipy() -> None:
+    rng = np.random.default_rng(0)
+    a, b = random_quaternions(rng, 50), random_quaternions(rng, 50)
+    v = rng.normal(size=(50, 3))
+    ra, rb = (Rotation.from_quat(q, scalar_first=True) for q in (a, b))
+    assert np.allclose(kinematics.quaternion_to_matrix(kinematics.quaternion_multiply(a, b)), (ra * rb).as_matrix())
+    assert np.allclose(kinematics.quaternion_rotate(a, v), ra.apply(v))
+    assert np.allclose(kinematics.quaternion_to_matrix(kinematics.matrix_to_quaternion(ra.as_matrix())), ra.as_matrix())
+
+
+@pytest.mark.parametrize("order", ["XYZ", "ZYX", "ZXY", "YXZ"])
+def test_euler_orders_agree_with_scipy(order: str) -> None:
+    angles = np.random.default_rng(1).uniform(-3, 3, size=(20, 3))
+    assert np.allclose(kinematics.euler_to_matrix(angles, order), Rotation.from_euler(order, angles).as_matrix())
+    extrinsic = Rotation.from_euler(order.lower(), angles).as_matrix()
+    assert np.allclose(kinematics.euler_to_matrix(angles, order, kind="extrinsic"), extrinsic)
+
+
+def test_the_shortest_rotation_between_directions() -> None:
+    rng = np.random.default_rng(2)
+    a, b = rng.normal(size=(100, 3)), rng.normal(size=(100, 3))
+    b[0] = -a[0]
+    turned = kinematics.quaternion_rotate(kinematics.quaternion_between(a, b), a)
+    cosine = np.sum(turned * b, -1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+    assert np.allclose(cosine, 1.0)
+
+
+def test_slerp_halves_the_angle_on_the_shorter_arc() -> None:
+    a = np.array([[1.0, 0, 0, 0]])
+    b = -Rotation.from_rotvec([[0, 1.2, 0]]).as_quat(scalar_first=True)
+    middle = kinematics.quaternion_slerp(a, b, np.array([0.5]))
+    assert Rotation.from_quat(middle, scalar_first=True).magnitude()[0] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("skeleton", [SMPL22, KIT21])
+def test_inverse_then_forward_kinematics_restores_chains(skeleton: Skeleton) -> None:
+    rng = np.random.default_rng(3)
+    rotations = random_quaternions(rng, 12, skeleton.num_joints).astype(np.float32)
+    root = rng.normal(size=(12, 3)).astype(np.float32)
+    positions = kinematics.forward_kinematics(rotations, root, skeleton)
+    recovered = kinematics.inverse_kinematics(positions, skeleton)
+    assert np.allclose(kinematics.forward_kinematics(recovered, root, skeleton), positions, atol=2e-5)
+
+
+def test_bone_lengths_are_kept() -> None:
+    rng = np.random.default_rng(4)
+    rotations = random_quaternions(rng, 5, SMPL22.num_joints).astype(np.float32)
+    positions = kinematics.forward_kinematics(rotations, np.zeros((5, 3), np.float32), SMPL22)
+    lengths = np.linalg.norm(positions[:, 1:] - positions[:, list(SMPL22.parents[1:])], axis=-1)
+    assert np.allclose(lengths, np.linalg.norm(SMPL22.offsets[1:], axis=-1), atol=1e-6)
