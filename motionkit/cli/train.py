@@ -1,0 +1,77 @@
+"""`motionkit train`: train the stages of a model from a store into a run folder."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from motionkit.console import print_json, stderr, stdout
+from motionkit.errors import UsageError
+from motionkit.settings import default_path
+from motionkit.training.config import apply_overrides, flatten, parse_override
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import Stage, StageContext, choose_stages, registered_stages
+
+
+def train(
+    stage: Annotated[str, typer.Option(help="One installed stage, or all of the model's in order.")] = "all",
+    recipe: Annotated[str, typer.Option(help="Named configuration: nano, demo, paper.")] = "nano",
+    store: Annotated[Path | None, typer.Option(help="Store to train from.")] = None,
+    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.")] = None,
+    run: Annotated[str | None, typer.Option(help="This run's name; the recipe's by default.")] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting: field.steps=100.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on where a run stopped; complete stages are kept.")
+    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Start again where a run exists.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1 …")] = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="Print the stages' summaries as JSON.")] = False,
+) -> None:
+    """Train a model's stages from a store into a run folder; Ctrl-C saves, --resume goes on exactly."""
+    if resume and overwrite:
+        raise UsageError("--resume and --overwrite exclude each other")
+    chosen = choose_stages(stage, registered_stages())
+    configs = configure(chosen, recipe, overrides or [])
+    store_path = store or default_path("store")
+    if not store_path.is_dir():
+        raise UsageError(f"there is no store at {store_path}: motionkit ingest SOURCE --store {store_path}")
+    folder = RunFolder((runs or default_path("runs")) / (run or recipe))
+    context = StageContext(store_path, folder, recipe, seed=seed, resume=resume, overwrite=overwrite, device=device)
+    summaries = []
+    for each, config in zip(chosen, configs, strict=True):
+        summary = _train_stage(each, config, context)
+        summaries.append({"stage": each.name, **summary})
+        if not as_json:
+            figures = ", ".join(f"{name} {_short(value)}" for name, value in summary.items())
+            stdout.print(f"{each.name}: {figures}", markup=False)
+    if as_json:
+        print_json({"run": str(folder.path), "stages": summaries})
+
+
+def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str]) -> list[Any]:
+    """Each stage's configuration; an override goes to every stage that has the setting, and one must have it."""
+    configs = [stage.recipe(recipe) for stage in stages]
+    known = list(dict.fromkeys(key for config in configs for key in flatten(config)))
+    for override in overrides:
+        key, _ = parse_override(override)
+        if key not in known:
+            raise UsageError(f"no setting is called {key!r}; recipe {recipe!r} has: {', '.join(known)}")
+        configs = [apply_overrides(config, [override]) if key in flatten(config) else config for config in configs]
+    return configs
+
+
+def _train_stage(stage: Stage[Any], config: Any, context: StageContext) -> dict[str, Any]:
+    folder = context.run.stage(stage.name)
+    if context.resume and folder.is_complete:
+        stderr.print(f"{stage.name}: complete already, kept", markup=False)
+    else:
+        stderr.print(f"{stage.name}: {stage.description} → {folder.path}", markup=False)
+        stage.train(context, config)
+    return folder.read_summary()
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

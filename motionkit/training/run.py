@@ -1,0 +1,184 @@
+"""Run folders: RUN/STAGE/ holds config.json, metrics.jsonl, checkpoint.safetensors, the stage's results, summary.json.
+
+`config.json` says what was asked for and from what (recipe values, seed, store fingerprint, versions); `summary.json`
+is written last and marks the stage as complete.
+"""
+
+import importlib.metadata
+import json
+import os
+import platform
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from motionkit.errors import MotionkitError, UsageError
+from motionkit.training.config import ConfigLike, flatten, to_plain
+
+RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
+
+
+class RunError(MotionkitError):
+    """A run folder that lacks what is needed from it, or holds something else."""
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON that appears whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.write_text(json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+    temporary.replace(path)
+
+
+def versions() -> dict[str, str]:
+    """Python, platform and the packages that decide a run's numbers."""
+    found = {name: importlib.metadata.version(name) for name in RECORDED_PACKAGES}
+    return {"python": platform.python_version(), "platform": platform.platform(), **found}
+
+
+@dataclass(frozen=True)
+class StageFolder:
+    """One stage's folder inside a run; it owns the names of the files in it."""
+
+    path: Path
+
+    @property
+    def config_path(self) -> Path:
+        """What was asked for: config.json."""
+        return self.path / "config.json"
+
+    @property
+    def metrics_path(self) -> Path:
+        """One JSON object per logged step: metrics.jsonl."""
+        return self.path / "metrics.jsonl"
+
+    @property
+    def checkpoint_path(self) -> Path:
+        """Everything needed to go on: checkpoint.safetensors."""
+        return self.path / "checkpoint.safetensors"
+
+    @property
+    def model_path(self) -> Path:
+        """The trained result: model.safetensors."""
+        return self.path / "model.safetensors"
+
+    @property
+    def summary_path(self) -> Path:
+        """Final figures; its presence marks the stage as complete: summary.json."""
+        return self.path / "summary.json"
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the stage was trained to its end."""
+        return self.summary_path.is_file()
+
+    def read_config(self) -> dict[str, Any]:
+        """The whole of config.json; raises `RunError` where the stage has not been trained."""
+        return self._read(self.config_path)
+
+    def read_summary(self) -> dict[str, Any]:
+        """The whole of summary.json; raises `RunError` where the stage is not complete."""
+        return self._read(self.summary_path)
+
+    def append_metrics(self, values: Mapping[str, float]) -> None:
+        """Add a line to metrics.jsonl."""
+        with self.metrics_path.open("a", encoding="utf-8") as log:
+            log.write(json.dumps(dict(values)) + "\n")
+
+    def read_metrics(self) -> list[dict[str, float]]:
+        """All lines of metrics.jsonl, oldest first; empty where nothing was logged."""
+        if not self.metrics_path.is_file():
+            return []
+        return [json.loads(line) for line in self.metrics_path.read_text(encoding="utf-8").splitlines()]
+
+    def truncate_metrics(self, step: int) -> None:
+        """Forget metrics of later steps: after a crash the log may be ahead of the checkpoint."""
+        kept = [line for line in self.read_metrics() if line["step"] <= step]
+        if self.metrics_path.is_file():
+            self.metrics_path.write_text("".join(json.dumps(line) + "\n" for line in kept), encoding="utf-8")
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write the final figures, by which the stage counts as complete."""
+        write_json(self.summary_path, dict(summary))
+
+    def _read(self, path: Path) -> dict[str, Any]:
+        if not path.is_file():
+            raise RunError(
+                f"{path} does not exist: stage {self.path.name!r} of run {str(self.path.parent)!r} is not trained "
+                f"(motionkit train --stage {self.path.name} --run {self.path.parent.name})"
+            )
+        value: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return value
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run: one subfolder per trained stage."""
+
+    path: Path
+
+    def stage(self, name: str) -> StageFolder:
+        """The folder of a stage, which need not exist yet."""
+        return StageFolder(self.path / name)
+
+
+def begin_stage(
+    folder: StageFolder,
+    config: ConfigLike,
+    *,
+    recipe: str,
+    seed: int,
+    store: str,
+    store_fingerprint: str,
+    resume: bool,
+    overwrite: bool,
+) -> None:
+    """Make a stage's folder and write its config.json, or check that what is there can be resumed.
+
+    Raises `UsageError` where a folder exists and neither `resume` nor `overwrite` is asked for, and `RunError` where
+    configuration, seed or store differ from those that the stage was begun with.
+    """
+    asked = {"config": to_plain(config), "recipe": recipe, "seed": seed, "store_fingerprint": store_fingerprint}
+    if folder.config_path.is_file() and resume:
+        _check_same(folder, config, asked)
+        return
+    if folder.path.exists() and any(folder.path.iterdir()) and not resume:
+        if not overwrite:
+            raise UsageError(
+                f"{folder.path} exists: --resume goes on with it, --overwrite starts again, --run NAME keeps both"
+            )
+        shutil.rmtree(folder.path)
+    folder.path.mkdir(parents=True, exist_ok=True)
+    write_json(folder.config_path, {"stage": folder.path.name, **asked, "store": store, "versions": versions()})
+
+
+def _check_same(folder: StageFolder, config: ConfigLike, asked: Mapping[str, Any]) -> None:
+    begun = folder.read_config()
+    for key in ("seed", "store_fingerprint"):
+        if begun[key] != asked[key]:
+            raise RunError(f"{folder.path} was begun with {key} {begun[key]!r}, not {asked[key]!r}: use another --run")
+    was, now = _leaves(begun["config"]), _leaves(to_plain(config))
+    changed = [
+        key for key in {**was, **now} if was.get(key) != now.get(key) and concerns(folder.path.name, key, config)
+    ]
+    if changed:
+        told = ", ".join(f"{key} {was.get(key)!r} → {now.get(key)!r}" for key in changed)
+        raise RunError(f"{folder.path} was begun with other settings ({told}): use the same ones, or another --run")
+
+
+def concerns(stage: str, key: str, config: ConfigLike) -> bool:
+    """Whether a dotted setting matters to a stage: the part named after another stage of the same recipe doesn't."""
+    parts = {leaf.partition(".")[0] for leaf in flatten(config) if "." in leaf}
+    return stage not in parts or key.partition(".")[0] not in parts - {stage}
+
+
+def _leaves(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, dict):
+            found |= _leaves(value, f"{prefix}{name}.")
+        else:
+            found[prefix + name] = value
+    return found

@@ -1,0 +1,84 @@
+"""What can be trained: stages, found through the entry point group `motionkit.stages`.
+
+An entry point names a module attribute that is a `Stage`. That module must import lightly (no torch at module level):
+`motionkit train --help` reads every stage.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Generic
+
+from motionkit.errors import UsageError
+from motionkit.training.config import ConfigLike, ConfigT
+from motionkit.training.run import RunFolder, StageFolder, begin_stage
+
+
+@dataclass(frozen=True)
+class StageContext:
+    """Where a stage is trained: from which store, into which run, with which seed, on which device.
+
+    `device` is "auto" or a torch device's name.
+    """
+
+    store: Path
+    run: RunFolder
+    recipe: str
+    seed: int = 0
+    resume: bool = False
+    overwrite: bool = False
+    device: str = "auto"
+
+    def begin(self, stage: str, config: ConfigLike, *, store_fingerprint: str) -> StageFolder:
+        """Open the stage's folder, new or to be resumed; errors as in `begin_stage`."""
+        folder = self.run.stage(stage)
+        begin_stage(
+            folder,
+            config,
+            recipe=self.recipe,
+            seed=self.seed,
+            store=str(self.store),
+            store_fingerprint=store_fingerprint,
+            resume=self.resume,
+            overwrite=self.overwrite,
+        )
+        return folder
+
+
+@dataclass(frozen=True)
+class Stage(Generic[ConfigT]):
+    """One thing to train: `train(context, config)` writes RUN/NAME/ and ends with `StageFolder.finish`.
+
+    `order` ranks the stages of `--stage all` (low first), `in_all` says whether this one is among them; `recipes` maps
+    a recipe's name to the function that makes its configuration. Stages of one model may share a configuration whose
+    parts are named after the stages: a change of another stage's part doesn't stop `--resume`.
+    """
+
+    name: str
+    order: int
+    description: str
+    recipes: Mapping[str, Callable[[], ConfigT]]
+    train: Callable[[StageContext, ConfigT], None]
+    in_all: bool = True
+
+    def recipe(self, name: str) -> ConfigT:
+        """The configuration of a named recipe; raises `UsageError` naming those there are."""
+        if name not in self.recipes:
+            raise UsageError(f"stage {self.name!r} has no recipe {name!r}; it has: {', '.join(self.recipes)}")
+        return self.recipes[name]()
+
+
+def registered_stages() -> dict[str, Stage[Any]]:
+    """All installed stages by name, in the order in which `--stage all` trains them."""
+    stages: list[Stage[Any]] = [entry.load() for entry in entry_points(group="motionkit.stages")]
+    return {stage.name: stage for stage in sorted(stages, key=lambda stage: (stage.order, stage.name))}
+
+
+def choose_stages(name: str, stages: Mapping[str, Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages that `--stage NAME` means; raises `UsageError` naming those there are."""
+    if name == "all":
+        return tuple(stage for stage in stages.values() if stage.in_all)
+    if name not in stages:
+        raise UsageError(f"no stage is called {name!r}; there are: {', '.join([*stages, 'all'])}")
+    return (stages[name],)

@@ -1,0 +1,103 @@
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motionkit.errors import UsageError
+from motionkit.training.config import apply_overrides, flatten, from_plain, to_plain
+
+
+@dataclass(frozen=True)
+class Inner:
+    steps: int = 10
+    rate: float = 1e-3
+    activation: Literal["relu", "silu"] = "silu"
+    widths: tuple[int, ...] = (1, 2)
+    limit: float | None = None
+
+
+@dataclass(frozen=True)
+class Outer:
+    name: str = "x"
+    fast: bool = False
+    field: Inner = field(default_factory=Inner)
+
+
+def test_overrides_reach_nested_settings_by_their_types() -> None:
+    changed = apply_overrides(
+        Outer(), ["field.steps=7", "field.rate=2", "field.widths=3,4,5", "fast=true", "field.limit=0.5", "name=a=b"]
+    )
+    assert changed == Outer("a=b", True, Inner(7, 2.0, "silu", (3, 4, 5), 0.5))
+    assert apply_overrides(changed, ["field.limit=none"]).field.limit is None
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("field.step=1", r"no setting is called 'field.step'; there are: name, fast, field.steps"),
+        ("field.steps=many", r"field.steps must be a whole number, not 'many'"),
+        ("field.steps=1.5", r"field.steps must be a whole number"),
+        ("field.activation=gelu", r"field.activation must be one of relu, silu"),
+        ("fast=1", r"fast must be true or false"),
+        ("fast", r"KEY=VALUE"),
+        ("field=3", r"no setting is called 'field'"),
+    ],
+)
+def test_a_wrong_override_is_refused_with_what_there_is(override: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        apply_overrides(Outer(), [override])
+
+
+@given(
+    st.builds(
+        Outer,
+        st.text(),
+        st.booleans(),
+        st.builds(
+            Inner,
+            st.integers(-(2**40), 2**40),
+            st.floats(allow_nan=False),
+            st.sampled_from(["relu", "silu"]),
+            st.lists(st.integers(0, 9)).map(tuple),
+            st.none() | st.floats(allow_nan=False),
+        ),
+    )
+)
+def test_plain_values_round_trip(config: Outer) -> None:
+    assert from_plain(Outer, to_plain(config)) == config
+
+
+def test_flat_keys_name_every_leaf() -> None:
+    assert list(flatten(Outer())) == [
+        "name",
+        "fast",
+        "field.steps",
+        "field.rate",
+        "field.activation",
+        "field.widths",
+        "field.limit",
+    ]
+
+
+def test_plain_values_of_another_type_are_refused() -> None:
+    with pytest.raises(UsageError, match="Inner has no colour"):
+        from_plain(Outer, {"field": {"colour": 1}})
+    with pytest.raises(UsageError, match="steps must be a whole number, not '3'"):
+        from_plain(Outer, {"field": {"steps": "3"}})
+
+
+def test_a_value_that_the_dataclass_itself_refuses_is_a_usage_error() -> None:
+    @dataclass(frozen=True)
+    class Positive:
+        steps: int = 1
+
+        def __post_init__(self) -> None:
+            if self.steps < 1:
+                raise ValueError("steps must be positive")
+
+    with pytest.raises(UsageError, match="steps=-1: steps must be positive"):
+        apply_overrides(Positive(), ["steps=-1"])
+    assert dataclasses.astuple(apply_overrides(Positive(), ["steps=4"])) == (4,)

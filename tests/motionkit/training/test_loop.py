@@ -1,0 +1,172 @@
+import os
+import signal
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+import torch
+
+from motionkit.training.loop import train_loop
+from motionkit.training.randomness import seeded_initialisation, step_generator
+from motionkit.training.run import RunError, StageFolder
+from motionkit.training.schedule import WeightAverage, rate_factor, set_rate
+from motionkit.training.tensors import (
+    CheckpointError,
+    load_optimizer_tensors,
+    load_tensors,
+    optimizer_tensors,
+    prefixed,
+    save_tensors,
+    unprefixed,
+)
+
+
+class Regression:
+    """A linear map learnt from random batches: the smallest thing with weights, moments and an average."""
+
+    def __init__(self, before_step: Callable[[int], None] = lambda step: None) -> None:
+        with seeded_initialisation(3, "model"):
+            self.model = torch.nn.Linear(4, 2)
+        self.optimizer = torch.optim.AdamW(self.model.parameters(), lr=1e-2)
+        self.average = WeightAverage(self.model, 0.9)
+        self.before_step = before_step
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+        self.before_step(step)
+        set_rate(self.optimizer, 1e-2 * rate_factor(step, 20, schedule="cosine", warmup_fraction=0.2))
+        inputs = torch.randn(8, 4, generator=generator)
+        loss = (self.model(inputs) - inputs[:, :2]).square().mean()
+        self.optimizer.zero_grad()
+        loss.backward()
+        self.optimizer.step()
+        self.average.update(self.model, step)
+        return {"loss": loss}
+
+    def state_tensors(self) -> dict[str, torch.Tensor]:
+        return (
+            prefixed("model", self.model.state_dict())
+            | prefixed("optimizer", optimizer_tensors(self.optimizer))
+            | prefixed("average", self.average.tensors())
+        )
+
+    def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        self.model.load_state_dict(unprefixed("model", tensors))
+        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+        self.average.load(unprefixed("average", tensors))
+
+
+def _folder(path: Path) -> StageFolder:
+    path.mkdir(parents=True, exist_ok=True)
+    return StageFolder(path)
+
+
+def _interrupt_at(step: int) -> Callable[[int], None]:
+    return lambda now: os.kill(os.getpid(), signal.SIGINT) if now == step else None
+
+
+def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_bit(tmp_path: Path) -> None:
+    whole, parts = _folder(tmp_path / "a" / "stage"), _folder(tmp_path / "b" / "stage")
+    reference = Regression()
+    train_loop(reference, whole, steps=20, seed=1, log_every=4)
+
+    with pytest.raises(KeyboardInterrupt):
+        train_loop(Regression(_interrupt_at(5)), parts, steps=20, seed=1, log_every=4)
+    assert load_tensors(parts.checkpoint_path)[1]["step"] == 6
+    resumed = Regression()
+    train_loop(resumed, parts, steps=20, seed=1, log_every=4)
+
+    expected = reference.state_tensors()
+    for name, tensor in resumed.state_tensors().items():
+        assert torch.equal(tensor, expected[name]), name
+    losses = [[line["loss"] for line in folder.read_metrics()] for folder in (whole, parts)]
+    assert losses[0] == losses[1]
+
+
+def test_the_seed_decides_everything(tmp_path: Path) -> None:
+    losses = [
+        train_loop(Regression(), _folder(tmp_path / str(index) / "stage"), steps=5, seed=seed)["loss"]
+        for index, seed in enumerate((1, 1, 2))
+    ]
+    assert losses[0] == losses[1] != losses[2]
+
+
+def test_metrics_ahead_of_the_checkpoint_are_forgotten(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "stage")
+    with pytest.raises(KeyboardInterrupt):
+        train_loop(Regression(_interrupt_at(5)), folder, steps=8, seed=1, log_every=2)
+    folder.append_metrics({"step": 7.0, "loss": 99.0})
+    train_loop(Regression(), folder, steps=8, seed=1, log_every=2)
+    assert [line["step"] for line in folder.read_metrics()] == [2, 4, 6, 8]
+
+
+def test_a_loss_that_is_not_finite_stops_the_training(tmp_path: Path) -> None:
+    class Diverging(Regression):
+        def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+            return {"loss": torch.tensor(float("nan") if step == 2 else 1.0)}
+
+    folder = _folder(tmp_path / "stage")
+    with pytest.raises(RunError, match="loss is not finite"):
+        train_loop(Diverging(), folder, steps=5, seed=0, checkpoint_seconds=0.0)
+    assert load_tensors(folder.checkpoint_path)[1]["step"] == 2
+
+
+def test_a_checkpoint_of_another_stage_is_refused(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "stage")
+    save_tensors(folder.checkpoint_path, {}, {"step": 3, "stage": "other"})
+    with pytest.raises(CheckpointError, match="is of stage 'other'"):
+        train_loop(Regression(), folder, steps=5, seed=0)
+
+
+def test_tensors_round_trip_and_a_damaged_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "file.safetensors"
+    tensors = {"a": torch.arange(6).reshape(2, 3), "b": torch.randn(3, dtype=torch.float64)[::2]}
+    save_tensors(path, tensors, {"note": "ä", "list": [1, 2]})
+    loaded, description = load_tensors(path)
+    assert description == {"note": "ä", "list": [1, 2]}
+    assert all(torch.equal(loaded[name], tensor) for name, tensor in tensors.items())
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+    path.write_bytes(path.read_bytes()[:-5])
+    with pytest.raises(CheckpointError, match=r"file\.safetensors: not a whole safetensors file"):
+        load_tensors(path)
+    with pytest.raises(CheckpointError, match="there is no such checkpoint"):
+        load_tensors(tmp_path / "absent.safetensors")
+
+
+def test_generators_depend_on_seed_purpose_and_step_alone() -> None:
+    def draw(*key: int | str) -> list[float]:
+        seed, purpose, step = key
+        return torch.rand(3, generator=step_generator(int(seed), str(purpose), int(step))).tolist()
+
+    assert draw(1, "field", 5) == draw(1, "field", 5)
+    assert len({tuple(draw(*key)) for key in [(1, "field", 5), (2, "field", 5), (1, "other", 5), (1, "field", 6)]}) == 4
+
+
+def test_seeded_initialisation_leaves_the_global_generator_alone() -> None:
+    torch.manual_seed(0)
+    expected = torch.rand(1)
+    torch.manual_seed(0)
+    with seeded_initialisation(1, "model"):
+        torch.rand(5)
+    assert torch.equal(torch.rand(1), expected)
+
+
+def test_rates_warm_up_and_fall_to_zero() -> None:
+    factors = [rate_factor(step, 100, schedule="cosine", warmup_fraction=0.1) for step in range(101)]
+    assert factors[0] == pytest.approx(0.1)
+    assert factors[10] == 1.0
+    assert factors[55] == pytest.approx(0.5)
+    assert factors[100] == pytest.approx(0.0)
+    assert rate_factor(70, 100, schedule="constant") == 1.0
+
+
+def test_a_weight_average_of_constant_weights_is_those_weights() -> None:
+    module = torch.nn.Linear(2, 2)
+    average = WeightAverage(module, 0.99)
+    for step in range(5):
+        average.update(module, step)
+    assert torch.allclose(average.tensors()["weight"], module.weight)
+    with torch.no_grad():
+        module.weight.add_(1.0)
+    average.update(module, 0)
+    assert torch.allclose(average.tensors()["weight"], module.weight - 0.1)

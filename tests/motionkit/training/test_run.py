@@ -1,0 +1,80 @@
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from motionkit.errors import UsageError
+from motionkit.training.device import resolve_device
+from motionkit.training.run import RunError, RunFolder
+from motionkit.training.stage import Stage, StageContext, choose_stages
+
+
+@dataclass(frozen=True)
+class Part:
+    steps: int = 5
+
+
+@dataclass(frozen=True)
+class Config:
+    width: int = 4
+    first: Part = field(default_factory=Part)
+    second: Part = field(default_factory=Part)
+
+
+def _context(path: Path, *, resume: bool = False, overwrite: bool = False, seed: int = 0) -> StageContext:
+    return StageContext(Path("store"), RunFolder(path), "nano", seed=seed, resume=resume, overwrite=overwrite)
+
+
+def test_a_run_says_what_it_was_made_from(tmp_path: Path) -> None:
+    folder = _context(tmp_path, seed=4).begin("first", Config(), store_fingerprint="abc")
+    written = folder.read_config()
+    assert written["config"] == {"width": 4, "first": {"steps": 5}, "second": {"steps": 5}}
+    assert (written["seed"], written["recipe"], written["store_fingerprint"]) == (4, "nano", "abc")
+    assert {"python", "torch", "motionkit"} <= set(written["versions"])
+
+
+def test_what_exists_is_neither_overwritten_nor_mixed_unasked(tmp_path: Path) -> None:
+    folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
+    folder.append_metrics({"step": 1.0})
+    with pytest.raises(UsageError, match="--resume goes on with it"):
+        _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
+    assert _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc").read_metrics()
+    with pytest.raises(RunError, match=r"width 4 → 5"):
+        _context(tmp_path, resume=True).begin("first", Config(width=5), store_fingerprint="abc")
+    with pytest.raises(RunError, match="store_fingerprint 'abc', not 'abd'"):
+        _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abd")
+    with pytest.raises(RunError, match="seed 0, not 1"):
+        _context(tmp_path, resume=True, seed=1).begin("first", Config(), store_fingerprint="abc")
+    assert not _context(tmp_path, overwrite=True).begin("first", Config(), store_fingerprint="x").read_metrics()
+
+
+def test_settings_of_another_stage_do_not_stop_a_resume(tmp_path: Path) -> None:
+    _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
+    other = Config(second=Part(steps=99))
+    _context(tmp_path, resume=True).begin("first", other, store_fingerprint="abc")
+    with pytest.raises(RunError, match=r"first\.steps 5 → 9"):
+        _context(tmp_path, resume=True).begin("first", Config(first=Part(9)), store_fingerprint="abc")
+
+
+def test_an_untrained_stage_is_named_with_the_command_that_trains_it(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="motionkit train --stage field --run nano"):
+        RunFolder(tmp_path / "nano").stage("field").read_config()
+
+
+def test_stages_are_chosen_by_name_or_all_of_the_model() -> None:
+    def stage(name: str, order: int, in_all: bool = True) -> Stage[Config]:
+        return Stage(name, order, "", {"nano": Config}, lambda context, config: None, in_all)
+
+    stages = {stage.name: stage for stage in (stage("a", 1), stage("b", 2), stage("extra", 3, False))}
+    assert [chosen.name for chosen in choose_stages("all", stages)] == ["a", "b"]
+    assert [chosen.name for chosen in choose_stages("extra", stages)] == ["extra"]
+    with pytest.raises(UsageError, match="no stage is called 'c'; there are: a, b, extra, all"):
+        choose_stages("c", stages)
+    with pytest.raises(UsageError, match="stage 'a' has no recipe 'huge'; it has: nano"):
+        stages["a"].recipe("huge")
+
+
+def test_a_device_that_is_not_there_is_a_usage_error() -> None:
+    assert resolve_device("cpu").type == "cpu"
+    with pytest.raises(UsageError, match="--device abacus"):
+        resolve_device("abacus")
