@@ -6,7 +6,7 @@ once against it.
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -25,6 +25,7 @@ class Poses:
     root_translation: Float32[np.ndarray, "times 3"] | None = None
 
 
+@runtime_checkable
 class MotionField(Protocol):
     """A motion as a function of time on the closed interval [start_seconds, end_seconds]."""
 

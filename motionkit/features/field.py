@@ -1,0 +1,90 @@
+"""`field` pose vectors: what a motion field learns, every number a function of time alone.
+
+Per pose 3·J numbers: the root's x, height and z in the window's frame, then joints 1 … J − 1 relative to the root along
+the same axes. A window's frame has its origin under the root at the window's first instant and faces Z+ there. No pose
+needs integration, so the path cannot drift; the inverse is one addition.
+"""
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from motionkit.features.layout import FacingJoints, facing_direction, layout_of
+
+CONVENTION = "field"
+
+
+def num_numbers(num_joints: int) -> int:
+    """Numbers per pose: 3·J, so 66 for 22 joints."""
+    return 3 * num_joints
+
+
+def heading(
+    joint_positions: Float[np.ndarray, "*poses joints 3"], facing: FacingJoints | None = None
+) -> Float[np.ndarray, "*poses"]:
+    """Yaw in radians, in (−π, π], of the direction each body faces; 0 is Z+, positive turns towards X+.
+
+    `facing` defaults to the hips and shoulders of the 22- or 21-joint layout, by the number of joints.
+    """
+    joints = facing if facing is not None else layout_of(joint_positions.shape[-2]).facing
+    direction = facing_direction(joint_positions, joints)
+    yaw = np.arctan2(direction[..., 0], direction[..., 1])
+    return np.asarray(yaw)
+
+
+def window_frame(
+    first_pose: Float[np.ndarray, "windows joints 3"], facing: FacingJoints | None = None
+) -> tuple[Float32[np.ndarray, "windows"], Float32[np.ndarray, "windows 2"]]:
+    """The frames of windows from their first poses: yaw in radians and origin (x, z) in metres."""
+    yaw = heading(first_pose, facing)
+    return yaw.astype(np.float32), first_pose[:, 0, (0, 2)].astype(np.float32)
+
+
+def to_window(
+    joint_positions: Float[np.ndarray, "windows poses joints 3"],
+    yaw: Float[np.ndarray, "windows"],
+    origin: Float[np.ndarray, "windows 2"],
+) -> Float32[np.ndarray, "windows poses joints 3"]:
+    """World positions → positions in each window's frame, metres."""
+    sine, cosine = np.sin(yaw)[:, None, None], np.cos(yaw)[:, None, None]
+    x = joint_positions[..., 0] - origin[:, None, None, 0]
+    z = joint_positions[..., 2] - origin[:, None, None, 1]
+    local = np.empty(joint_positions.shape, dtype=np.float32)
+    local[..., 0] = cosine * x - sine * z
+    local[..., 1] = joint_positions[..., 1]
+    local[..., 2] = sine * x + cosine * z
+    return local
+
+
+def to_world(
+    window_positions: Float[np.ndarray, "windows poses joints 3"],
+    yaw: Float[np.ndarray, "windows"],
+    origin: Float[np.ndarray, "windows 2"],
+) -> Float32[np.ndarray, "windows poses joints 3"]:
+    """Positions in each window's frame → world positions, metres; the inverse of `to_window`."""
+    sine, cosine = np.sin(yaw)[:, None, None], np.cos(yaw)[:, None, None]
+    x, z = window_positions[..., 0], window_positions[..., 2]
+    world = np.empty(window_positions.shape, dtype=np.float32)
+    world[..., 0] = cosine * x + sine * z + origin[:, None, None, 0]
+    world[..., 1] = window_positions[..., 1]
+    world[..., 2] = cosine * z - sine * x + origin[:, None, None, 1]
+    return world
+
+
+def encode(
+    joint_positions: Float[np.ndarray, "windows poses joints 3"],
+    yaw: Float[np.ndarray, "windows"],
+    origin: Float[np.ndarray, "windows 2"],
+) -> Float32[np.ndarray, "windows poses numbers"]:
+    """World positions in metres → `field` vectors in the frames that `window_frame` gave."""
+    local = to_window(joint_positions, yaw, origin)
+    local[:, :, 1:] -= local[:, :, :1]
+    return local.reshape(*local.shape[:2], -1)
+
+
+def decode(vectors: Float[np.ndarray, "*poses numbers"]) -> Float32[np.ndarray, "*poses joints 3"]:
+    """`field` vectors → positions in the window's frame, metres; raises `ValueError` unless 3 divides their length."""
+    if vectors.shape[-1] % 3:
+        raise ValueError(f"a field vector has 3 numbers per joint, so not {vectors.shape[-1]}")
+    local = vectors.astype(np.float32).reshape(*vectors.shape[:-1], -1, 3)
+    local[..., 1:, :] += local[..., :1, :]
+    return local

@@ -1,0 +1,158 @@
+"""What the pose-vector conventions need to know about a joint layout: facing joints, chains, slices of the vector."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from motionkit.errors import UsageError
+from motionkit.skeleton import KIT21, SMPL22, Skeleton
+
+
+@dataclass(frozen=True)
+class FacingJoints:
+    """The four joints whose sideways axes say where the body faces."""
+
+    right_hip: int
+    left_hip: int
+    right_shoulder: int
+    left_shoulder: int
+
+
+@dataclass(frozen=True)
+class VectorLayout:
+    """Slices of the published pose vector of 12·J − 1 numbers (HumanML3D, motion_representation.ipynb).
+
+    `root_yaw_velocity` 1 · `root_velocity` 2 (x, z) · `root_height` 1 · `joint_positions` 3(J − 1) · `joint_rotations`
+    6(J − 1) · `joint_velocities` 3J · `contacts` 4 (left ankle, left toe, right ankle, right toe).
+    """
+
+    num_joints: int
+    root_yaw_velocity: slice
+    root_velocity: slice
+    root_height: slice
+    joint_positions: slice
+    joint_rotations: slice
+    joint_velocities: slice
+    contacts: slice
+
+    @property
+    def size(self) -> int:
+        """Numbers per pose: 263 for 22 joints, 251 for 21."""
+        return 12 * self.num_joints - 1
+
+    @property
+    def blocks(self) -> tuple[slice, ...]:
+        """The seven blocks inside which HumanML3D averages its standard deviation."""
+        return (
+            self.root_yaw_velocity,
+            self.root_velocity,
+            self.root_height,
+            self.joint_positions,
+            self.joint_rotations,
+            self.joint_velocities,
+            self.contacts,
+        )
+
+
+def vector_layout(num_joints: int) -> VectorLayout:
+    """Slices of the pose vector of a body with `num_joints` joints."""
+    widths = (1, 2, 1, 3 * (num_joints - 1), 6 * (num_joints - 1), 3 * num_joints, 4)
+    ends = np.cumsum(widths).tolist()
+    slices = [slice(end - width, end) for end, width in zip(ends, widths, strict=True)]
+    return VectorLayout(num_joints, *slices)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseLayout:
+    """A joint layout for which pose vectors are defined.
+
+    `chains` are the kinematic chains of the published inverse kinematics, each starting at a joint of an earlier one or
+    at the root; `bone_directions` [J, 3] are the rest directions of the bones that end in each joint; `leg_joints` are
+    the two bones of one leg whose lengths give the body's scale; `unit_leg_length` is the length of that leg, in the
+    layout's own unit, on the body that the thresholds were chosen for.
+    """
+
+    skeleton: Skeleton
+    facing: FacingJoints
+    chains: tuple[tuple[int, ...], ...]
+    bone_directions: tuple[tuple[int, int, int], ...]
+    leg_joints: tuple[int, int]
+    contact_threshold: float
+    vector: VectorLayout
+
+    @property
+    def name(self) -> str:
+        """The layout's name, that of its skeleton."""
+        return self.skeleton.name
+
+    @property
+    def num_joints(self) -> int:
+        """Number of joints J."""
+        return self.skeleton.num_joints
+
+    @property
+    def contact_joints(self) -> tuple[int, int, int, int]:
+        """Left ankle, left toe, right ankle, right toe."""
+        feet = self.skeleton.feet
+        assert feet is not None
+        return feet.left_ankle, feet.left_toe, feet.right_ankle, feet.right_toe
+
+
+_X, _Y, _Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+_MX, _MY, _NONE = (-1, 0, 0), (0, -1, 0), (0, 0, 0)
+
+# Chains, directions, facing joints and thresholds: HumanML3D, paramUtil.py and motion_representation.ipynb.
+SMPL22_LAYOUT = PoseLayout(
+    skeleton=SMPL22,
+    facing=FacingJoints(right_hip=2, left_hip=1, right_shoulder=17, left_shoulder=16),
+    chains=((0, 2, 5, 8, 11), (0, 1, 4, 7, 10), (0, 3, 6, 9, 12, 15), (9, 14, 17, 19, 21), (9, 13, 16, 18, 20)),
+    bone_directions=(_NONE, _X, _MX, _Y, _MY, _MY, _Y, _MY, _MY, _Y, _Z, _Z, _Y, _X, _MX, _Z, *(_MY,) * 6),
+    leg_joints=(5, 8),
+    contact_threshold=0.002,
+    vector=vector_layout(22),
+)
+
+KIT21_LAYOUT = PoseLayout(
+    skeleton=KIT21,
+    facing=FacingJoints(right_hip=11, left_hip=16, right_shoulder=5, left_shoulder=8),
+    chains=((0, 11, 12, 13, 14, 15), (0, 16, 17, 18, 19, 20), (0, 1, 2, 3, 4), (3, 5, 6, 7), (3, 8, 9, 10)),
+    bone_directions=(
+        *(_NONE, _Y, _Y, _Y, _Y, _X, _MY, _MY, _MX, _MY, _MY),
+        *(_X, _MY, _MY, _Z, _Z, _MX, _MY, _MY, _Z, _Z),
+    ),
+    leg_joints=(17, 18),
+    contact_threshold=0.05,
+    vector=vector_layout(21),
+)
+
+LAYOUTS: dict[str, PoseLayout] = {layout.name: layout for layout in (SMPL22_LAYOUT, KIT21_LAYOUT)}
+
+
+def pose_layout(name: str) -> PoseLayout:
+    """The layout called `smpl22` or `kit21`; raises `UsageError` for others."""
+    if name not in LAYOUTS:
+        raise UsageError(f"pose vectors are defined for the layouts {', '.join(LAYOUTS)}, not for {name!r}")
+    return LAYOUTS[name]
+
+
+def layout_of(num_joints: int) -> PoseLayout:
+    """The layout with this many joints (22 or 21); raises `UsageError` for other counts."""
+    for layout in LAYOUTS.values():
+        if layout.num_joints == num_joints:
+            return layout
+    known = ", ".join(f"{layout.name} ({layout.num_joints} joints)" for layout in LAYOUTS.values())
+    raise UsageError(f"no joint layout has {num_joints} joints; map the motion to one of {known} first")
+
+
+def facing_direction(
+    joint_positions: Float[np.ndarray, "*poses joints 3"], facing: FacingJoints
+) -> Float[np.ndarray, "*poses 2"]:
+    """Horizontal facing direction (x, z) of each pose, not normalised: Y × ((R − L hip) + (R − L shoulder))."""
+    across = (
+        joint_positions[..., facing.right_hip, :]
+        - joint_positions[..., facing.left_hip, :]
+        + joint_positions[..., facing.right_shoulder, :]
+        - joint_positions[..., facing.left_shoulder, :]
+    )
+    return np.stack((across[..., 2], -across[..., 0]), axis=-1)
