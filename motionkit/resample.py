@@ -274,8 +274,7 @@ def _lerp(
     fraction: Float64[np.ndarray, "times"],
 ) -> Float64[np.ndarray, "times *rest"]:
     weight = fraction.reshape(-1, *(1,) * (values.ndim - 1))
-    between: Float64[np.ndarray, "times *rest"] = (1.0 - weight) * values[before] + weight * values[after]
-    return between
+    return np.asarray((1.0 - weight) * values[before] + weight * values[after])
 
 
 def _resample(
