@@ -1,1 +1,6 @@
-"""The store: Parquet is the record, a memory map is for training."""
+"""The store: Parquet is the record, a memory map is for training (docs/store.md)."""
+
+from motionkit.store.reader import Store
+from motionkit.store.writer import RefusedMotion, StoreWriter
+
+__all__ = ["RefusedMotion", "Store", "StoreWriter"]

@@ -1,0 +1,214 @@
+"""Motions and skeletons ↔ rows of the store's tables."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit.motion import Caption, Motion, Provenance
+from motionkit.skeleton import Feet, Skeleton
+from motionkit.store.schema import SEGMENT_FRAMES
+from motionkit.timegrid import TimeGrid
+
+# Above these a sequence is flagged, not refused: real captures hold glitches and floors that are off, and the reader
+# decides. No hand or foot in the CMU database passes 30 m/s except in single-frame glitches.
+MAX_PLAUSIBLE_SPEED = 30.0
+MAX_PLAUSIBLE_FLOOR_HEIGHT = 0.25
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What can be said about a motion's frames without judging them: metres per second, metres, and flags."""
+
+    max_joint_speed: float
+    floor_height: float
+    flags: tuple[str, ...]
+
+
+def measure_quality(motion: Motion) -> Quality:
+    """Highest speed of any joint between two frames (m/s), height of its lowest point (m), and what looks odd."""
+    positions = motion.joint_positions
+    speed = 0.0
+    if motion.num_frames > 1:
+        step = np.diff(positions, axis=0)
+        speed = float(np.sqrt(np.einsum("tjc,tjc->tj", step, step).max()) * float(motion.fps))
+    floor = float(positions[..., 1].min())
+    odd = {
+        "single_frame": motion.num_frames == 1,
+        "joint_speed": speed > MAX_PLAUSIBLE_SPEED,
+        "floor_height": abs(floor) > MAX_PLAUSIBLE_FLOOR_HEIGHT,
+    }
+    return Quality(speed, floor, tuple(flag for flag, holds in odd.items() if holds))
+
+
+def sequence_row(motion: Motion, *, sequence_index: int, part: int, first_row: int) -> Row:
+    """A motion's row in the table of sequences; its segments start at row `first_row` of part `part`."""
+    quality = measure_quality(motion)
+    provenance = motion.provenance
+    return {
+        "sequence_index": sequence_index,
+        "sequence_id": motion.sequence_id,
+        "fps_numerator": motion.fps.numerator,
+        "fps_denominator": motion.fps.denominator,
+        "fps": float(motion.fps),
+        "stated_fps": provenance.stated_fps,
+        "num_frames": motion.num_frames,
+        "duration_seconds": motion.duration_seconds,
+        "start_seconds": motion.timegrid.start_seconds,
+        "seconds_between_frames": motion.timegrid.seconds_between_frames,
+        "skeleton": motion.skeleton.fingerprint,
+        "num_joints": motion.skeleton.num_joints,
+        "has_rotations": motion.local_rotations is not None,
+        "has_root_translation": motion.root_translation is not None,
+        "source": provenance.source,
+        "subset": provenance.subset,
+        "licence": provenance.licence,
+        "subject": provenance.subject,
+        "split": motion.split,
+        "action": motion.action,
+        "captions": [
+            {
+                "text": caption.text,
+                "start_seconds": caption.start_seconds,
+                "end_seconds": caption.end_seconds,
+                "tokens": caption.tokens,
+            }
+            for caption in motion.captions
+        ],
+        "source_path": provenance.source_path,
+        "source_sha256": provenance.source_sha256,
+        "source_format": provenance.source_format,
+        "max_joint_speed_metres_per_second": quality.max_joint_speed,
+        "floor_height_metres": quality.floor_height,
+        "quality_flags": list(quality.flags),
+        "operations": list(provenance.operations),
+        "part": part,
+        "first_row": first_row,
+        "num_segments": num_segments(motion.num_frames),
+    }
+
+
+def num_segments(num_frames: int) -> int:
+    """Number of segments of ≤ 256 frames that hold `num_frames`."""
+    return -(-num_frames // SEGMENT_FRAMES)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """≤ 256 frames of one sequence; float arrays are flat and channel-major, None where the source has none."""
+
+    sequence_index: int
+    start_frame: int
+    num_frames: int
+    joint_positions: Float32[np.ndarray, "position_values"]
+    joint_rotations: Float32[np.ndarray, "rotation_values"] | None
+    root_translation: Float32[np.ndarray, "root_values"] | None
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the float arrays."""
+        arrays = (self.joint_positions, self.joint_rotations, self.root_translation)
+        return sum(array.nbytes for array in arrays if array is not None)
+
+
+def segments_of(motion: Motion, sequence_index: int) -> Iterator[Segment]:
+    """Cut a motion into segments, in order."""
+    for start in range(0, motion.num_frames, SEGMENT_FRAMES):
+        stop = min(start + SEGMENT_FRAMES, motion.num_frames)
+        yield Segment(
+            sequence_index=sequence_index,
+            start_frame=start,
+            num_frames=stop - start,
+            joint_positions=_channel_major(motion.joint_positions[start:stop]),
+            joint_rotations=None
+            if motion.local_rotations is None
+            else _channel_major(motion.local_rotations[start:stop]),
+            root_translation=None
+            if motion.root_translation is None
+            else _channel_major(motion.root_translation[start:stop]),
+        )
+
+
+def _channel_major(frames: Float32[np.ndarray, "frames *channels"]) -> Float32[np.ndarray, "values"]:
+    return np.ascontiguousarray(frames.reshape(len(frames), -1).T, dtype=np.float32).ravel()
+
+
+def write_frames(
+    flat: Float32[np.ndarray, "values"], num_frames: int, out: Float32[np.ndarray, "frames *channels"]
+) -> None:
+    """Put one segment's channel-major values into `out` [num_frames, …]."""
+    out.reshape(num_frames, -1)[...] = flat.reshape(-1, num_frames).T
+
+
+def motion_from_row(
+    row: Row,
+    skeleton: Skeleton,
+    joint_positions: Float32[np.ndarray, "frames joints 3"],
+    local_rotations: Float32[np.ndarray, "frames joints 4"] | None,
+    root_translation: Float32[np.ndarray, "frames 3"] | None,
+) -> Motion:
+    """Rebuild the motion that `sequence_row` described."""
+    return Motion(
+        joint_positions=joint_positions,
+        skeleton=skeleton,
+        timegrid=TimeGrid(
+            Fraction(row["fps_numerator"], row["fps_denominator"]), row["num_frames"], row["start_seconds"]
+        ),
+        local_rotations=local_rotations,
+        root_translation=root_translation,
+        captions=tuple(Caption(**caption) for caption in row["captions"]),
+        action=row["action"],
+        split=row["split"],
+        sequence_id=row["sequence_id"],
+        provenance=Provenance(
+            source=row["source"],
+            subset=row["subset"],
+            source_path=row["source_path"],
+            source_sha256=row["source_sha256"],
+            source_format=row["source_format"],
+            licence=row["licence"],
+            subject=row["subject"],
+            stated_fps=row["stated_fps"],
+            operations=tuple(row["operations"]),
+        ),
+    )
+
+
+def skeleton_row(skeleton: Skeleton) -> Row:
+    """A skeleton's row in the table of skeletons; `offsets` are flat [J·3]."""
+    feet = skeleton.feet
+    return {
+        "skeleton": skeleton.fingerprint,
+        "name": skeleton.name,
+        "joint_names": list(skeleton.joint_names),
+        "parents": list(skeleton.parents),
+        "offsets": skeleton.offsets.astype(np.float32).ravel().tolist(),
+        "left_right_pairs": [{"left": left, "right": right} for left, right in skeleton.left_right_pairs],
+        "feet": None
+        if feet is None
+        else {
+            "left_ankle": feet.left_ankle,
+            "left_toe": feet.left_toe,
+            "right_ankle": feet.right_ankle,
+            "right_toe": feet.right_toe,
+        },
+        "end_sites": [{"joint": joint, "x": x, "y": y, "z": z} for joint, (x, y, z) in skeleton.end_sites],
+    }
+
+
+def skeleton_from_row(row: Row) -> Skeleton:
+    """Rebuild the skeleton that `skeleton_row` described."""
+    return Skeleton(
+        name=row["name"],
+        joint_names=tuple(row["joint_names"]),
+        parents=tuple(row["parents"]),
+        offsets=np.array(row["offsets"], dtype=np.float32).reshape(-1, 3),
+        left_right_pairs=tuple((pair["left"], pair["right"]) for pair in row["left_right_pairs"]),
+        feet=None if row["feet"] is None else Feet(**row["feet"]),
+        end_sites=tuple((site["joint"], (site["x"], site["y"], site["z"])) for site in row["end_sites"]),
+    )

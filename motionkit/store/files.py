@@ -1,0 +1,63 @@
+"""Files that appear whole or not at all, the writer's lock, checksums."""
+
+import errno
+import fcntl
+import hashlib
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from motionkit.errors import StoreError
+
+LOCK_FILE = ".writer.lock"
+
+
+def sync_file(path: Path) -> None:
+    """Flush a file's content to the disk."""
+    with path.open("rb") as handle:
+        os.fsync(handle.fileno())
+
+
+def sync_folder(path: Path) -> None:
+    """Flush a folder's entries to the disk, so that a rename survives a power cut."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def replace(source: Path, target: Path) -> None:
+    """Rename atomically within one folder, replacing what was there; both content and name are flushed."""
+    sync_file(source)
+    source.replace(target)
+    sync_folder(target.parent)
+
+
+def sha256_of(path: Path) -> str:
+    """Hex sha256 of a file's content, read in pieces."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+@contextmanager
+def exclusive_lock(path: Path, *, busy: str | None) -> Iterator[None]:
+    """Hold an exclusive lock on a file for as long as the block runs; it ends with the process, however that ends.
+
+    With `busy`, a lock that is held elsewhere raises `StoreError` with that text and the holder's name; without, it is
+    waited for.
+    """
+    with path.open("a+", encoding="utf-8") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (fcntl.LOCK_NB if busy is not None else 0))
+        except OSError as error:
+            if error.errno not in (errno.EAGAIN, errno.EACCES):
+                raise
+            handle.seek(0)
+            raise StoreError(f"{busy} (held by {handle.read().strip() or 'an unknown process'})") from None
+        handle.truncate(0)
+        handle.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+        handle.flush()
+        yield

@@ -1,0 +1,153 @@
+"""What the store's files hold: Arrow schemas, sizes, and how Parquet is written.
+
+Numbers are measured choices (docs/store.md): zstd 3 with BYTE_STREAM_SPLIT on channel-major float lists is the smallest
+that still decodes at memory speed; dictionaries make float columns larger; the row group is pyarrow's unit of access.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+FORMAT_NAME = "motionkit-store"
+FORMAT_VERSION = 1
+
+SEGMENT_FRAMES = 256
+MIN_ROW_GROUP_SEGMENTS = 256
+MAX_ROW_GROUP_SEGMENTS = 512
+PART_BYTES = 256 * 2**20
+SEQUENCES_PER_ROW_GROUP = 4096
+
+SEQUENCES_FILE = "sequences.parquet"
+SKELETONS_FILE = "skeletons.parquet"
+MANIFEST_FILE = "manifest.json"
+SEGMENTS_FOLDER = "segments"
+
+# Bytes of one frame of one joint as raw float32: what sizes on disk are compared with.
+POSITION_BYTES_PER_JOINT = 3 * 4
+ROTATION_BYTES_PER_JOINT = 4 * 4
+ROOT_TRANSLATION_BYTES = 3 * 4
+
+
+def _required(name: str, kind: Any) -> pa.Field:
+    return pa.field(name, kind, nullable=False)
+
+
+FLOAT_LIST = pa.large_list(_required("element", pa.float32()))
+
+CAPTION = pa.struct(
+    [
+        _required("text", pa.string()),
+        _required("start_seconds", pa.float64()),
+        pa.field("end_seconds", pa.float64()),
+        _required("tokens", pa.string()),
+    ]
+)
+
+# start_seconds, seconds_between_frames and duration_seconds are the grid (t0, dt, l_max); part, first_row and
+# num_segments say where the frames lie.
+SEQUENCES = pa.schema(
+    [
+        _required("sequence_index", pa.int32()),
+        _required("sequence_id", pa.string()),
+        _required("fps_numerator", pa.int64()),
+        _required("fps_denominator", pa.int64()),
+        _required("fps", pa.float64()),
+        _required("stated_fps", pa.string()),
+        _required("num_frames", pa.int32()),
+        _required("duration_seconds", pa.float64()),
+        _required("start_seconds", pa.float64()),
+        _required("seconds_between_frames", pa.float64()),
+        _required("skeleton", pa.string()),
+        _required("num_joints", pa.int16()),
+        _required("has_rotations", pa.bool_()),
+        _required("has_root_translation", pa.bool_()),
+        _required("source", pa.string()),
+        _required("subset", pa.string()),
+        _required("licence", pa.string()),
+        _required("subject", pa.string()),
+        _required("split", pa.string()),
+        _required("action", pa.string()),
+        _required("captions", pa.list_(_required("element", CAPTION))),
+        _required("source_path", pa.string()),
+        _required("source_sha256", pa.string()),
+        _required("source_format", pa.string()),
+        _required("max_joint_speed_metres_per_second", pa.float64()),
+        _required("floor_height_metres", pa.float64()),
+        _required("quality_flags", pa.list_(_required("element", pa.string()))),
+        _required("operations", pa.list_(_required("element", pa.string()))),
+        _required("part", pa.int32()),
+        _required("first_row", pa.int32()),
+        _required("num_segments", pa.int32()),
+    ]
+)
+
+# Float lists are channel-major inside a segment: all frames of channel 0, then of channel 1 …; channel = 3·joint + axis
+# for positions, 4·joint + component (w, x, y, z) for rotations, the axis for the root's translation.
+SEGMENTS = pa.schema(
+    [
+        _required("sequence_index", pa.int32()),
+        _required("start_frame", pa.int32()),
+        _required("num_frames", pa.int16()),
+        _required("joint_positions", FLOAT_LIST),
+        pa.field("joint_rotations", FLOAT_LIST),
+        pa.field("root_translation", FLOAT_LIST),
+    ]
+)
+KEY_COLUMNS = ("sequence_index", "start_frame", "num_frames")
+FLOAT_COLUMNS = ("joint_positions", "joint_rotations", "root_translation")
+
+SKELETONS = pa.schema(
+    [
+        _required("skeleton", pa.string()),
+        _required("name", pa.string()),
+        _required("joint_names", pa.list_(_required("element", pa.string()))),
+        _required("parents", pa.list_(_required("element", pa.int32()))),
+        _required("offsets", pa.list_(_required("element", pa.float32()))),
+        _required(
+            "left_right_pairs",
+            pa.list_(_required("element", pa.struct([_required("left", pa.int32()), _required("right", pa.int32())]))),
+        ),
+        pa.field(
+            "feet",
+            pa.struct([_required(name, pa.int32()) for name in ("left_ankle", "left_toe", "right_ankle", "right_toe")]),
+        ),
+        _required(
+            "end_sites",
+            pa.list_(
+                _required(
+                    "element",
+                    pa.struct(
+                        [_required("joint", pa.int32()), *(_required(axis, pa.float64()) for axis in ("x", "y", "z"))]
+                    ),
+                )
+            ),
+        ),
+    ]
+)
+
+
+def part_name(number: int) -> str:
+    """Path of a part inside the store: `segments/part-00007.parquet`."""
+    return f"{SEGMENTS_FOLDER}/part-{number:05d}.parquet"
+
+
+def part_number(name: str) -> int:
+    """The number in a part's path."""
+    return int(Path(name).stem.removeprefix("part-"))
+
+
+def segment_writer_options() -> dict[str, Any]:
+    """Keyword arguments of `pyarrow.parquet.ParquetWriter` for a part."""
+    return {
+        "compression": "zstd",
+        "compression_level": 3,
+        "use_dictionary": False,
+        "use_byte_stream_split": [f"{column}.list.element" for column in FLOAT_COLUMNS],
+        "write_statistics": list(KEY_COLUMNS),
+    }
+
+
+def table_writer_options() -> dict[str, Any]:
+    """Keyword arguments of `pyarrow.parquet.ParquetWriter` for sequences and skeletons."""
+    return {"compression": "zstd", "compression_level": 3}

@@ -1,0 +1,30 @@
+"""SQL over Arrow tables, by duckdb, with no way to touch a file."""
+
+from collections.abc import Mapping
+
+import duckdb
+import pyarrow as pa
+import pyarrow.dataset as ds
+
+from motionkit.errors import UsageError
+
+Views = Mapping[str, pa.Table | ds.Dataset]
+
+
+def query(views: Views, sql: str) -> pa.Table:
+    """Result of one SQL statement over the views as an Arrow table.
+
+    The statement can neither read nor write files: duckdb's access to them is switched off, and the views live in this
+    process. Raises `UsageError` with duckdb's words where it cannot run or returns no rows.
+    """
+    with duckdb.connect() as connection:
+        for name, view in views.items():
+            connection.register(name, view)
+        connection.execute("SET enable_external_access = false; SET lock_configuration = true")
+        try:
+            result = connection.sql(sql)
+            if result is None:
+                raise UsageError(f"this SQL returns no rows: {sql.strip()}")
+            return result.to_arrow_table()
+        except duckdb.Error as error:
+            raise UsageError(f"duckdb: {error}") from None

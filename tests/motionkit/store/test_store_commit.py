@@ -1,0 +1,215 @@
+"""A writer that dies, at whatever moment, leaves a store that opens: the previous one or the new one."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import textwrap
+import threading
+from pathlib import Path
+
+import pytest
+
+from motionkit.errors import StoreError
+from motionkit.store import Store, StoreWriter, files
+
+# The renames of one append that fills two parts: part, part, manifest (the commit), sequences, skeletons.
+NUM_RENAMES = 5
+COMMIT = 2
+
+
+def leftovers(store: Path) -> list[str]:
+    named = {"manifest.json", *json.loads((store / "manifest.json").read_text())["files"]}
+    found = {str(path.relative_to(store)) for path in store.rglob("*") if path.is_file()}
+    return sorted(found - named - {files.LOCK_FILE})
+
+
+def append_two_parts(store: Path, make_motion) -> None:
+    with StoreWriter.append(store, part_bytes=1) as writer:
+        for i in range(300):
+            writer.add(make_motion(f"new-{i}", 3))
+
+
+@pytest.mark.parametrize("fails_at", range(NUM_RENAMES))
+@pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
+def test_a_fault_at_any_rename(small_store, make_motion, monkeypatch, fails_at, after):
+    previous = Store.open(small_store).fingerprint
+    rename, calls = files.replace, []
+
+    def failing(source: Path, target: Path) -> None:
+        calls.append(target.name)
+        if len(calls) == fails_at + 1:
+            if after:
+                rename(source, target)
+            raise OSError(28, "No space left on device")
+        rename(source, target)
+
+    monkeypatch.setattr(files, "replace", failing)
+    with pytest.raises(OSError, match="No space"):
+        append_two_parts(small_store, make_motion)
+    monkeypatch.undo()
+    store = Store.open(small_store)
+    committed = fails_at > COMMIT or (fails_at == COMMIT and after)
+    assert (store.fingerprint != previous) == committed
+    assert store.num_sequences == (306 if committed else 6)
+    assert len(list(store.read_many(range(store.num_sequences)))) == store.num_sequences
+    with StoreWriter.append(small_store) as writer:
+        writer.add(make_motion("later"))
+    assert leftovers(small_store) == []
+    assert Store.open(small_store).num_sequences == store.num_sequences + 1
+    assert calls[COMMIT] == "manifest.json" if len(calls) > COMMIT else not committed
+
+
+CHILD = textwrap.dedent(
+    """
+    import os, signal, sys
+    from fractions import Fraction
+    from pathlib import Path
+    import numpy as np
+    from motionkit.motion import Motion
+    from motionkit.skeleton import SMPL22
+    from motionkit.store import StoreWriter, files
+    from motionkit.timegrid import TimeGrid
+
+    store, moment = Path(sys.argv[1]), sys.argv[2]
+    def die(): os.kill(os.getpid(), signal.SIGKILL)
+    if moment.startswith("rename"):
+        rename, left = files.replace, [int(moment.removeprefix("rename"))]
+        def replace(source, target):
+            if left[0] == 0: die()
+            left[0] -= 1
+            rename(source, target)
+        files.replace = replace
+    with StoreWriter.append(store, part_bytes=1) as writer:
+        for i in range(300):
+            if moment == f"motion{i}": die()
+            frames = np.zeros((3, 22, 3), np.float32)
+            writer.add(Motion(frames, SMPL22, TimeGrid(Fraction(30), 3), sequence_id=f"killed-{i}"))
+    """
+)
+
+
+@pytest.mark.parametrize("moment", ["motion0", "motion299", "rename0", "rename1", "rename2", "rename3", "rename4"])
+def test_a_killed_writer(small_store, make_motion, moment):
+    """SIGKILL: no handler runs, no buffer is written."""
+    previous = Store.open(small_store).fingerprint
+    child = subprocess.run([sys.executable, "-c", CHILD, str(small_store), moment], check=False)
+    assert child.returncode == -9
+    store = Store.open(small_store)
+    committed = moment in ("rename3", "rename4")
+    assert (store.fingerprint == previous) != committed
+    assert len(list(store.read_many(range(store.num_sequences)))) == (306 if committed else 6)
+    with StoreWriter.append(small_store) as writer:
+        writer.add(make_motion("later"))
+    assert leftovers(small_store) == []
+    assert Store.open(small_store).num_sequences == store.num_sequences + 1
+
+
+def test_an_exception_in_the_block_leaves_everything_as_it_was(small_store, make_motion):
+    before = {path: path.read_bytes() for path in small_store.rglob("*") if path.is_file()}
+    with pytest.raises(RuntimeError), StoreWriter.append(small_store, part_bytes=1) as writer:
+        for i in range(300):
+            writer.add(make_motion(f"new-{i}", 3))
+        raise RuntimeError
+    after = {path: path.read_bytes() for path in small_store.rglob("*") if path.is_file()}
+    before.pop(small_store / files.LOCK_FILE), after.pop(small_store / files.LOCK_FILE)
+    assert after == before
+
+
+def test_a_failed_creation_can_be_tried_again(tmp_path, make_motion):
+    with pytest.raises(RuntimeError), StoreWriter.create(tmp_path / "store") as writer:
+        writer.add(make_motion("a"))
+        raise RuntimeError
+    with pytest.raises(StoreError, match="there is no store"):
+        Store.open(tmp_path / "store")
+    with StoreWriter.create(tmp_path / "store") as writer:
+        writer.add(make_motion("a"))
+    assert Store.open(tmp_path / "store").num_sequences == 1
+
+
+def test_two_writers(small_store, make_motion):
+    with StoreWriter.append(small_store) as writer:
+        with pytest.raises(StoreError, match=rf"another process is writing .*process {os.getpid()} on"):
+            StoreWriter.append(small_store).__enter__()
+        writer.add(make_motion("first"))
+    with StoreWriter.append(small_store) as writer:
+        writer.add(make_motion("second"))
+    assert Store.open(small_store).num_sequences == 8
+
+
+def test_readers_read_on_while_writers_commit(small_store, make_motion):
+    failures: list[BaseException] = []
+    done = threading.Event()
+
+    def read() -> None:
+        try:
+            while not done.is_set():
+                store = Store.open(small_store)
+                assert len(store.sequences) == store.num_sequences
+                store.read(store.num_sequences - 1)
+        except BaseException as error:
+            failures.append(error)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for i in range(15):
+        with StoreWriter.append(small_store) as writer:
+            writer.add(make_motion(f"new-{i}"))
+    done.set()
+    reader.join()
+    assert failures == []
+
+
+def test_create_and_append_say_what_is_wrong(small_store, tmp_path, make_motion):
+    with pytest.raises(StoreError, match="already is a store"), StoreWriter.create(small_store):
+        pass
+    with pytest.raises(StoreError, match="motionkit ingest"), StoreWriter.append(tmp_path / "nowhere"):
+        pass
+    assert not (tmp_path / "nowhere").exists()
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").write_bytes(b"")
+    with (
+        pytest.raises(StoreError, match=r"not a store and not empty .*cat\.jpg"),
+        StoreWriter.create(tmp_path / "photos"),
+    ):
+        pass
+    with pytest.raises(StoreError, match="is a file"), StoreWriter.create(tmp_path / "photos" / "cat.jpg"):
+        pass
+
+
+def test_another_format_version(small_store):
+    manifest = small_store / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"format_version": 1', '"format_version": 7'))
+    with pytest.raises(StoreError, match=r"format version 7 and was written by motionkit .* reads version 1"):
+        Store.open(small_store)
+    with pytest.raises(StoreError, match="format version 7"), StoreWriter.append(small_store):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("{", "cannot be read as JSON"),
+        ('{"format": "lerobot"}', "not the manifest of a store"),
+        ('{"format": "motionkit-store", "format_version": 1}', "is damaged"),
+    ],
+)
+def test_a_damaged_manifest(small_store, text, says):
+    (small_store / "manifest.json").write_text(text)
+    with pytest.raises(StoreError, match=says):
+        Store.open(small_store)
+
+
+def test_a_manifest_cannot_lead_out_of_the_store(small_store, tmp_path):
+    shutil.copy(small_store / "sequences.parquet", tmp_path / "outside.parquet")
+    manifest = small_store / "manifest.json"
+    manifest.write_text(manifest.read_text().replace("sequences.parquet", "../outside.parquet"))
+    with pytest.raises(StoreError, match="leads out of the store"):
+        Store.open(small_store)
+
+
+def test_tables_that_are_not_the_manifests(small_store):
+    (small_store / "sequences.parquet").write_bytes(b"PAR1")
+    with pytest.raises(StoreError, match="motionkit validate"):
+        Store.open(small_store)
