@@ -1,0 +1,70 @@
+"""Precision, recall, density and coverage: fidelity and diversity by nearest neighbours."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from eval.metrics.frechet import checked_features
+
+BLOCK_ROWS = 512
+
+
+@dataclass(frozen=True)
+class Prdc:
+    """Precision, density: how realistic the generated set is; recall, coverage: how much of the real set it holds."""
+
+    precision: float
+    recall: float
+    density: float
+    coverage: float
+
+
+def prdc(
+    real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"], num_neighbours: int = 5
+) -> Prdc:
+    """Precision and recall (Kynkäänniemi et al. 2019), density and coverage (Naeem et al. 2020), not symmetric.
+
+    A point's ball reaches to its k-th neighbour in its own set, itself not counted; a point on the boundary is outside.
+    Raises `ValueError` for NaN or sets of no more than k samples.
+    """
+    x = checked_features(real, "real", minimum=num_neighbours + 1)
+    y = checked_features(generated, "generated", minimum=num_neighbours + 1)
+    real_radii = _squared_radii(x, num_neighbours)
+    generated_radii = _squared_radii(y, num_neighbours)
+    balls_holding = np.zeros(len(y))
+    recalled = covered = 0
+    for start in range(0, len(x), BLOCK_ROWS):
+        rows = slice(start, start + BLOCK_ROWS)
+        distances = _squared_distances(x[rows], y)
+        balls_holding += (distances < real_radii[rows, None]).sum(axis=0)
+        recalled += int((distances < generated_radii).any(axis=1).sum())
+        covered += int((distances.min(axis=1) < real_radii[rows]).sum())
+    return Prdc(
+        precision=float((balls_holding > 0).mean()),
+        recall=recalled / len(x),
+        density=float(balls_holding.mean()) / num_neighbours,
+        coverage=covered / len(x),
+    )
+
+
+def _squared_distances(
+    x: Float64[np.ndarray, "n features"], y: Float64[np.ndarray, "m features"]
+) -> Float64[np.ndarray, "n m"]:
+    products: Float64[np.ndarray, "n m"] = x @ y.T
+    products *= -2.0
+    products += np.einsum("nf,nf->n", x, x)[:, None]
+    products += np.einsum("nf,nf->n", y, y)
+    np.maximum(products, 0.0, out=products)
+    return products
+
+
+def _squared_radii(x: Float64[np.ndarray, "n features"], num_neighbours: int) -> Float64[np.ndarray, "n"]:
+    """Squared distance of every point to its k-th neighbour in the same set."""
+    radii = np.empty(len(x))
+    for start in range(0, len(x), BLOCK_ROWS):
+        distances = _squared_distances(x[start : start + BLOCK_ROWS], x)
+        rows = np.arange(len(distances))
+        distances[rows, start + rows] = np.inf
+        radii[start : start + len(rows)] = np.partition(distances, num_neighbours - 1, axis=1)[:, num_neighbours - 1]
+    return radii

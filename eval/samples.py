@@ -1,0 +1,101 @@
+"""Sample sets: motions of one framerate, real, upsampled or generated, that a table compares."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import Float32, Int64
+
+
+@dataclass(frozen=True, eq=False)
+class SampleSet:
+    """Sequences of joint positions at one framerate, one after another in `positions` [rows, 22, 3] (metres, y up).
+
+    Sequence i holds rows start_row[i] … start_row[i] + num_frames[i]; `sequence_ids`, `captions` and `actions` have one
+    entry each ("" where there is none).
+    """
+
+    name: str
+    fps: Fraction
+    positions: Float32[np.ndarray, "rows joints 3"]
+    num_frames: Int64[np.ndarray, "sequences"]
+    sequence_ids: tuple[str, ...]
+    captions: tuple[str, ...] = ()
+    actions: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if int(self.num_frames.sum()) != len(self.positions):
+            raise ValueError(f"{len(self.positions)} rows for sequences of {int(self.num_frames.sum())} frames in all")
+        for name, values in (("ids", self.sequence_ids), ("captions", self.captions), ("actions", self.actions)):
+            if len(values) not in ((len(self.num_frames),) if name == "ids" else (0, len(self.num_frames))):
+                raise ValueError(f"{len(values)} {name} for {len(self.num_frames)} sequences")
+
+    @property
+    def num_sequences(self) -> int:
+        """Number of sequences."""
+        return len(self.num_frames)
+
+    @cached_property
+    def start_row(self) -> Int64[np.ndarray, "sequences"]:
+        """First row of every sequence."""
+        return np.asarray(np.cumsum(self.num_frames) - self.num_frames, dtype=np.int64)
+
+    @property
+    def duration_seconds(self) -> float:
+        """Seconds of motion in all."""
+        return float(len(self.positions) / self.fps)
+
+    def sequence(self, index: int) -> Float32[np.ndarray, "frames joints 3"]:
+        """Joint positions of one sequence."""
+        start = int(self.start_row[index])
+        return self.positions[start : start + int(self.num_frames[index])]
+
+    def sequences(self) -> Iterator[Float32[np.ndarray, "_frames joints 3"]]:
+        """Joint positions, sequence by sequence."""
+        return (self.sequence(index) for index in range(self.num_sequences))
+
+    def select(self, indices: Sequence[int] | npt.NDArray[np.int64], name: str | None = None) -> "SampleSet":
+        """The sequences at `indices`, in that order, under another name where one is given."""
+        chosen = [int(index) for index in indices]
+        return sample_set(
+            name or self.name,
+            self.fps,
+            [self.sequence(index) for index in chosen],
+            [self.sequence_ids[index] for index in chosen],
+            [self.captions[index] for index in chosen] if self.captions else (),
+            [self.actions[index] for index in chosen] if self.actions else (),
+        )
+
+    def with_positions(
+        self, name: str, fps: Fraction, sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]]
+    ) -> "SampleSet":
+        """The same sequences by id, with other positions at another framerate."""
+        made = sample_set(name, fps, sequences, self.sequence_ids)
+        return replace(made, captions=self.captions, actions=self.actions)
+
+    def __repr__(self) -> str:
+        return (
+            f"SampleSet({self.name!r}, {self.num_sequences} sequences, {self.duration_seconds:.1f} s at {self.fps} fps)"
+        )
+
+
+def sample_set(
+    name: str,
+    fps: Fraction,
+    sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]],
+    sequence_ids: Sequence[str],
+    captions: Sequence[str] = (),
+    actions: Sequence[str] = (),
+) -> SampleSet:
+    """Lay sequences one after another. Raises `ValueError` where there is none or one holds NaN."""
+    if not len(sequences):
+        raise ValueError(f"sample set {name!r} would hold no sequence")
+    positions = np.concatenate(sequences).astype(np.float32, copy=False)
+    if not np.isfinite(positions).all():
+        bad = next(i for i, sequence in enumerate(sequences) if not np.isfinite(sequence).all())
+        raise ValueError(f"sample set {name!r}: sequence {sequence_ids[bad]!r} holds NaN or infinity")
+    num_frames = np.array([len(sequence) for sequence in sequences], dtype=np.int64)
+    return SampleSet(name, fps, positions, num_frames, tuple(sequence_ids), tuple(captions), tuple(actions))

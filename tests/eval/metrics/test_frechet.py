@@ -1,0 +1,140 @@
+"""FID: known answers, three independent references, properties, refusals."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mpmath import matrix, mp
+
+from eval.metrics.frechet import Gaussian, fid, fid_infinity, fit_gaussian, frechet_distance, merge_gaussians
+
+
+def two_sets(seed: int, num_samples: int = 300, num_features: int = 12) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    mixing = rng.normal(size=(2, num_features, num_features))
+    x, y = rng.normal(size=(2, num_samples, num_features))
+    return x @ mixing[0], y @ mixing[1] + 0.3
+
+
+def by_matrix_square_root(x: np.ndarray, y: np.ndarray) -> float:
+    a, b = np.cov(x, rowvar=False), np.cov(y, rowvar=False)
+    root = scipy.linalg.sqrtm(a @ b).real
+    return float(((x.mean(0) - y.mean(0)) ** 2).sum() + np.trace(a + b - 2 * root))
+
+
+def in_fifty_digits(x: np.ndarray, y: np.ndarray) -> float:
+    with mp.workdps(50):
+        parts = []
+        for samples in (x, y):
+            rows = matrix(samples.tolist())
+            mean = matrix([sum(rows[i, j] for i in range(rows.rows)) / rows.rows for j in range(rows.cols)]).T
+            centred = matrix([[rows[i, j] - mean[j] for j in range(rows.cols)] for i in range(rows.rows)])
+            parts.append((mean, centred.T * centred / (rows.rows - 1)))
+        (mean_a, a), (mean_b, b) = parts
+        eigenvalues = mp.eig(a * b, left=False, right=False)
+        cross = sum(mp.sqrt(mp.re(value)) for value in eigenvalues)
+        shift = mean_a - mean_b
+        trace = sum(a[i, i] + b[i, i] for i in range(a.rows))
+        return float(sum(value**2 for value in shift) + trace - 2 * cross)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_agrees_with_the_matrix_square_root(seed: int) -> None:
+    x, y = two_sets(seed)
+    assert fid(x, y) == pytest.approx(by_matrix_square_root(x, y), rel=1e-9)
+
+
+def test_agrees_with_fifty_digits() -> None:
+    x, y = two_sets(7, num_samples=20, num_features=4)
+    assert fid(x, y) == pytest.approx(in_fifty_digits(x, y), rel=1e-13)
+
+
+def test_agrees_with_fifty_digits_where_the_covariance_is_nearly_singular() -> None:
+    x, y = two_sets(8, num_samples=20, num_features=4)
+    x[:, 3] = x[:, 2] + 1e-9 * x[:, 3]
+    assert fid(x, y) == pytest.approx(in_fifty_digits(x, y), rel=1e-9)
+
+
+def test_known_answer_of_two_spheres() -> None:
+    identity = np.eye(3)
+    a = Gaussian(np.zeros(3), identity, 10)
+    b = Gaussian(np.array([1.0, 2.0, 2.0]), 4.0 * identity, 10)
+    assert frechet_distance(a, b) == pytest.approx(9.0 + 3 * (2 - 1) ** 2, rel=1e-14)
+
+
+def test_fewer_samples_than_features_is_a_distance_of_degenerate_gaussians() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(2, 6, 40))
+    assert fit_gaussian(x).is_rank_deficient
+    # The same distance inside the span of both sets, where nothing is degenerate beyond what the samples are.
+    basis = np.linalg.svd(np.concatenate((x, y)), full_matrices=False)[2]
+    assert fid(x, y) == pytest.approx(fid(x @ basis.T, y @ basis.T), rel=1e-10)
+    assert fid(x, x) == pytest.approx(0.0, abs=1e-10)
+
+
+def test_bias_of_few_samples_is_what_the_literature_measures() -> None:
+    rng = np.random.default_rng(1)
+    x, y = rng.normal(size=(2, 4640, 512))
+    assert fid(x, y) == pytest.approx(28.5, rel=0.02)
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 2**32), scale=st.floats(1e-3, 1e3))
+def test_properties(seed: int, scale: float) -> None:
+    x, y = two_sets(seed, 60, 5)
+    distance = fid(x, y)
+    assert distance >= 0
+    assert fid(y, x) == pytest.approx(distance, rel=1e-9)
+    assert fid(x[::-1], y) == pytest.approx(distance, rel=1e-9)
+    assert fid(x * scale, y * scale) == pytest.approx(distance * scale**2, rel=1e-7)
+    rotation = np.linalg.qr(np.random.default_rng(seed).normal(size=(5, 5)))[0]
+    assert fid(x @ rotation, y @ rotation) == pytest.approx(distance, rel=1e-8)
+
+
+@pytest.mark.parametrize("cuts", [(7,), (2, 50), (100, 101 + 2, 250)])
+def test_merged_batches_equal_the_whole(cuts: tuple[int, ...]) -> None:
+    x, _ = two_sets(3)
+    x += 1000.0
+    merged = merge_gaussians([fit_gaussian(part) for part in np.split(x, cuts)])
+    whole = fit_gaussian(x)
+    np.testing.assert_allclose(merged.mean, whole.mean, rtol=1e-13)
+    np.testing.assert_allclose(merged.covariance, whole.covariance, rtol=1e-9)
+    assert merged.num_samples == whole.num_samples
+
+
+def test_float32_features_are_accumulated_in_float64() -> None:
+    x, y = (part.astype(np.float32) for part in two_sets(4, 300, 64))
+    assert fid(x, y) == pytest.approx(by_matrix_square_root(x.astype(np.float64), y.astype(np.float64)), rel=1e-7)
+
+
+def test_refuses_what_has_no_meaning() -> None:
+    x, y = two_sets(5)
+    x[17, 3] = np.nan
+    with pytest.raises(ValueError, match="the first is row 17"):
+        fid(x, y)
+    with pytest.raises(ValueError, match="at least 2 samples"):
+        fid(y[:1], y)
+    with pytest.raises(ValueError, match="12 and 11 features"):
+        frechet_distance(fit_gaussian(y), fit_gaussian(y[:, 1:]))
+    with pytest.raises(ValueError, match="NaN"):
+        Gaussian(np.array([np.nan]), np.eye(1), 5)
+
+
+def test_fid_infinity_removes_the_bias_of_finite_samples() -> None:
+    rng = np.random.default_rng(2)
+    x, y = rng.normal(size=(2, 4000, 24))
+    extrapolated = fid_infinity(x, y, np.random.default_rng(0))
+    assert extrapolated.values[-1] == pytest.approx(fid(x, y), rel=1e-9)
+    assert abs(extrapolated.limit) < 0.25 * fid(x, y)
+    shifted = fid_infinity(x, y + 0.5, np.random.default_rng(0)).limit
+    assert shifted == pytest.approx(0.25 * 24, rel=0.05)
+
+
+def test_fid_infinity_is_the_line_through_its_points() -> None:
+    x, y = two_sets(6, 400, 5)
+    result = fid_infinity(x, y, np.random.default_rng(0))
+    slope, limit = np.polyfit(1 / np.array(result.sizes), result.values, 1)
+    assert (result.slope, result.limit) == pytest.approx((slope, limit), rel=1e-6)
+    with pytest.raises(ValueError, match="too few"):
+        fid_infinity(x[:5], y[:5], np.random.default_rng(0))
