@@ -1,0 +1,11 @@
+"""Procedural human motions with exact ground truth at any instant: the embedded demo corpus, the tests' known answers.
+
+`perform` gives a random performance of named actions by a body; the result is a `MotionField`, so
+`motionkit.motionfield.to_motion(field, fps)` samples it at any framerate.
+"""
+
+from motionkit.synthetic.bodies import Body, draw_body, make_body
+from motionkit.synthetic.field import SyntheticMotion
+from motionkit.synthetic.performance import ACTIONS, perform
+
+__all__ = ["ACTIONS", "Body", "SyntheticMotion", "draw_body", "make_body", "perform"]

@@ -1,0 +1,136 @@
+"""Smooth functions of time: ramps, pulses, glides and band-limited noise. All are defined at every instant."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+Curve = Callable[[Float64[np.ndarray, " times"]], Float64[np.ndarray, " times"]]
+
+
+def smoothstep(u: Float64[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
+    """0 below u = 0, 1 above u = 1, and between them the quintic whose first two derivatives vanish at both ends."""
+    x = np.clip(u, 0.0, 1.0)
+    value: Float64[np.ndarray, "*shape"] = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
+    return value
+
+
+def glide(u: Float64[np.ndarray, "*shape"], ramp: float = 0.35) -> Float64[np.ndarray, "*shape"]:
+    """0 below u = 0, 1 above u = 1, between them at constant speed but for smooth ramps of length `ramp`.
+
+    Its highest speed is 1 / (1 − ramp), where `smoothstep` has 1.875: a swinging foot moves like this.
+    """
+
+    def eased(x: Float64[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
+        y = np.clip(x / ramp, 0.0, 1.0)
+        travelled: Float64[np.ndarray, "*shape"] = ramp * (y**3 - y**4 / 2.0) + np.maximum(x - ramp, 0.0)
+        return travelled
+
+    x = np.clip(u, 0.0, 1.0)
+    return np.asarray(np.where(x < 0.5, eased(x), (1.0 - ramp) - eased(1.0 - x)) / (1.0 - ramp))
+
+
+def pulse(start: float, rise: float, hold: float, fall: float, height: float = 1.0) -> Curve:
+    """Rises from 0 at `start` for `rise` seconds, holds `height` for `hold`, falls to 0 within `fall`."""
+    end = start + rise + hold
+
+    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        return np.asarray(height * (smoothstep((t - start) / rise) - smoothstep((t - end) / fall)))
+
+    return curve
+
+
+def step(start: float, seconds: float, height: float = 1.0) -> Curve:
+    """Rises from 0 at `start` to `height` within `seconds` and stays."""
+
+    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        return height * smoothstep((t - start) / seconds)
+
+    return curve
+
+
+def constant(value: float) -> Curve:
+    """The same value at every instant."""
+
+    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        return np.full(t.shape, value)
+
+    return curve
+
+
+def wave(frequency_hertz: float, zero_seconds: float = 0.0, height: float = 1.0) -> Curve:
+    """height · sin 2πf(t − zero_seconds)."""
+
+    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        return height * np.sin(2.0 * np.pi * frequency_hertz * (t - zero_seconds))
+
+    return curve
+
+
+def cosine(frequency_hertz: float, peak_seconds: float = 0.0, height: float = 1.0) -> Curve:
+    """height · cos 2πf(t − peak_seconds)."""
+    return wave(frequency_hertz, peak_seconds - 0.25 / frequency_hertz, height)
+
+
+def product(*curves: Curve) -> Curve:
+    """The product of curves."""
+
+    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        value = np.ones(t.shape)
+        for factor in curves:
+            value = value * factor(t)
+        return value
+
+    return curve
+
+
+def scaled(factor: float, curve: Curve) -> Curve:
+    """factor · curve."""
+    return product(constant(factor), curve)
+
+
+def total(*curves: Curve) -> Curve:
+    """The sum of curves."""
+
+    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        value = np.zeros(t.shape)
+        for term in curves:
+            value = value + term(t)
+        return value
+
+    return curve
+
+
+def shock(start: float, height: float, frequency_hertz: float = 17.0, decay_seconds: float = 0.05) -> Curve:
+    """A damped oscillation that begins at `start`: what a heel strike sends up the body."""
+
+    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        since = np.maximum(t - start, 0.0)
+        onset = smoothstep(since * frequency_hertz)
+        return height * onset * np.exp(-since / decay_seconds) * np.sin(2.0 * np.pi * frequency_hertz * since)
+
+    return curve
+
+
+@dataclass(frozen=True, eq=False)
+class BandNoise:
+    """A sum of sinusoids: smooth, band-limited, defined at every instant. Amplitudes, hertz and radians, each [M]."""
+
+    amplitudes: Float64[np.ndarray, " waves"]
+    frequencies: Float64[np.ndarray, " waves"]
+    phases: Float64[np.ndarray, " waves"]
+
+    def __call__(self, t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        """The noise at times in seconds."""
+        return np.asarray(np.sin(2.0 * np.pi * np.outer(t, self.frequencies) + self.phases) @ self.amplitudes)
+
+
+def band_noise(
+    rng: np.random.Generator, standard_deviation: float, lowest_hertz: float, highest_hertz: float, num_waves: int = 8
+) -> BandNoise:
+    """Noise of a given standard deviation whose frequencies are log-uniform in a band, amplitudes falling as 1/f."""
+    frequencies = np.exp(rng.uniform(np.log(lowest_hertz), np.log(highest_hertz), num_waves))
+    weights = rng.uniform(0.5, 1.5, num_waves) / frequencies
+    amplitudes = weights * standard_deviation * np.sqrt(2.0 / np.sum(weights**2))
+    return BandNoise(amplitudes, frequencies, rng.uniform(0.0, 2.0 * np.pi, num_waves))

@@ -1,0 +1,139 @@
+"""Actions put together: one after another, on a posture of one's own, with captions in varied words."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from motionkit.errors import UsageError
+from motionkit.motion import Caption
+from motionkit.synthetic import gestures, leaps, locomotion
+from motionkit.synthetic.bodies import Body
+from motionkit.synthetic.curves import band_noise, constant, wave
+from motionkit.synthetic.field import SyntheticMotion
+from motionkit.synthetic.script import SIDES, Layer, Part
+
+ActionBuilder = Callable[[np.random.Generator, Body, float, float], Part]
+
+ACTIONS: dict[str, ActionBuilder] = {
+    "walk": locomotion.walk,
+    "walk_circle": locomotion.walk_circle,
+    "turn_left": locomotion.turn_left,
+    "turn_right": locomotion.turn_right,
+    "walk_backwards": locomotion.walk_backwards,
+    "sidestep": locomotion.sidestep,
+    "jog": locomotion.jog,
+    "run": locomotion.run,
+    "march": locomotion.march,
+    "turn_in_place": locomotion.turn_in_place,
+    "stand": gestures.stand,
+    "wave_left": gestures.wave_left,
+    "wave_right": gestures.wave_right,
+    "wave_both": gestures.wave_both,
+    "bow": gestures.bow,
+    "squat": gestures.squat,
+    "sit": gestures.sit,
+    "raise_arms": gestures.raise_arms,
+    "clap": gestures.clap,
+    "punch": gestures.punch,
+    "kick": gestures.kick,
+    "throw": gestures.throw,
+    "stretch": gestures.stretch,
+    "jump": leaps.jump,
+    "jump_forward": leaps.jump_forward,
+    "jumping_jacks": leaps.jumping_jacks,
+}
+TRAVELLING = ("walk", "walk_circle", "turn_left", "turn_right", "walk_backwards", "sidestep", "jog", "run", "march")
+SUBJECTS = ("a person", "someone", "a man", "a woman", "the person", "a figure")
+SHORTEST_ACTION_SECONDS = 2.0
+
+
+def perform(rng: np.random.Generator, body: Body, actions: Sequence[str], duration_seconds: float) -> SyntheticMotion:
+    """A random performance of one action, or of several one after another, with captions and an action label.
+
+    The label is the first action's. Raises `UsageError` for an unknown action, and where less than two seconds are
+    left for each.
+    """
+    unknown = [action for action in actions if action not in ACTIONS]
+    if unknown or not actions:
+        raise UsageError(f"no action is called {unknown or 'nothing'}; there are {', '.join(ACTIONS)}")
+    if duration_seconds < SHORTEST_ACTION_SECONDS * len(actions):
+        raise UsageError(f"{len(actions)} actions need {SHORTEST_ACTION_SECONDS * len(actions)} s or more")
+    parts = _sequence(rng, body, actions, duration_seconds)
+    layers = tuple(layer for part in parts for layer in part.layers)
+    swings = tuple(swing for part in parts for swing in part.swings)
+    return SyntheticMotion(
+        body=body,
+        end_seconds=duration_seconds,
+        layers=(*posture(rng), *layers),
+        swings=swings,
+        heading=float(rng.uniform(-np.pi, np.pi)),
+        action=actions[0],
+        captions=_captions(rng, parts, duration_seconds),
+    )
+
+
+def _sequence(rng: np.random.Generator, body: Body, actions: Sequence[str], duration: float) -> list[Part]:
+    """The parts in time; a single travelling action may already be under way at 0 and go on after the end."""
+    if len(actions) == 1:
+        under_way = actions[0] in TRAVELLING and rng.random() < 0.5
+        start = -float(rng.uniform(1.0, 2.0)) if under_way else float(rng.uniform(0.05, 0.2))
+        end = duration + (float(rng.uniform(1.0, 2.0)) if under_way and rng.random() < 0.7 else -0.05)
+        return [ACTIONS[actions[0]](rng, body, start, end)]
+    shares = rng.uniform(0.8, 1.2, len(actions))
+    free = duration - SHORTEST_ACTION_SECONDS * len(actions)
+    lengths = SHORTEST_ACTION_SECONDS + free * shares / shares.sum()
+    ends = np.cumsum(lengths)
+    return [
+        ACTIONS[action](rng, body, float(end - length) + 0.05, float(end) - 0.25)
+        for action, length, end in zip(actions, lengths, ends, strict=True)
+    ]
+
+
+def posture(rng: np.random.Generator) -> tuple[Layer, ...]:
+    """How a performer holds and breathes: constant angles, slow sway, and a tremor of up to 45 Hz."""
+    slouch = float(rng.normal(0.03, 0.03))
+    breath = float(rng.uniform(0.2, 0.35))
+    layers = [
+        Layer("spine_pitch", constant(slouch)),
+        Layer("spine_pitch", wave(breath, float(rng.uniform(0, 5)), 0.012)),
+        Layer("head_pitch", constant(float(rng.normal(0.05, 0.05)))),
+        Layer("pelvis_pitch", constant(float(rng.normal(0.02, 0.02)))),
+    ]
+    for side in SIDES:
+        layers += [
+            Layer(f"{side}_arm_elevation", constant(float(rng.uniform(0.08, 0.20)))),
+            Layer(f"{side}_arm_azimuth", constant(float(rng.uniform(0.8, 1.1)))),
+            Layer(f"{side}_elbow", constant(float(rng.uniform(0.15, 0.35)))),
+            Layer(f"{side}_arm_elevation", band_noise(rng, 0.030, 0.1, 3.0)),
+            Layer(f"{side}_elbow", band_noise(rng, 0.040, 0.1, 4.0)),
+            Layer(f"{side}_elbow", band_noise(rng, 0.0030, 8.0, 45.0)),
+            Layer(f"{side}_arm_elevation", band_noise(rng, 0.0015, 8.0, 45.0)),
+        ]
+    for channel, sway in (("spine_pitch", 0.015), ("spine_roll", 0.012), ("spine_yaw", 0.02), ("head_yaw", 0.05)):
+        layers.append(Layer(channel, band_noise(rng, sway, 0.1, 2.5)))
+    for channel, tremor in (("spine_pitch", 0.0012), ("spine_roll", 0.0012), ("head_pitch", 0.002)):
+        layers.append(Layer(channel, band_noise(rng, tremor, 8.0, 45.0)))
+    layers += [Layer(f"pelvis_{way}", band_noise(rng, 0.006, 0.1, 1.5)) for way in ("left", "forward")]
+    layers += [Layer(f"pelvis_{way}", band_noise(rng, 0.0004, 8.0, 40.0)) for way in ("left", "forward")]
+    return tuple(layers)
+
+
+def _captions(rng: np.random.Generator, parts: Sequence[Part], duration: float) -> tuple[Caption, ...]:
+    """Three sentences about the whole motion; of several actions also one about each, with its seconds."""
+    captions = []
+    for index in rng.permutation(max(3, len(parts[0].phrases)))[:3]:
+        phrases = [part.phrases[int(index) % len(part.phrases)] for part in parts]
+        subject = SUBJECTS[int(rng.integers(len(SUBJECTS)))]
+        captions.append(Caption(f"{subject} {_joined(rng, phrases)}"))
+    if len(parts) > 1:
+        for part in parts:
+            subject = SUBJECTS[int(rng.integers(len(SUBJECTS)))]
+            start, end = max(part.start, 0.0), min(part.end, duration)
+            phrase = part.phrases[int(rng.integers(len(part.phrases)))]
+            captions.append(Caption(f"{subject} {phrase}", round(start, 2), round(end, 2)))
+    return tuple(captions)
+
+
+def _joined(rng: np.random.Generator, phrases: Sequence[str]) -> str:
+    joint = (", then ", " and then ", ", after that ")[int(rng.integers(3))]
+    return joint.join(phrases)
