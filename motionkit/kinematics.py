@@ -124,6 +124,30 @@ def euler_to_matrix(
     return product
 
 
+def euler_to_quaternion(
+    angles: Float[np.ndarray, "*n axes"], order: str, *, kind: Literal["intrinsic", "extrinsic"] = "intrinsic"
+) -> Float[np.ndarray, "*n 4"]:
+    """Euler angles in radians → unit quaternions, for any order of axes; the conventions of `euler_to_matrix`.
+
+    The product is built one axis at a time: q·(cos, sin·axis) needs eight products, not sixteen.
+    """
+    axes = order if kind == "intrinsic" else order[::-1]
+    columns = range(len(order)) if kind == "intrinsic" else range(len(order) - 1, -1, -1)
+    half = np.ascontiguousarray(np.moveaxis(angles, -1, 0)) * angles.dtype.type(0.5)
+    sine, cosine = np.sin(half), np.cos(half)
+    q = np.zeros((4, *angles.shape[:-1]), dtype=angles.dtype)
+    q[0] = 1.0
+    for position, (axis, column) in enumerate(zip(axes, columns, strict=True)):
+        s, c = sine[column], cosine[column]
+        k, i, j = {"X": (1, 2, 3), "Y": (2, 3, 1), "Z": (3, 1, 2)}[axis.upper()]
+        if position == 0:
+            q[0], q[k] = c, s
+            continue
+        w, along, first, second = q[0] * c - q[k] * s, q[k] * c + q[0] * s, q[i] * c + q[j] * s, q[j] * c - q[i] * s
+        q[0], q[k], q[i], q[j] = w, along, first, second
+    return np.moveaxis(q, 0, -1)
+
+
 def forward_kinematics(
     local_rotations: Float[np.ndarray, "frames joints 4"],
     root_translation: Float[np.ndarray, "frames 3"],
@@ -134,7 +158,9 @@ def forward_kinematics(
 
     `offsets` replaces the skeleton's, and may differ per frame (sources whose bones have translation channels).
     """
-    return forward_kinematics_matrices(quaternion_to_matrix(local_rotations), root_translation, skeleton, offsets)[0]
+    components = np.ascontiguousarray(np.moveaxis(quaternion_to_matrix(local_rotations), (0, 1), (3, 2)))
+    positions, _ = _propagate(components, root_translation, skeleton, offsets)
+    return np.ascontiguousarray(positions.transpose(2, 1, 0))
 
 
 def forward_kinematics_matrices(
@@ -144,16 +170,52 @@ def forward_kinematics_matrices(
     offsets: Float[np.ndarray, "*frames joints 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "frames joints 3"], Float[np.ndarray, "frames joints 3 3"]]:
     """Joint positions and global rotation matrices from local rotation matrices."""
+    components = np.ascontiguousarray(local_matrices.transpose(2, 3, 1, 0))
+    positions, rotations = _propagate(components, root_translation, skeleton, offsets)
+    return np.ascontiguousarray(positions.transpose(2, 1, 0)), np.ascontiguousarray(rotations.transpose(3, 2, 0, 1))
+
+
+def _propagate(
+    local: Float[np.ndarray, "3 3 joints frames"],
+    root_translation: Float[np.ndarray, "frames 3"],
+    skeleton: Skeleton,
+    offsets: Float[np.ndarray, "*frames joints 3"] | None,
+) -> tuple[Float[np.ndarray, "3 joints frames"], Float[np.ndarray, "3 3 joints frames"]]:
+    # Frames are the last, contiguous axis and joints of equal depth are multiplied together: a handful of array
+    # operations for each level of the tree, however many frames there are.
     bones = skeleton.offsets if offsets is None else offsets
-    positions = np.empty((*local_matrices.shape[:2], 3), dtype=local_matrices.dtype)
-    rotations = np.empty_like(local_matrices)
-    positions[:, 0] = root_translation
-    rotations[:, 0] = local_matrices[:, 0]
-    for joint, parent in enumerate(skeleton.parents[1:], start=1):
-        bone = bones[..., joint, :].astype(local_matrices.dtype, copy=False)
-        positions[:, joint] = positions[:, parent] + (rotations[:, parent] @ bone[..., None])[..., 0]
-        np.matmul(rotations[:, parent], local_matrices[:, joint], out=rotations[:, joint])
+    bones = np.ascontiguousarray(bones.T if bones.ndim == 3 else bones.T[:, :, None]).astype(local.dtype, copy=False)
+    positions = np.empty((3, *local.shape[2:]), dtype=local.dtype)
+    rotations = np.empty_like(local)
+    positions[:, 0] = root_translation.T
+    rotations[:, :, 0] = local[:, :, 0]
+    for joints, parents in _levels(skeleton.parents):
+        above = rotations[:, :, parents]
+        below = local[:, :, joints]
+        product = above[:, 0, None] * below[None, 0]
+        product += above[:, 1, None] * below[None, 1]
+        product += above[:, 2, None] * below[None, 2]
+        rotations[:, :, joints] = product
+        bone = bones[:, joints]
+        reached = positions[:, parents]
+        reached += above[:, 0] * bone[0]
+        reached += above[:, 1] * bone[1]
+        reached += above[:, 2] * bone[2]
+        positions[:, joints] = reached
     return positions, rotations
+
+
+def _levels(parents: tuple[int, ...]) -> list[tuple[list[int], list[int]]]:
+    # Joints by depth below the root, with their parents.
+    depth = [0]
+    for parent in parents[1:]:
+        depth.append(depth[parent] + 1)
+    levels: list[tuple[list[int], list[int]]] = [([], []) for _ in range(max(depth))]
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            levels[depth[joint] - 1][0].append(joint)
+            levels[depth[joint] - 1][1].append(parent)
+    return levels
 
 
 def global_rotations(

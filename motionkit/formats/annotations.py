@@ -1,0 +1,140 @@
+"""Sidecar CSV files: captions, actions, splits, framerates, licences of motions that carry none of these themselves.
+
+The first row names the columns: `file` (path from the CSV's folder) and any of `caption`, `caption_kit` (a second
+caption), `action`, `style`, `subject`, `split`, `fps`, `licence`, `source`, `subset`; others are ignored.
+"""
+
+import csv
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path, PurePosixPath
+
+from motionkit.errors import FormatError
+from motionkit.formats import sourcefile
+from motionkit.motion import Caption
+from motionkit.timegrid import parse_fps
+
+COLUMNS = frozenset(
+    ("caption", "caption_kit", "action", "style", "subject", "split", "fps", "licence", "source", "subset")
+)
+CAPTION_COLUMNS = ("caption", "caption_kit")
+MAX_LICENCE_LINE = 120
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """What one row says about one file; empty where it says nothing."""
+
+    captions: tuple[Caption, ...] = ()
+    action: str = ""
+    style: str = ""
+    subject: str = ""
+    split: str = ""
+    fps: Fraction | None = None
+    licence: str = ""
+    source: str = ""
+    subset: str = ""
+    line: int = 0
+
+
+@dataclass(frozen=True)
+class AnnotationTable:
+    """The rows of one CSV by absolute path of the file they describe, and the rows that could not be used."""
+
+    path: Path
+    rows: Mapping[Path, Annotation]
+    has_captions: bool
+    problems: tuple[FormatError, ...] = field(default=())
+
+
+def find_annotations(folder: Path) -> tuple[Path, ...]:
+    """The CSV files of a folder that have a `file` column and at least one other that is known."""
+    found = []
+    for path in sorted(folder.glob("*.csv")):
+        try:
+            with path.open(encoding="utf-8-sig", newline="") as file:
+                header = next(csv.reader(file), [])
+        except (OSError, UnicodeDecodeError, csv.Error):
+            continue
+        if "file" in header and COLUMNS & set(header):
+            found.append(path)
+    return tuple(found)
+
+
+def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
+    """Read a CSV; paths in it count from `folder` (its own by default) and may not leave it.
+
+    Raises `FormatError` for a file that is no such table; a bad row becomes one of the table's `problems`.
+    """
+    folder = (folder or path.parent).resolve()
+    text = sourcefile.decode(sourcefile.read_bytes(path), path)
+    reader = csv.DictReader(text.splitlines(keepends=True), restkey="", strict=True)
+    rows: dict[Path, Annotation] = {}
+    problems: list[FormatError] = []
+    try:
+        if "file" not in (reader.fieldnames or ()):
+            raise FormatError("no column 'file', expected a header with it", path=path, reason="annotations", line=1)
+        for row in reader:
+            try:
+                target = _inside(row["file"], folder, path, reader.line_num)
+                if target in rows:
+                    raise FormatError(
+                        f"{row['file']!r} is described twice, first in line {rows[target].line}",
+                        path=path,
+                        reason="duplicate-annotation",
+                        line=reader.line_num,
+                    )
+                rows[target] = _annotation(row, path, reader.line_num)
+            except FormatError as problem:
+                problems.append(problem)
+    except csv.Error as error:
+        raise FormatError(f"not a CSV table ({error})", path=path, reason="annotations", line=reader.line_num) from None
+    has_captions = bool(set(CAPTION_COLUMNS) & set(reader.fieldnames or ()))
+    return AnnotationTable(path, rows, has_captions, tuple(problems))
+
+
+def find_licence(folder: Path) -> str:
+    """First line of the folder's LICENSE file (or their names, where there are several); empty where there is none."""
+    files = sorted(entry for entry in folder.iterdir() if entry.name.upper().startswith(("LICENSE", "LICENCE")))
+    lines = list(dict.fromkeys(line for entry in files if entry.is_file() for line in _first_line(entry)))
+    if len(lines) == 1:
+        return lines[0]
+    return ", ".join(entry.name for entry in files)
+
+
+def _first_line(path: Path) -> Iterator[str]:
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            head = file.read(4096)
+    except OSError:
+        return
+    for line in head.splitlines():
+        if line.strip():
+            yield " ".join(line.split())[:MAX_LICENCE_LINE]
+            return
+
+
+def _inside(name: str | None, folder: Path, path: Path, line: int) -> Path:
+    # A path from a file's content is used only where it stays inside the folder.
+    relative = PurePosixPath((name or "").replace("\\", "/"))
+    target = (folder / relative).resolve()
+    if not name or relative.is_absolute() or "\0" in name or not target.is_relative_to(folder):
+        raise FormatError(
+            f"file {name!r} is empty or leaves the folder; expected a path inside it",
+            path=path,
+            reason="path",
+            line=line,
+        )
+    return target
+
+
+def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotation:
+    cell = {name: (row.get(name) or "").strip() for name in COLUMNS}
+    try:
+        fps = parse_fps(cell["fps"]) if cell["fps"] else None
+    except (ValueError, ZeroDivisionError) as error:
+        raise FormatError(f"fps {cell['fps']!r}: {error}", path=path, reason="frame-time", line=line) from None
+    captions = dict.fromkeys(cell[name] for name in CAPTION_COLUMNS if cell[name])
+    plain = {name: cell[name] for name in ("action", "style", "subject", "split", "licence", "source", "subset")}
+    return Annotation(captions=tuple(Caption(text) for text in captions), fps=fps, line=line, **plain)

@@ -1,0 +1,260 @@
+"""AMC motions over ASF skeletons, as the CMU motion capture database publishes them.
+
+A bone's local rotation is L = C·R(dof)·C⁻¹, its global one parent·L, its end start + global·(direction·length). Joints
+are where bones start (`asf.AsfSkeleton`), so these are the motion's local rotations as they stand. AMC says nothing
+about its framerate. Source: http://mocap.cs.cmu.edu, and the page named in `asf`.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from motionkit import kinematics
+from motionkit.errors import FormatError
+from motionkit.formats import sourcefile
+from motionkit.formats.asf import ROTATIONS, AsfSkeleton, read_asf
+from motionkit.formats.items import ReadOptions
+from motionkit.formats.number_table import LARGEST_VALUE, SEPARATORS_TO_NEWLINES, parse_column, parse_number
+from motionkit.motion import Motion, Provenance
+from motionkit.timegrid import TimeGrid
+
+NEWLINE = 10
+
+
+@dataclass(frozen=True)
+class AmcTable:
+    """Channel values [T, channels] in the order of `bones` (name, number of channels), and the first frame's number."""
+
+    values: Float64[np.ndarray, "frames channels"]
+    bones: tuple[tuple[str, int], ...]
+    first_frame_number: int
+
+
+def read_asfamc(path: Path, options: ReadOptions | None = None, skeleton_path: Path | None = None) -> Motion:
+    """Read one AMC file and the ASF skeleton beside it: positions in metres, y up, true local rotations.
+
+    The skeleton is `skeleton_path`, or SUBJECT.asf for SUBJECT_TAKE.amc, or the folder's only ASF file. Raises
+    `FormatError`; with the reason `no-framerate` where `options.fps` does not say the framerate, which AMC cannot.
+    """
+    options = options or ReadOptions()
+    data = sourcefile.read_bytes(path)
+    if options.fps is None:
+        raise FormatError(
+            "AMC files don't state their framerate; give it in the column 'fps' of an annotation CSV beside them, or "
+            "with --fps (the CMU database: 120, some takes 60)",
+            path=path,
+            reason="no-framerate",
+        )
+    asf = read_asf(skeleton_path or find_skeleton(path), options.unit_metres)
+    table = parse_amc(data, path)
+    rotations, root = _local_rotations(table, asf, path)
+    operations = [
+        f"lengths × {asf.unit_metres:.6g} to metres ({'given' if options.unit_metres else 'ASF length unit'})"
+    ]
+    if table.first_frame_number != 1:
+        operations.append(f"AMC frame numbers start at {table.first_frame_number}")
+    return Motion(
+        joint_positions=kinematics.forward_kinematics(rotations, root, asf.skeleton),
+        skeleton=asf.skeleton,
+        timegrid=TimeGrid(options.fps, len(table.values)),
+        local_rotations=np.ascontiguousarray(rotations),
+        root_translation=root,
+        sequence_id=path.stem,
+        provenance=Provenance(
+            source_path=path.name,
+            source_sha256=sourcefile.sha256(data),
+            source_format="asfamc",
+            operations=tuple(operations),
+        ),
+    )
+
+
+def find_skeleton(path: Path) -> Path:
+    """The ASF file of an AMC file; raises `FormatError` (`no-skeleton`, `two-skeletons`)."""
+    skeletons = sorted(entry for entry in path.parent.iterdir() if entry.suffix.lower() == ".asf")
+    subjects = {path.stem.lower(), path.stem.rsplit("_", 1)[0].lower()}
+    named = [entry for entry in skeletons if entry.stem.lower() in subjects]
+    if len(named) == 1:
+        return named[0]
+    if len(skeletons) == 1:
+        return skeletons[0]
+    if not skeletons:
+        raise FormatError("no ASF skeleton in its folder, expected one", path=path, reason="no-skeleton")
+    raise FormatError(
+        f"its folder holds {len(skeletons)} skeletons ({', '.join(entry.name for entry in skeletons)}), expected one "
+        f"or {path.stem.rsplit('_', 1)[0]}.asf",
+        path=path,
+        reason="two-skeletons",
+    )
+
+
+def parse_amc(data: bytes, path: Path) -> AmcTable:
+    """The channel values of all frames; raises `FormatError` naming the line and the frame.
+
+    Files whose frames all look like the first one, which is every file that a program wrote, are parsed in one go: the
+    bone names are overwritten with NaN and the numbers read as one column.
+    """
+    start = re.search(rb"(?m)^[ \t]*\d+[ \t]*\r?$", data)
+    if start is None or b":FULLY-SPECIFIED" not in data[: start.start()].upper():
+        raise FormatError(
+            f"looks like {sourcefile.describe_content(data)}, expected an AMC file with :FULLY-SPECIFIED and frames",
+            path=path,
+            reason="not-what-it-says",
+        )
+    if b":RADIANS" in data[: start.start()].upper():
+        raise FormatError("angles in radians, expected :DEGREES", path=path, reason="radians")
+    body = data[start.start() :].replace(b"\r", b"").strip() + b"\n"
+    second = re.search(rb"\n[ \t]*\d+[ \t]*\n", body)
+    first = body if second is None else body[: second.start() + 1]
+    bones = tuple(
+        (line.split()[0].decode("utf-8", "replace"), len(line.split()) - 1) for line in first.splitlines()[1:]
+    )
+    values = _parse_regular(body, first)
+    if values is None:
+        return _parse_slowly(data, bones, path)
+    numbers = values[:, 0]
+    return AmcTable(np.delete(values, 0, axis=1), bones, int(numbers[0]))
+
+
+def _parse_regular(body: bytes, first: bytes) -> Float64[np.ndarray, "frames values"] | None:
+    # Frame numbers and channel values, or None where a frame deviates from the first one's layout.
+    lines = first.split(b"\n")[:-1]
+    names = [line.split(b" ", 1)[0] for line in lines[1:]]
+    if not names or any(
+        len(name) < 3 or not line.startswith(name) for name, line in zip(names, lines[1:], strict=True)
+    ):
+        return None
+    text = np.frombuffer(body, np.uint8).copy()
+    starts = np.concatenate(([0], np.flatnonzero(text == NEWLINE)[:-1] + 1))
+    if len(starts) % len(lines):
+        return None
+    starts = starts.reshape(-1, len(lines))
+    for column, name in enumerate(names, start=1):
+        letters = starts[:, column, None] + np.arange(len(name))
+        if letters[-1, -1] >= len(text) or (text[letters] != np.frombuffer(name, np.uint8)).any():
+            return None
+        text[letters] = np.frombuffer(b"nan".ljust(len(name), b"\n"), np.uint8)
+    values = parse_column(text.tobytes().translate(SEPARATORS_TO_NEWLINES))
+    counts = [1 + len(line.split()[1:]) for line in lines]
+    width = sum(counts)
+    if values is None or values.size != len(starts) * width:
+        return None
+    table = values.reshape(-1, width)
+    is_name = np.zeros(width, bool)
+    is_name[np.cumsum(counts)[:-1]] = True
+    numbers = table[:, ~is_name]
+    if not np.isnan(table[:, is_name]).all() or not (np.abs(numbers) < LARGEST_VALUE).all():
+        return None
+    if (np.diff(numbers[:, 0]) != 1).any() or numbers[0, 0] % 1:
+        return None
+    return numbers
+
+
+def _parse_slowly(data: bytes, bones: Sequence[tuple[str, int]], path: Path) -> AmcTable:
+    expected = dict(bones)
+    columns = {name: sum(count for _, count in bones[:index]) for index, (name, _) in enumerate(bones)}
+    if len(expected) != len(bones):
+        raise FormatError("a bone is listed twice in the first frame", path=path, reason="bones")
+    frames: list[list[float]] = []
+    numbers: list[int] = []
+    seen: set[str] = set()
+    line = 0
+    for line, text in enumerate(data.splitlines(), start=1):
+        words = text.split()
+        if not words or words[0][:1] in (b"#", b":"):
+            continue
+        if len(words) == 1 and words[0].isdigit():
+            _check_complete(seen, expected, frames, path, line)
+            number = int(words[0][:15])
+            if numbers and number != numbers[-1] + 1:
+                raise FormatError(
+                    f"frame number {number} after {numbers[-1]}, expected {numbers[-1] + 1}",
+                    path=path,
+                    reason="frame-number",
+                    line=line,
+                    frame=len(frames),
+                )
+            numbers.append(number)
+            frames.append([0.0] * sum(expected.values()))
+            seen = set()
+            continue
+        frame = len(frames) - 1
+        name = words[0].decode("utf-8", "replace")
+        if not frames or name not in expected or name in seen:
+            raise FormatError(
+                f"{name[:40]!r}, expected a frame number or a bone of the first frame, each once",
+                path=path,
+                reason="bones",
+                line=line,
+                frame=max(frame, 0),
+            )
+        if len(words) - 1 != expected[name]:
+            raise FormatError(
+                f"{len(words) - 1} numbers for {name}, expected {expected[name]}",
+                path=path,
+                reason="channel-count",
+                line=line,
+                frame=frame,
+            )
+        seen.add(name)
+        frames[-1][columns[name] : columns[name] + expected[name]] = [
+            parse_number(word, path, line, frame) for word in words[1:]
+        ]
+    _check_complete(seen, expected, frames, path, line)
+    return AmcTable(np.array(frames, dtype=np.float64).reshape(len(frames), -1), tuple(bones), numbers[0])
+
+
+def _check_complete(seen: set[str], expected: dict[str, int], frames: Sequence[object], path: Path, line: int) -> None:
+    if frames and len(seen) < len(expected):
+        missing = [name for name in expected if name not in seen]
+        raise FormatError(
+            f"the frame ends without {', '.join(missing[:4])}{' …' if len(missing) > 4 else ''}; "
+            f"expected {len(expected)} bones",
+            path=path,
+            reason="truncated",
+            line=line,
+            frame=len(frames) - 1,
+        )
+
+
+def _local_rotations(
+    table: AmcTable, asf: AsfSkeleton, path: Path
+) -> tuple[Float32[np.ndarray, "frames joints 4"], Float32[np.ndarray, "frames 3"]]:
+    num_frames = len(table.values)
+    names = [bone.name for bone in asf.bones]
+    rotations = np.zeros((num_frames, len(names), 4), np.float32)
+    rotations[..., 0] = 1.0
+    root = np.repeat(asf.root_position[None], num_frames, axis=0)
+    frames = asf.axis_frames()
+    column = 0
+    for name, count in table.bones:
+        if name not in names:
+            raise FormatError(f"bone {name!r} is not in the skeleton", path=path, reason="bones")
+        joint = names.index(name)
+        bone = asf.bones[joint]
+        if len(bone.dof) != count:
+            raise FormatError(
+                f"{count} numbers for {name}, but the skeleton gives it {len(bone.dof)} ({' '.join(bone.dof)})",
+                path=path,
+                reason="channel-count",
+                frame=0,
+            )
+        values = table.values[:, column : column + count]
+        column += count
+        turning = [place for place, dof in enumerate(bone.dof) if dof in ROTATIONS]
+        for place, dof in enumerate(bone.dof):
+            if dof not in ROTATIONS:
+                root[:, "xyz".index(dof[1])] += values[:, place]
+        if turning:
+            angles = values[:, turning] * (np.pi / 180.0 if asf.degrees else 1.0)
+            order = "".join(ROTATIONS[bone.dof[place]] for place in turning)
+            turn = kinematics.euler_to_quaternion(angles, order, kind="extrinsic")
+            frame = frames[joint]
+            back = kinematics.quaternion_conjugate(frame)
+            turn = kinematics.quaternion_multiply(kinematics.quaternion_multiply(frame, turn), back)
+            rotations[:, joint] = turn
+    return rotations, (root * asf.unit_metres).astype(np.float32)

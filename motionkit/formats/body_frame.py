@@ -1,0 +1,117 @@
+"""Which unit and which axis a source uses, judged by the body that the numbers describe."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.skeleton_map import SkeletonMapError, family_unit_metres, joint_map, rest_positions
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "1/0.45 inch": 0.0254 / 0.45}
+# From the ankles through the hips to the base of the skull: SMPL's mean body has 1.45 m.
+TYPICAL_HEIGHT_METRES = 1.45
+# For a skeleton with unknown names, the longest chain from the root to a fingertip or a toe.
+TYPICAL_CHAIN_METRES = 1.25
+PLAUSIBLE_FACTOR = 2.2
+TRUNK_AND_LEGS = (
+    ("left_ankle", "left_knee"),
+    ("left_knee", "left_hip"),
+    ("pelvis", "spine1"),
+    ("spine1", "spine2"),
+    ("spine2", "spine3"),
+    ("spine3", "neck"),
+    ("neck", "head"),
+)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Metres per file unit and how it was found."""
+
+    metres: float
+    reason: str
+
+
+def infer_unit(skeleton: Skeleton) -> Unit | None:
+    """The unit of a skeleton whose offsets are still in file units; None where none makes it a human body.
+
+    A family with a unit of its own (the CMU database: 0.0254 / 0.45 m) has that one if the body then is plausible.
+    Otherwise it is the one among m, cm, mm, inch and the CMU database's that brings the rest skeleton's standing height
+    (ankles to head along the bones) nearest to 1.45 m; for unknown joint names, the longest chain nearest to 1.25 m.
+    """
+    size, typical, what = _size(skeleton)
+    own = family_unit_metres(skeleton)
+    if own is not None and _factor(size * own, typical) <= 1.5:
+        return Unit(own, f"the joint names are the CMU database's; {what} is {size * own:.2f} m")
+    if size <= 0:
+        return None
+    name, metres = min(UNITS.items(), key=lambda unit: _factor(size * unit[1], typical))
+    if _factor(size * metres, typical) > PLAUSIBLE_FACTOR:
+        return None
+    return Unit(metres, f"inferred: in {name} {what} is {size * metres:.2f} m")
+
+
+def is_z_up(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> bool:
+    """Whether both the rest skeleton and the poses, on average, stand along +z rather than along +y."""
+    try:
+        weights = joint_map(skeleton, SMPL22.name).weights
+    except SkeletonMapError:
+        return False
+    upward = weights[SMPL22.index("head")] - 0.5 * (
+        weights[SMPL22.index("left_ankle")] + weights[SMPL22.index("right_ankle")]
+    )
+    _, rest_y, rest_z = upward @ rest_positions(skeleton)
+    if rest_z <= 2.0 * abs(rest_y):
+        return False
+    _, posed_y, posed_z = upward @ joint_positions.mean(axis=0)
+    return bool(posed_z > abs(posed_y))
+
+
+def z_up_to_y_up(
+    skeleton: Skeleton,
+    joint_positions: Float32[np.ndarray, "frames joints 3"],
+    local_rotations: Float32[np.ndarray, "frames joints 4"],
+    root_translation: Float32[np.ndarray, "frames 3"],
+) -> tuple[
+    Skeleton,
+    Float32[np.ndarray, "frames joints 3"],
+    Float32[np.ndarray, "frames joints 4"],
+    Float32[np.ndarray, "frames 3"],
+]:
+    """Change of basis (x, y, z) → (x, z, −y) of a whole motion, its rest pose included."""
+    turned = replace(
+        skeleton,
+        offsets=_turn(skeleton.offsets),
+        end_sites=tuple((joint, (x, z, -y)) for joint, (x, y, z) in skeleton.end_sites),
+    )
+    rotations = local_rotations.copy()
+    rotations[..., 1:] = _turn(local_rotations[..., 1:])
+    return turned, _turn(joint_positions), rotations, _turn(root_translation)
+
+
+def _turn(vectors: Float32[np.ndarray, "*shape 3"]) -> Float32[np.ndarray, "*shape 3"]:
+    return vectors[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0], np.float32)
+
+
+def _factor(size: float, typical: float) -> float:
+    return max(size / typical, typical / size) if size > 0 else np.inf
+
+
+def _size(skeleton: Skeleton) -> tuple[float, float, str]:
+    try:
+        weights = joint_map(skeleton, SMPL22.name).weights
+    except SkeletonMapError:
+        return _longest_chain(skeleton), TYPICAL_CHAIN_METRES, "the longest chain"
+    rest = weights @ rest_positions(skeleton)
+    bones = [rest[SMPL22.index(a)] - rest[SMPL22.index(b)] for a, b in TRUNK_AND_LEGS]
+    return float(np.linalg.norm(bones, axis=-1).sum()), TYPICAL_HEIGHT_METRES, "ankle to head"
+
+
+def _longest_chain(skeleton: Skeleton) -> float:
+    reach = np.zeros(skeleton.num_joints)
+    lengths = np.linalg.norm(skeleton.offsets, axis=-1)
+    for joint, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            reach[joint] = reach[parent] + lengths[joint]
+    return float(reach.max())

@@ -1,0 +1,202 @@
+"""BVH (BioVision Hierarchy): a text file of joints with offsets and channels, then one line of numbers a frame.
+
+Channels are degrees and file units; a joint's rotation is the product of its rotation channels in the order in which
+they are listed; position channels replace the joint's OFFSET. Source: M. Meredith and S. Maddock, "Motion Capture File
+Formats Explained", University of Sheffield CS-01-11, 2001.
+"""
+
+import re
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from motionkit import kinematics
+from motionkit.errors import FormatError
+from motionkit.formats import body_frame, bvh_channels, number_table, sourcefile
+from motionkit.formats.bvh_channels import ChannelPose
+from motionkit.formats.bvh_hierarchy import BvhHierarchy, parse_hierarchy
+from motionkit.formats.items import ReadOptions
+from motionkit.motion import Motion, Provenance
+from motionkit.timegrid import TimeGrid, parse_fps
+
+# Bones that change by less are noise of printed digits; a bone that changes by more is not rigid.
+RIGID_METRES = 1e-3
+
+
+@dataclass(frozen=True)
+class _File:
+    hierarchy: BvhHierarchy
+    num_frames: int
+    frame_time: str
+    frame_time_line: int
+    body: bytes
+    body_line: int
+
+
+def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read one BVH file: positions in metres, y up, true local rotations, at the stated framerate.
+
+    The unit is `options.unit_metres` or inferred (`body_frame.infer_unit`); a T-pose in frame 0, as B. Hahne's
+    conversions of the CMU database have it, is dropped; a z-up body is turned. All of it is in the operation log.
+    Raises `FormatError` with a reason, the line and the frame.
+    """
+    options = options or ReadOptions()
+    data = sourcefile.read_bytes(path)
+    file = _split(data, path)
+    fps, operations = _framerate(file, options, path)
+    table = number_table.parse_table(
+        file.body,
+        num_rows=file.num_frames,
+        num_columns=file.hierarchy.num_channels,
+        path=path,
+        first_line=file.body_line,
+    )
+    if bvh_channels.starts_with_t_pose(table, file.hierarchy):
+        table = table[1:]
+        operations.append("frame 0 dropped: a T-pose (root unturned, all angles whole degrees, root where frame 1 is)")
+    pose = bvh_channels.fold_reference(bvh_channels.read_channels(table, file.hierarchy, path.stem))
+    motion = _to_motion(pose, fps, options, path)
+    provenance = Provenance(
+        source_path=path.name,
+        source_sha256=sourcefile.sha256(data),
+        source_format="bvh",
+        stated_fps=f"Frame Time: {file.frame_time}",
+        operations=(*operations, *motion.provenance.operations),
+    )
+    return replace(motion, provenance=provenance)
+
+
+def _to_motion(pose: ChannelPose, fps: Fraction, options: ReadOptions, path: Path) -> Motion:
+    unit, reason = _unit(pose, options, path)
+    pose = bvh_channels.settle_offsets(pose, RIGID_METRES / unit)
+    skeleton = replace(
+        pose.skeleton,
+        offsets=pose.skeleton.offsets * np.float32(unit),
+        end_sites=tuple((joint, (x * unit, y * unit, z * unit)) for joint, (x, y, z) in pose.skeleton.end_sites),
+    )
+    operations = [*pose.operations, f"lengths × {unit:.6g} to metres ({reason})"]
+    offsets = None
+    if pose.moving_offsets:
+        offsets = np.repeat(skeleton.offsets[None], len(pose.root), axis=0)
+        for joint, place in pose.moving_offsets.items():
+            offsets[:, joint] = place * unit
+        names = ", ".join(skeleton.joint_names[joint] for joint in pose.moving_offsets)
+        operations.append(f"positions only: these bones change their length or place ({names})")
+    rotations, root = pose.rotations, (pose.root * unit).astype(np.float32)
+    positions = kinematics.forward_kinematics(rotations, root, skeleton, offsets)
+    if body_frame.is_z_up(skeleton, positions):
+        skeleton, positions, rotations, root = body_frame.z_up_to_y_up(skeleton, positions, rotations, root)
+        operations.append("turned from z up to y up: (x, y, z) → (x, z, −y)")
+    return Motion(
+        joint_positions=positions,
+        skeleton=skeleton,
+        timegrid=TimeGrid(fps, len(positions)),
+        local_rotations=None if pose.moving_offsets else np.ascontiguousarray(rotations),
+        root_translation=None if pose.moving_offsets else root,
+        sequence_id=path.stem,
+        provenance=Provenance(operations=tuple(operations)),
+    )
+
+
+def _unit(pose: ChannelPose, options: ReadOptions, path: Path) -> tuple[float, str]:
+    if options.unit_metres is not None:
+        return options.unit_metres, "given"
+    # Bones whose OFFSET is overridden by position channels have the length that those say.
+    unit = body_frame.infer_unit(bvh_channels.settle_offsets(pose, 0.0).skeleton)
+    if unit is None:
+        raise FormatError(
+            "in none of m, cm, mm, inch and the CMU database's unit is this skeleton the size of a human body; "
+            "say how long a unit is with --unit-metres",
+            path=path,
+            reason="unit",
+        )
+    return unit.metres, unit.reason
+
+
+def _split(data: bytes, path: Path) -> _File:
+    head = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if not head[:9].upper().startswith(b"HIERARCHY"):
+        raise FormatError(
+            f"looks like {sourcefile.describe_content(data)}, expected a BVH file that begins with HIERARCHY",
+            path=path,
+            reason="not-what-it-says",
+            line=1,
+        )
+    motion = re.search(rb"(?m)^[ \t]*MOTION[ \t]*\r?$", data)
+    if motion is None:
+        hierarchy = parse_hierarchy(sourcefile.decode(data, path), path)
+        raise FormatError(
+            f"the file ends after the hierarchy of {len(hierarchy.joints)} joints, expected MOTION",
+            path=path,
+            reason="truncated",
+            line=data.count(b"\n") + 1,
+        )
+    hierarchy = parse_hierarchy(sourcefile.decode(data[: motion.start()], path), path)
+    if not hierarchy.num_channels:
+        raise FormatError("no joint has CHANNELS, so nothing moves", path=path, reason="channels")
+    position, frames, frame_time, frame_time_line = motion.end(), "", "", 0
+    while not (frames and frame_time):
+        end = data.find(b"\n", position)
+        end = len(data) if end < 0 else end
+        line = data.count(b"\n", 0, position) + 1
+        words = sourcefile.decode(data[position:end], path).strip()
+        key, colon, value = words.partition(":")
+        if words:
+            match key.strip().lower() if colon else "":
+                case "frames":
+                    frames = value.strip()
+                case "frame time":
+                    frame_time, frame_time_line = value.strip(), line
+                case _:
+                    missing = "Frame Time: seconds" if frames else "Frames: count"
+                    raise FormatError(
+                        f"{words[:40]!r} where '{missing}' was expected",
+                        path=path,
+                        reason="frame-time" if frames else "frame-count",
+                        line=line,
+                    )
+        if end == len(data) and not (frames and frame_time):
+            raise FormatError(
+                "the file ends before its first frame, expected 'Frames:' and 'Frame Time:'",
+                path=path,
+                reason="truncated",
+                line=line,
+            )
+        position = end + 1
+    body_line = data.count(b"\n", 0, min(position, len(data))) + 1
+    return _File(
+        hierarchy, _num_frames(frames, path, body_line), frame_time, frame_time_line, data[position:], body_line
+    )
+
+
+def _num_frames(stated: str, path: Path, body_line: int) -> int:
+    if not (stated.isascii() and stated.isdecimal() and len(stated) < 12):
+        raise FormatError(
+            f"'Frames: {stated[:40]}', expected a whole number", path=path, reason="frame-count", line=body_line
+        )
+    if int(stated) == 0:
+        raise FormatError("0 frames, expected at least one", path=path, reason="no-frames", line=body_line)
+    return int(stated)
+
+
+def _framerate(file: _File, options: ReadOptions, path: Path) -> tuple[Fraction, list[str]]:
+    try:
+        seconds = float(file.frame_time)
+        if not seconds > 0:
+            raise ValueError("it must be positive")
+        stated = parse_fps(1.0 / seconds)
+    except (ValueError, OverflowError) as error:
+        if options.fps is not None:
+            return options.fps, [f"framerate set to {options.fps}; the file's Frame Time is unusable"]
+        raise FormatError(
+            f"'Frame Time: {file.frame_time[:40]}' is not a usable time between frames in seconds ({error}); "
+            "correct it, or give the framerate",
+            path=path,
+            reason="frame-time",
+            line=file.frame_time_line,
+        ) from None
+    if options.fps is None or options.fps == stated:
+        return stated, []
+    return options.fps, [f"framerate set to {options.fps}; the file says {stated}"]

@@ -1,0 +1,155 @@
+"""From a BVH file's channel table to local rotations, a root path and bones, still in file units."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from motionkit import kinematics
+from motionkit.formats.bvh_hierarchy import BvhHierarchy
+from motionkit.skeleton import Skeleton
+
+
+@dataclass(frozen=True)
+class ChannelPose:
+    """What the channels say, lengths in file units.
+
+    `moving_offsets` are the offsets that position channels give to joints below the root, by joint index.
+    """
+
+    skeleton: Skeleton
+    rotations: Float32[np.ndarray, "frames joints 4"]
+    root: Float64[np.ndarray, "frames 3"]
+    moving_offsets: Mapping[int, Float64[np.ndarray, "frames 3"]]
+    operations: tuple[str, ...] = ()
+
+
+def read_channels(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy, name: str) -> ChannelPose:
+    """Split the table into rotations, the root's path and moving offsets."""
+    joints = hierarchy.joints
+    names, operations = unique_names([joint.name for joint in joints])
+    offsets = np.array([joint.offset for joint in joints], dtype=np.float64)
+    skeleton = Skeleton(
+        name=name,
+        joint_names=names,
+        parents=tuple(joint.parent for joint in joints),
+        offsets=offsets.astype(np.float32),
+        end_sites=tuple(
+            (index, joint.end_site) for index, joint in enumerate(joints) if joint.end_site and any(joint.end_site)
+        ),
+    )
+    root = np.repeat(offsets[:1], len(table), axis=0)
+    moving: dict[int, Float64[np.ndarray, "frames 3"]] = {}
+    for index, joint in enumerate(joints):
+        if joint.position_columns:
+            place = root if index == 0 else np.repeat(offsets[index : index + 1], len(table), axis=0)
+            place[:, list(joint.position_columns)] = table[:, list(joint.position_columns.values())]
+            if index:
+                moving[index] = place
+    return ChannelPose(skeleton, _rotations(table, hierarchy), root, moving, operations)
+
+
+def starts_with_t_pose(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy) -> bool:
+    """Whether frame 0 is the T-pose that B. Hahne's conversions of the CMU database begin with.
+
+    The rule: in frame 0 the root is unturned and every angle is a whole number of degrees, in frame 1 neither holds,
+    and the root is in the same place in both. A captured pose does not fulfil it.
+    """
+    if len(table) < 2:
+        return False
+    root = hierarchy.joints[0]
+    angles = [column for joint in hierarchy.joints for column in joint.rotation_columns]
+    places = list(root.position_columns.values())
+    if not places or len(root.rotation_columns) != 3 or len(hierarchy.joints) < 15:
+        return False
+    first, second = table[0], table[1]
+    whole = first[angles] == np.round(first[angles])
+    return bool(
+        whole.all()
+        and not first[root.rotation_columns].any()
+        and second[root.rotation_columns].any()
+        and (second[angles] != np.round(second[angles])).any()
+        and np.array_equal(first[places], second[places])
+    )
+
+
+def fold_reference(pose: ChannelPose) -> ChannelPose:
+    """Let a root that only carries one moving joint go: that joint becomes the root (Bandai-Namco's `joint_Root`)."""
+    skeleton = pose.skeleton
+    if (
+        1 not in pose.moving_offsets
+        or skeleton.children(0) != (1,)
+        or any(joint == 0 for joint, _ in skeleton.end_sites)
+    ):
+        return pose
+    turn = pose.rotations[:, 0].astype(np.float64)
+    rotations = pose.rotations[:, 1:].copy()
+    rotations[:, 0] = kinematics.quaternion_multiply(pose.rotations[:, 0], pose.rotations[:, 1])
+    offsets = skeleton.offsets[1:].copy()
+    offsets[0] = 0.0
+    folded = replace(
+        skeleton,
+        joint_names=skeleton.joint_names[1:],
+        parents=(-1, *(parent - 1 for parent in skeleton.parents[2:])),
+        offsets=offsets,
+        end_sites=tuple((joint - 1, tip) for joint, tip in skeleton.end_sites),
+    )
+    return ChannelPose(
+        folded,
+        rotations,
+        pose.root + kinematics.quaternion_rotate(turn, pose.moving_offsets[1]),
+        {joint - 1: place for joint, place in pose.moving_offsets.items() if joint > 1},
+        (
+            *pose.operations,
+            f"joint {skeleton.joint_names[0]!r} folded into {skeleton.joint_names[1]!r}, which moves in it",
+        ),
+    )
+
+
+def settle_offsets(pose: ChannelPose, tolerance: float) -> ChannelPose:
+    """Where position channels stay within `tolerance` file units, make them plain offsets; keep the rest moving.
+
+    A constant that agrees with the file's OFFSET leaves the OFFSET as it is, so that takes share their skeleton.
+    """
+    offsets = pose.skeleton.offsets.copy()
+    moving: dict[int, Float64[np.ndarray, "frames 3"]] = {}
+    for joint, place in pose.moving_offsets.items():
+        if np.abs(place - offsets[joint]).max() <= tolerance:
+            continue
+        middle = np.median(place, axis=0)
+        offsets[joint] = middle
+        if np.abs(place - middle).max() > tolerance:
+            moving[joint] = place
+    return replace(pose, skeleton=replace(pose.skeleton, offsets=offsets), moving_offsets=moving)
+
+
+def unique_names(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names made unique by _2, _3 …, and a log line where that was needed."""
+    taken: set[str] = set()
+    unique: list[str] = []
+    for name in names:
+        candidate, number = name, 2
+        while candidate in taken:
+            candidate, number = f"{name}_{number}", number + 1
+        taken.add(candidate)
+        unique.append(candidate)
+    changed = [new for old, new in zip(names, unique, strict=True) if old != new]
+    return tuple(unique), (f"repeated joint names made unique: {', '.join(changed)}",) if changed else ()
+
+
+def _rotations(
+    table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy
+) -> Float32[np.ndarray, "frames joints 4"]:
+    # Component-major in memory, as forward kinematics wants it. Joints with one order of axes are done together.
+    components = np.zeros((4, len(hierarchy.joints), len(table)), np.float32)
+    components[0] = 1.0
+    orders: dict[str, list[int]] = {}
+    for index, joint in enumerate(hierarchy.joints):
+        if joint.order:
+            orders.setdefault(joint.order, []).append(index)
+    for order, members in orders.items():
+        columns = [hierarchy.joints[index].rotation_columns[axis] for axis in range(len(order)) for index in members]
+        angles = np.radians(table[:, columns].T).astype(np.float32).reshape(len(order), len(members), len(table))
+        components[:, members] = kinematics.euler_to_quaternion(np.moveaxis(angles, 0, -1), order).transpose(2, 0, 1)
+    return components.transpose(2, 1, 0)

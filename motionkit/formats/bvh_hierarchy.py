@@ -1,0 +1,161 @@
+"""The HIERARCHY block of a BVH file: joints, their offsets, their channels, with line numbers in every complaint."""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from motionkit.errors import FormatError
+from motionkit.formats.number_table import parse_number
+
+CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("position", "rotation")}
+MAX_JOINTS = 10_000
+
+
+@dataclass
+class BvhJoint:
+    """One joint as written: `position_columns` maps an axis 0…2 to its column, `rotation_columns` follow `order`."""
+
+    name: str
+    parent: int
+    offset: tuple[float, float, float] | None = None
+    has_channels: bool = False
+    position_columns: dict[int, int] = field(default_factory=dict)
+    rotation_columns: list[int] = field(default_factory=list)
+    order: str = ""
+    end_site: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class BvhHierarchy:
+    """The joints in file order (parents first) and the number of channels of one frame."""
+
+    joints: tuple[BvhJoint, ...]
+    num_channels: int
+
+
+def parse_hierarchy(text: str, path: Path) -> BvhHierarchy:
+    """Read the lines from HIERARCHY up to MOTION; raises `FormatError` (`hierarchy`, `channels`) naming the line."""
+    return _Parser(path).parse(text)
+
+
+class _Parser:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.line = 0
+        self.joints: list[BvhJoint] = []
+        self.num_channels = 0
+        self.open: list[int] = []  # joints whose braces are open; −1 stands for an End Site
+        self.pending: int | None = None  # what the next "{" opens
+
+    def parse(self, text: str) -> BvhHierarchy:
+        """Feed all lines, then check that nothing is missing."""
+        for self.line, line in enumerate(text.splitlines(), start=1):
+            self.feed(line.strip())
+        if self.open or self.pending is not None:
+            raise self.fault("the hierarchy ends inside a joint, expected '}'")
+        if not self.joints:
+            raise self.fault("no ROOT joint in the hierarchy")
+        return BvhHierarchy(tuple(self.joints), self.num_channels)
+
+    def fault(self, message: str, reason: str = "hierarchy") -> FormatError:
+        """A complaint about the current line."""
+        return FormatError(message, path=self.path, reason=reason, line=self.line)
+
+    def feed(self, line: str) -> None:
+        """One line, which may hold braces as well."""
+        for part in re.split(r"([{}])", line):
+            match part.strip():
+                case "":
+                    continue
+                case "{":
+                    self.open_brace()
+                case "}":
+                    self.close_brace()
+                case statement:
+                    self.statement(statement)
+
+    def open_brace(self) -> None:
+        """Enter the joint or End Site that was just named."""
+        if self.pending is None:
+            raise self.fault("'{' without a joint before it")
+        self.open.append(self.pending)
+        self.pending = None
+
+    def close_brace(self) -> None:
+        """Leave a joint or End Site, which must be complete by now."""
+        if not self.open or self.pending is not None:
+            raise self.fault("'}' without a '{' before it")
+        joint = self.open.pop()
+        if joint >= 0 and self.joints[joint].offset is None:
+            raise self.fault(f"joint {self.joints[joint].name!r} has no OFFSET")
+
+    def statement(self, line: str) -> None:
+        """ROOT, JOINT, End Site, OFFSET or CHANNELS."""
+        keyword, _, rest = line.replace("\t", " ").partition(" ")
+        rest = rest.strip()
+        match keyword.upper():
+            case "HIERARCHY" if not self.joints:
+                return
+            case "ROOT" | "JOINT":
+                self.begin_joint(keyword.upper(), rest)
+            case "END":
+                if not self.open or self.open[-1] < 0:
+                    raise self.fault("an End Site outside a joint")
+                self.pending = -1
+            case "OFFSET":
+                self.offset(rest.split())
+            case "CHANNELS":
+                self.channels(rest.split())
+            case _:
+                raise self.fault(f"{line[:40]!r}, expected ROOT, JOINT, End Site, OFFSET, CHANNELS, '{{' or '}}'")
+
+    def begin_joint(self, keyword: str, name: str) -> None:
+        """Start a joint; its name may hold spaces and colons."""
+        if self.pending is not None or (keyword == "JOINT") != bool(self.open) or (self.open and self.open[-1] < 0):
+            where = "inside the ROOT" if keyword == "JOINT" else "once, as the outermost joint"
+            raise self.fault(f"{keyword} {name!r} is out of place: a {keyword} belongs {where}")
+        if keyword == "ROOT" and self.joints:
+            raise self.fault(f"a second ROOT {name!r}: one skeleton to a file is expected")
+        if len(self.joints) >= MAX_JOINTS:
+            raise self.fault(f"more than {MAX_JOINTS} joints")
+        self.joints.append(BvhJoint(name or f"joint{len(self.joints)}", self.open[-1] if self.open else -1))
+        self.pending = len(self.joints) - 1
+
+    def offset(self, words: list[str]) -> None:
+        """OFFSET of a joint or of an End Site."""
+        if not self.open or self.pending is not None:
+            raise self.fault("OFFSET outside a joint")
+        if len(words) != 3:
+            raise self.fault(f"OFFSET with {len(words)} numbers, expected 3")
+        x, y, z = (parse_number(word, self.path, self.line) for word in words)
+        if self.open[-1] >= 0:
+            self.joints[self.open[-1]].offset = (x, y, z)
+        else:
+            owner = self.joints[self.open[-2]]
+            if owner.end_site is None:
+                owner.end_site = (x, y, z)
+
+    def channels(self, words: list[str]) -> None:
+        """CHANNELS n name…, in any order."""
+        if not self.open or self.open[-1] < 0 or self.pending is not None:
+            raise self.fault("CHANNELS outside a joint", "channels")
+        joint = self.joints[self.open[-1]]
+        if joint.has_channels:
+            raise self.fault(f"joint {joint.name!r} has CHANNELS twice", "channels")
+        joint.has_channels = True
+        if not words or not words[0].isdecimal() or int(words[0]) != len(words) - 1:
+            raise self.fault(f"CHANNELS {' '.join(words)[:60]!r}: expected a count and that many names", "channels")
+        for word in words[1:]:
+            axis, kind = CHANNELS.get(word[:1].upper() + word[1:].lower(), ("", ""))
+            if not axis or (kind == "position" and "XYZ".index(axis) in joint.position_columns):
+                raise self.fault(f"channel {word!r}: expected each of {', '.join(CHANNELS)} at most once", "channels")
+            if kind == "position":
+                joint.position_columns["XYZ".index(axis)] = self.num_channels
+            else:
+                joint.rotation_columns.append(self.num_channels)
+                joint.order += axis
+            self.num_channels += 1
+        if len(joint.order) > 3:
+            raise self.fault(
+                f"joint {joint.name!r} has {len(joint.order)} rotation channels, expected at most 3", "channels"
+            )

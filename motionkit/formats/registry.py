@@ -1,0 +1,248 @@
+"""All formats in one table; finding the sequences of a source, and reading one.
+
+`scan` looks at names and folders only, `read` opens one sequence: so ingest can scan once and read in many processes.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from motionkit.errors import FormatError, UsageError
+from motionkit.formats import annotations, asfamc, bvh
+from motionkit.formats.annotations import Annotation, AnnotationTable
+from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
+from motionkit.motion import Motion
+
+__all__ = ["FORMATS", "Format", "ReadOptions", "ScanResult", "SourceItem", "read", "scan"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format: how its sequences are found and read, and what people are told about it.
+
+    A file format has `suffixes`. A folder format has `claims`, which says whether a folder is one, and `find`, which
+    lists its sequences; a claimed folder is not searched any further.
+    """
+
+    name: str
+    description: str
+    framerate: str
+    rotations: bool
+    read: Callable[[SourceItem, ReadOptions], Motion]
+    suffixes: tuple[str, ...] = ()
+    claims: Callable[[Path], bool] | None = None
+    find: Callable[[Path, Path], ScanResult] | None = None
+    writes: bool = False
+
+
+FORMATS: Mapping[str, Format] = {
+    entry.name: entry
+    for entry in (
+        Format(
+            name="bvh",
+            description="BioVision hierarchy (.bvh), any skeleton and channel order",
+            framerate="Frame Time",
+            rotations=True,
+            read=lambda item, options: bvh.read_bvh(item.path, options),
+            suffixes=(".bvh",),
+            writes=True,
+        ),
+        Format(
+            name="asfamc",
+            description="Acclaim skeleton and motion (.amc with its .asf beside it), as CMU publishes them",
+            framerate="not stated: annotation CSV or --fps",
+            rotations=True,
+            read=lambda item, options: asfamc.read_asfamc(item.path, options),
+            suffixes=(".amc",),
+        ),
+    )
+}
+
+
+def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
+    """Find all sequences of files and folders; nothing bad in a source raises, it becomes one of the `problems`.
+
+    Raises `UsageError` for an unknown format, a source that does not exist, or an unreadable `options.captions`.
+    """
+    options = options or ReadOptions()
+    if options.format != "auto" and options.format not in FORMATS:
+        raise UsageError(f"unknown format {options.format!r}, expected auto or one of {', '.join(FORMATS)}")
+    items: list[SourceItem] = []
+    problems: list[FormatError] = []
+    warnings: list[FormatError] = []
+    for source in sources:
+        if not source.exists():
+            raise UsageError(f"{source} does not exist")
+        found = _scan_source(source, options)
+        if not found.items and not found.problems:
+            found = replace(found, problems=(_nothing(source, options),))
+        items += found.items
+        problems += found.problems
+        warnings += found.warnings
+    kept, duplicates = _unique(items)
+    return ScanResult(kept, (*problems, *duplicates), tuple(warnings))
+
+
+def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
+    """Read one sequence with its annotations; raises `FormatError`."""
+    options = options or ReadOptions()
+    if options.fps is None and item.fps is not None:
+        options = replace(options, fps=item.fps)
+    motion = FORMATS[item.format].read(item, options)
+    provenance = replace(
+        motion.provenance,
+        source=item.source,
+        subset=item.subset,
+        source_path=item.path.relative_to(item.root).as_posix(),
+        licence=item.licence,
+        subject=item.subject,
+    )
+    return replace(
+        motion,
+        sequence_id=item.sequence_id,
+        captions=item.captions or motion.captions,
+        action=item.action or motion.action,
+        split=item.split or motion.split,
+        provenance=provenance,
+    )
+
+
+def _scan_source(source: Path, options: ReadOptions) -> ScanResult:
+    root = (source if source.is_dir() else source.parent).resolve()
+    tables = [annotations.read_annotations(options.captions, root)] if options.captions else []
+    found: list[ScanResult] = []
+    licences: dict[Path, str] = {}
+    for folder, files in [(root, [source.resolve()])] if source.is_file() else _walk(root):
+        licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
+        if not options.captions:
+            tables_here, broken = _tables(folder)
+            tables += tables_here
+            found.append(ScanResult((), broken))
+        found.append(_scan_folder(folder, files, root, licences[folder], options))
+    items = [_annotate(item, tables) for result in found for item in result.items]
+    problems = [problem for result in found for problem in result.problems]
+    warnings = [warning for result in found for warning in result.warnings]
+    problems += [problem for table in tables for problem in table.problems]
+    problems += _captions_without_motion(tables, {item.path for item in items}, root if source.is_dir() else None)
+    return ScanResult(tuple(items), tuple(problems), (*warnings, *_motions_without_caption(items, tables)))
+
+
+def _walk(root: Path) -> Iterator[tuple[Path, list[Path]]]:
+    # Folders in sorted order; a folder that a folder format claims is not entered.
+    for name, folders, files in os.walk(root):
+        folder = Path(name)
+        folders[:] = sorted(entry for entry in folders if not entry.startswith((".", "__")))
+        if any(entry.claims is not None and entry.claims(folder) for entry in FORMATS.values()):
+            folders.clear()
+        yield folder, [folder / entry for entry in sorted(files) if not entry.startswith(".")]
+
+
+def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, options: ReadOptions) -> ScanResult:
+    candidates = [entry for entry in FORMATS.values() if options.format in ("auto", entry.name)]
+    for entry in candidates:
+        if entry.claims is not None and entry.find is not None and entry.claims(folder):
+            found = entry.find(folder, root)
+            return replace(found, items=tuple(replace(item, licence=item.licence or licence) for item in found.items))
+    items = []
+    for path in files:
+        kind = next((entry for entry in candidates if path.suffix.lower() in entry.suffixes), None)
+        if kind is not None:
+            relative = path.relative_to(root)
+            item = SourceItem(
+                format=kind.name,
+                path=path,
+                root=root,
+                sequence_id=f"{root.name}/{relative.with_suffix('').as_posix()}",
+                source=root.name,
+                subset=relative.parts[0] if len(relative.parts) > 1 else "",
+                licence=licence,
+            )
+            items.append(item)
+    return ScanResult(tuple(items))
+
+
+def _tables(folder: Path) -> tuple[list[AnnotationTable], tuple[FormatError, ...]]:
+    tables: list[AnnotationTable] = []
+    problems: list[FormatError] = []
+    for path in annotations.find_annotations(folder):
+        try:
+            tables.append(annotations.read_annotations(path))
+        except FormatError as problem:
+            problems.append(problem)
+    return tables, tuple(problems)
+
+
+def _annotate(item: SourceItem, tables: Sequence[AnnotationTable]) -> SourceItem:
+    # A table nearer to the file was found later and has the last word.
+    for table in tables:
+        row = table.rows.get(item.path)
+        if row is not None:
+            item = _stated(item, row)
+    return item
+
+
+def _stated(item: SourceItem, row: Annotation) -> SourceItem:
+    return replace(
+        item,
+        captions=row.captions or item.captions,
+        action=row.action or item.action,
+        style=row.style or item.style,
+        subject=row.subject or item.subject,
+        split=row.split or item.split,
+        fps=row.fps or item.fps,
+        licence=row.licence or item.licence,
+        source=row.source or item.source,
+        subset=row.subset or item.subset,
+    )
+
+
+def _captions_without_motion(
+    tables: Iterable[AnnotationTable], known: set[Path], root: Path | None
+) -> list[FormatError]:
+    # Of a source that is a single file, the other rows of its table are not missing.
+    return [
+        FormatError(
+            f"describes {path.name}, but there is no such motion in the source",
+            path=table.path,
+            reason="caption-without-motion",
+            line=row.line,
+        )
+        for table in tables
+        for path, row in table.rows.items()
+        if root is not None and path.is_relative_to(root) and path not in known
+    ]
+
+
+def _motions_without_caption(items: Iterable[SourceItem], tables: Sequence[AnnotationTable]) -> list[FormatError]:
+    folders = [table.path.parent.resolve() for table in tables if table.has_captions]
+    return [
+        FormatError(
+            "has no caption in a source that has captions; kept without one", path=item.path, reason="no-caption"
+        )
+        for item in items
+        if not item.captions and any(item.path.is_relative_to(folder) for folder in folders)
+    ]
+
+
+def _nothing(source: Path, options: ReadOptions) -> FormatError:
+    expected = options.format if options.format != "auto" else ", ".join(FORMATS)
+    if source.is_file():
+        return FormatError(f"of no known format, expected {expected}", path=source, reason="unknown-format")
+    return FormatError(f"no motions in this folder, expected {expected}", path=source, reason="empty-folder")
+
+
+def _unique(items: Iterable[SourceItem]) -> tuple[tuple[SourceItem, ...], list[FormatError]]:
+    kept: dict[str, SourceItem] = {}
+    problems: list[FormatError] = []
+    for item in items:
+        first = kept.setdefault(item.sequence_id, item)
+        if first is not item:
+            problems.append(
+                FormatError(
+                    f"its id {item.sequence_id!r} is already taken by {first.path.name}; rename the file or its folder",
+                    path=item.path,
+                    reason="duplicate-id",
+                )
+            )
+    return tuple(kept.values()), problems

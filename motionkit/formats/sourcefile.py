@@ -1,0 +1,69 @@
+"""Reading a file once: its bytes, its hash, its text; and telling what a mislabelled file is."""
+
+import hashlib
+from pathlib import Path
+
+from motionkit.errors import FormatError
+
+MAX_BYTES = 4 << 30
+
+
+def read_bytes(path: Path) -> bytes:
+    """All bytes of a file; raises `FormatError` (`unreadable`, `empty`, `too-large`)."""
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise FormatError(
+                f"{size} bytes, expected at most {MAX_BYTES}; split the file", path=path, reason="too-large"
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise FormatError(f"cannot be read ({error.strerror or error})", path=path, reason="unreadable") from None
+    if not data.strip(b" \t\r\n\0"):
+        raise FormatError("the file is empty", path=path, reason="empty")
+    return data
+
+
+def sha256(data: bytes) -> str:
+    """Hash of a file's bytes in hex."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def decode(data: bytes, path: Path) -> str:
+    """Bytes as UTF-8 text, a byte order mark dropped; raises `FormatError` (`encoding`) naming the line."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise FormatError(
+            f"byte 0x{data[error.start]:02x} is not UTF-8; convert the file's names to UTF-8",
+            path=path,
+            reason="encoding",
+            line=line,
+        ) from None
+
+
+def describe_content(data: bytes) -> str:
+    """What the first bytes of a file look like, for messages about files that are not what their names say."""
+    head = data[:4096].lstrip(b"\xef\xbb\xbf \t\r\n")
+    signatures = (
+        (b"HIERARCHY", "a BVH file"),
+        (b"\x93NUMPY", "a .npy array"),
+        (b"PK\x03\x04", "a zip or .npz archive"),
+        (b"\x1f\x8b", "a gzip archive"),
+        (b"\x89PNG", "a PNG image"),
+        (b"Kaydara FBX", "an FBX file"),
+        (b":FULLY-SPECIFIED", "an AMC file"),
+        (b":version", "an ASF skeleton"),
+        (b"<", "an XML or HTML page"),
+        (b"{", "a JSON file"),
+        (b"version https://git-lfs", "a Git LFS pointer (fetch the real file with `git lfs pull`)"),
+    )
+    for signature, name in signatures:
+        if head.startswith(signature):
+            return name
+    if b":FULLY-SPECIFIED" in head:
+        return "an AMC file"
+    if b":bonedata" in head or b":root" in head:
+        return "an ASF skeleton"
+    return "binary data" if b"\0" in head else "some other text"

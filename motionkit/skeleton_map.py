@@ -1,0 +1,292 @@
+"""From any known skeleton to the 22-joint (SMPL) and 21-joint (KIT) layouts, by tables of names and weights.
+
+Each file of `motionkit/skeletons` describes one family of skeletons: the joints by which it is known, and every joint
+of the layout as a weighted sum of the family's joints (`X.tip` is the End Site of X). Toes that a skeleton lacks
+altogether are put in front of the ankle.
+"""
+
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit.errors import MotionkitError
+from motionkit.motion import Motion
+from motionkit.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
+
+# A toe joint that has to be made up lies ahead of the ankle by this much of the shin, and below it by this much:
+# HumanML3D's skeleton has 0.14 m and 0.06 m for a shin of 0.43 m.
+TOE_AHEAD, TOE_BELOW = 0.33, 0.14
+TOES = {"left_foot": ("left_ankle", "left_knee"), "right_foot": ("right_ankle", "right_knee")}
+
+
+class SkeletonMapError(MotionkitError):
+    """A skeleton that cannot be brought into a layout; `missing` names the layout's joints that found no source."""
+
+    def __init__(self, skeleton: Skeleton, layout: str, missing: tuple[str, ...]) -> None:
+        self.skeleton_name, self.layout, self.missing = skeleton.name, layout, missing
+        shown = ", ".join(skeleton.joint_names[:12]) + (" …" if skeleton.num_joints > 12 else "")
+        super().__init__(
+            f"skeleton {skeleton.name!r} cannot be mapped to {layout}: nothing for {', '.join(missing)} among its "
+            f"joints ({shown}); a TOML file in motionkit/skeletons teaches a new one"
+        )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild_error, (self.args[0], self.skeleton_name, self.layout, self.missing)
+
+
+def _rebuild_error(message: str, skeleton_name: str, layout: str, missing: tuple[str, ...]) -> SkeletonMapError:
+    error = SkeletonMapError.__new__(SkeletonMapError)
+    error.args = (message,)
+    error.skeleton_name, error.layout, error.missing = skeleton_name, layout, missing
+    return error
+
+
+@dataclass(frozen=True, eq=False)
+class JointMap:
+    """Every joint of a layout as a weighted sum of source joints and End Site tips; the weights of a row sum to 1.
+
+    `made_up` names the toes that have no source and are extrapolated; `unmapped` the source joints that no row uses.
+    """
+
+    layout: str
+    family: str
+    weights: Float32[np.ndarray, "layout_joints joints"]
+    tip_weights: Float32[np.ndarray, "layout_joints tips"]
+    made_up: tuple[str, ...]
+    unmapped: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Family:
+    name: str
+    requires: frozenset[str]
+    aliases: Mapping[str, str]
+    rows: Mapping[str, tuple[Mapping[str, float], ...]]
+    metres_per_unit: float | None
+
+
+def map_joints(motion: Motion, layout: str) -> Float32[np.ndarray, "frames layout_joints 3"]:
+    """Joint positions in metres in the layout "smpl22", "kit21" or "native" (the motion's own joints).
+
+    Raises `SkeletonMapError` naming the layout's joints that the skeleton does not have.
+    """
+    if layout == "native":
+        return motion.joint_positions
+    mapping = joint_map(motion.skeleton, layout)
+    mapped = _weighted(motion.joint_positions, mapping.weights)
+    if mapping.tip_weights.any():
+        mapped += _weighted(_tips(motion), mapping.tip_weights)
+    if mapping.made_up:
+        if layout == "kit21":
+            body = _weighted(motion.joint_positions, joint_map(motion.skeleton, "smpl22").weights)
+            return _weighted(_with_toes(body, mapping.made_up), _kit21_from_smpl22())
+        mapped = _with_toes(mapped, mapping.made_up)
+    return mapped
+
+
+def rest_positions(skeleton: Skeleton) -> Float32[np.ndarray, "joints 3"]:
+    """Joint positions of the rest pose: every offset added to its parent's position, in metres."""
+    positions = np.zeros((skeleton.num_joints, 3), np.float32)
+    for joint, parent in enumerate(skeleton.parents):
+        positions[joint] = skeleton.offsets[joint] + (positions[parent] if parent >= 0 else 0.0)
+    return positions
+
+
+@lru_cache(maxsize=4096)
+def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
+    """The table that takes a skeleton to a layout; raises `SkeletonMapError` where a joint has no source."""
+    if layout not in STANDARD_SKELETONS:
+        raise ValueError(f"layout {layout!r} is none of {', '.join(STANDARD_SKELETONS)}")
+    target = STANDARD_SKELETONS[layout]
+    if skeleton.joint_names == target.joint_names:
+        eye = np.eye(target.num_joints, dtype=np.float32)
+        return JointMap(layout, layout, eye, _no_tips(target, skeleton), (), ())
+    if layout == KIT21.name:
+        body = joint_map(skeleton, SMPL22.name)
+        via = _kit21_from_smpl22()
+        return JointMap(layout, body.family, via @ body.weights, via @ body.tip_weights, body.made_up, body.unmapped)
+    return _map_to_smpl22(skeleton)
+
+
+def skeleton_family(skeleton: Skeleton) -> str:
+    """Name of the family in `motionkit/skeletons` that a skeleton belongs to, empty where it is unknown."""
+    family = _find_family(_canonical_names(skeleton))
+    return family.name if family else ""
+
+
+def family_unit_metres(skeleton: Skeleton) -> float | None:
+    """Metres per unit that files of the skeleton's family use, where the family has one (the CMU database's)."""
+    family = _find_family(_canonical_names(skeleton))
+    return family.metres_per_unit if family else None
+
+
+def _map_to_smpl22(skeleton: Skeleton) -> JointMap:
+    names = _canonical_names(skeleton)
+    family = _find_family(names)
+    if family is None:
+        raise SkeletonMapError(skeleton, SMPL22.name, SMPL22.joint_names)
+    columns = {family.aliases.get(name, name): joint for joint, name in reversed(list(enumerate(names)))}
+    tips = {f"{names[joint]}.tip": column for column, (joint, _) in enumerate(skeleton.end_sites)}
+    weights = np.zeros((SMPL22.num_joints, skeleton.num_joints), np.float32)
+    tip_weights = _no_tips(SMPL22, skeleton)
+    missing: list[str] = []
+    made_up: list[str] = []
+    for row, joint_name in enumerate(SMPL22.joint_names):
+        terms = next((way for way in family.rows[joint_name] if _possible(way, columns, tips, skeleton)), None)
+        if terms is None:
+            (made_up if joint_name in TOES else missing).append(joint_name)
+            continue
+        for source, weight in terms.items():
+            if source in columns:
+                weights[row, columns[source]] += weight
+            else:
+                tip_weights[row, tips[source]] += weight
+    if missing:
+        raise SkeletonMapError(skeleton, SMPL22.name, tuple(missing))
+    unmapped = tuple(
+        name for name, used in zip(skeleton.joint_names, np.any(weights, axis=0).tolist(), strict=True) if not used
+    )
+    return JointMap(SMPL22.name, family.name, weights, tip_weights, tuple(made_up), unmapped)
+
+
+def _possible(
+    way: Mapping[str, float], columns: Mapping[str, int], tips: Mapping[str, int], skeleton: Skeleton
+) -> bool:
+    # A tip of no length says nothing about a toe.
+    return all(
+        source in columns or (source in tips and np.linalg.norm(skeleton.end_sites[tips[source]][1]) > 0.02)
+        for source in way
+    )
+
+
+def _no_tips(target: Skeleton, skeleton: Skeleton) -> Float32[np.ndarray, "layout_joints tips"]:
+    return np.zeros((target.num_joints, len(skeleton.end_sites)), np.float32)
+
+
+def _weighted(
+    positions: Float32[np.ndarray, "frames joints 3"], weights: Float32[np.ndarray, "rows joints"]
+) -> Float32[np.ndarray, "frames rows 3"]:
+    mapped: Float32[np.ndarray, "frames rows 3"] = np.matmul(weights, positions)
+    return mapped
+
+
+def _tips(motion: Motion) -> Float32[np.ndarray, "frames tips 3"]:
+    # World positions of the End Sites, where rotations say how they turn; without rotations they continue their bone.
+    skeleton, positions = motion.skeleton, motion.joint_positions
+    joints = [joint for joint, _ in skeleton.end_sites]
+    offsets = np.array([offset for _, offset in skeleton.end_sites], np.float32)
+    if motion.local_rotations is None:
+        parents = [max(skeleton.parents[joint], 0) for joint in joints]
+        bones = positions[:, joints] - positions[:, parents]
+        lengths = np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-6)
+        extended: Float32[np.ndarray, "frames tips 3"] = (
+            positions[:, joints] + bones / lengths * np.linalg.norm(offsets, axis=-1)[:, None]
+        )
+        return extended
+    turned = np.repeat(offsets[None], motion.num_frames, axis=0)
+    for column, joint in enumerate(joints):
+        while joint >= 0:
+            turned[:, column] = _rotate(motion.local_rotations[:, joint], turned[:, column])
+            joint = skeleton.parents[joint]
+    return positions[:, joints] + turned
+
+
+def _rotate(q: Float32[np.ndarray, "frames 4"], v: Float32[np.ndarray, "frames 3"]) -> Float32[np.ndarray, "frames 3"]:
+    t = 2.0 * np.cross(q[:, 1:], v)
+    rotated: Float32[np.ndarray, "frames 3"] = (v + q[:, :1] * t + np.cross(q[:, 1:], t)).astype(np.float32)
+    return rotated
+
+
+def _with_toes(
+    body: Float32[np.ndarray, "frames 22 3"], made_up: tuple[str, ...]
+) -> Float32[np.ndarray, "frames 22 3"]:
+    # Ahead is where the hips face, made perpendicular to the shin.
+    body = body.copy()
+    across = body[:, SMPL22.index("left_hip")] - body[:, SMPL22.index("right_hip")]
+    for toe in made_up:
+        ankle, knee = (body[:, SMPL22.index(name)] for name in TOES[toe])
+        shin = ankle - knee
+        length = np.maximum(np.linalg.norm(shin, axis=-1, keepdims=True), 1e-6)
+        down = shin / length
+        ahead = np.cross(down, across)
+        ahead /= np.maximum(np.linalg.norm(ahead, axis=-1, keepdims=True), 1e-6)
+        body[:, SMPL22.index(toe)] = ankle + length * (TOE_AHEAD * ahead + TOE_BELOW * down)
+    return body
+
+
+def _canonical_names(skeleton: Skeleton) -> tuple[str, ...]:
+    # "mixamorig:LeftArm", "Character1_LeftArm" and "left arm" are the same joint.
+    plain = [name.rsplit(":", 1)[-1] for name in skeleton.joint_names]
+    prefix, count = (
+        Counter(name.split("_", 1)[0] for name in plain if "_" in name).most_common(1)[0]
+        if any("_" in name for name in plain)
+        else ("", 0)
+    )
+    if 2 * count > len(plain):
+        plain = [name.removeprefix(f"{prefix}_") for name in plain]
+    return tuple(_canonical(name) for name in plain)
+
+
+def _canonical(name: str) -> str:
+    stem, dot, tip = name.partition(".tip")
+    return re.sub(r"[^a-z0-9]", "", stem.lower()) + (dot + tip if dot else "")
+
+
+def _find_family(names: tuple[str, ...]) -> _Family | None:
+    present = set(names)
+    for family in _families():
+        if family.requires <= {family.aliases.get(name, name) for name in present}:
+            return family
+    return None
+
+
+@cache
+def _families() -> tuple[_Family, ...]:
+    # The most demanding family first: the general ones would also fit its skeletons.
+    tables = [
+        _load(entry.name) for entry in resources.files("motionkit.skeletons").iterdir() if entry.name.endswith(".toml")
+    ]
+    families = [
+        _Family(
+            name=table["name"],
+            requires=frozenset(_canonical(name) for name in table["requires"]),
+            aliases={_canonical(key): _canonical(value) for key, value in table.get("aliases", {}).items()},
+            rows={joint: _ways(entry) for joint, entry in table["smpl22"].items()},
+            metres_per_unit=1.0 / table["units_per_metre"] if "units_per_metre" in table else None,
+        )
+        for table in tables
+        if "smpl22" in table
+    ]
+    return tuple(sorted(families, key=lambda family: (-len(family.requires), family.name)))
+
+
+def _ways(entry: Any) -> tuple[Mapping[str, float], ...]:
+    # A joint is a name, a table of weights, or a list of either, the first possible one being taken.
+    entries = entry if isinstance(entry, list) else [entry]
+    return tuple(
+        {_canonical(way): 1.0} if isinstance(way, str) else {_canonical(name): float(w) for name, w in way.items()}
+        for way in entries
+    )
+
+
+@cache
+def _kit21_from_smpl22() -> Float32[np.ndarray, "21 22"]:
+    table = _load("kit21_from_smpl22.toml")["kit21"]
+    weights = np.zeros((KIT21.num_joints, SMPL22.num_joints), np.float32)
+    for row, joint_name in enumerate(KIT21.joint_names):
+        entry = table[joint_name]
+        for source, weight in ({entry: 1.0} if isinstance(entry, str) else entry).items():
+            weights[row, SMPL22.index(source)] = weight
+    return weights
+
+
+def _load(name: str) -> dict[str, Any]:
+    return tomllib.loads((resources.files("motionkit.skeletons") / name).read_text(encoding="utf-8"))

@@ -1,0 +1,45 @@
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit import kinematics
+from motionkit.formats.bvh import read_bvh
+from tests.motionkit.formats.samples import bvh_text
+
+
+def test_positions_rotations_and_framerate(tmp_path: Path) -> None:
+    path = tmp_path / "walk.bvh"
+    path.write_text(bvh_text())
+    motion = read_bvh(path)
+    assert motion.fps == Fraction(30) and motion.num_frames == 4
+    assert motion.provenance.stated_fps == "Frame Time: 0.0333333"
+    hand, elbow = motion.skeleton.index("LeftHand"), motion.skeleton.index("LeftForeArm")
+    assert np.allclose(motion.joint_positions[3, 0], (0, 0.95, 0.06))
+    assert np.allclose(motion.joint_positions[0, hand], (0.72, 1.42, 0.0), atol=1e-6)
+    bend = np.radians(30)
+    forearm = motion.joint_positions[3, hand] - motion.joint_positions[3, elbow]
+    assert np.allclose(forearm, (0.26 * np.cos(bend), 0.26 * np.sin(bend), 0.0), atol=1e-6)
+    assert motion.local_rotations is not None and motion.root_translation is not None
+    again = kinematics.forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
+    assert np.allclose(again, motion.joint_positions, atol=1e-6)
+
+
+@pytest.mark.parametrize("pattern", ["cmu/bvh/*.bvh", "cmu/bvh-converted/*.bvh", "mixed-bvh/*/*.bvh"])
+def test_every_real_file_is_a_metre_sized_upright_body(captures: Path, pattern: str) -> None:
+    for path in sorted(captures.glob(pattern)):
+        motion = read_bvh(path)
+        heads = motion.joint_positions[:, motion.skeleton.joint_names.index(_head(motion.skeleton.joint_names)), 1]
+        assert 0.9 < np.median(heads) < 2.2, path.name
+
+
+def _head(names: tuple[str, ...]) -> str:
+    return next(name for name in names if name.lower().endswith("head"))
+
+
+def test_the_t_pose_of_the_cmu_conversions_is_dropped_and_no_other_frame(captures: Path) -> None:
+    for folder, dropped in (("bvh", True), ("bvh-converted", False)):
+        for path in sorted((captures / "cmu" / folder).glob("*.bvh")):
+            operations = " ".join(read_bvh(path).provenance.operations)
+            assert ("T-pose" in operations) == dropped, path.name
