@@ -5,7 +5,7 @@ holds the projection's bias alone. The duration is not a condition that guidance
 long the motion lasts, so both passes of Eq. 6 see it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,6 +68,10 @@ class Conditions:
             duration=torch.cat((self.duration, other.duration)),
         )
 
+    def rows(self, rows: slice) -> "Conditions":
+        """Some of the rows."""
+        return Conditions(self.text[rows], self.action[rows], self.duration[rows])
+
     def to(self, device: torch.device | str) -> "Conditions":
         """The same conditions on a device."""
         return Conditions(self.text.to(device), self.action.to(device), self.duration.to(device))
@@ -124,22 +128,3 @@ def guided_noise(
     both = denoiser(latents.repeat(2, 1), steps.repeat(2), conditions.stacked_on(conditions.unconditional()))
     conditional, unconditional = both.chunk(2)
     return guidance_scale * conditional + (1 - guidance_scale) * unconditional
-
-
-def overlapping_captions(
-    spans_seconds: Sequence[tuple[float, float]], window_start: float, window_end: float, minimum: float = 0.5
-) -> tuple[int, ...]:
-    """Indices of the caption spans that overlap a window by at least `minimum` of the shorter of the two.
-
-    Raises `ValueError` for an empty window. A caption of HumanML3D may speak of a segment only; a window that touches
-    it by a tenth of a second doesn't show what it says.
-    """
-    if window_end <= window_start:
-        raise ValueError(f"the window [{window_start}, {window_end}) s is empty")
-    found = []
-    for index, (start, end) in enumerate(spans_seconds):
-        overlap = min(end, window_end) - max(start, window_start)
-        shorter = min(end - start, window_end - window_start)
-        if overlap > 0 and overlap >= minimum * shorter:
-            found.append(index)
-    return tuple(found)

@@ -5,7 +5,6 @@ by concatenation and a linear map.
 """
 
 import math
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int64
@@ -13,34 +12,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from nerm.conditions import ConditionEmbedding, ConditionLayout, Conditions
-
-
-@dataclass(frozen=True)
-class DenoiserConfig:
-    """Sizes of the transformer; the defaults are the `paper` recipe's.
-
-    `latent_tokens` cuts z into that many tokens of equal size: 1 as in the paper, or the number of knots where the
-    field reads z as knots in time.
-    """
-
-    num_layers: int = 9
-    width: int = 256
-    num_heads: int = 4
-    ffn_width: int = 1024
-    dropout: float = 0.1
-    latent_tokens: int = 1
-
-    def __post_init__(self) -> None:
-        if self.num_layers % 2 == 0:
-            raise ValueError(f"num_layers must be odd (n + 1 + n with skips), not {self.num_layers}")
-        if self.width % (2 * self.num_heads):
-            raise ValueError(f"width {self.width} must be a multiple of twice the {self.num_heads} heads")
+from nerm.denoiser_config import TransformerConfig
 
 
 class TransformerLayer(nn.Module):
     """Pre-norm self-attention and feed-forward network (GELU)."""
 
-    def __init__(self, config: DenoiserConfig) -> None:
+    def __init__(self, config: TransformerConfig) -> None:
         super().__init__()
         self.num_heads = config.num_heads
         self.attention_norm = nn.LayerNorm(config.width)
@@ -79,7 +57,7 @@ def step_features(steps: Int64[Tensor, "batch"], width: int) -> Float[Tensor, "b
 class Denoiser(nn.Module):
     """ε_φ(z_k, k, c): the noise in z_k, from [z…, k, text, action, duration] tokens."""
 
-    def __init__(self, config: DenoiserConfig, latent_dimension: int, layout: ConditionLayout) -> None:
+    def __init__(self, config: TransformerConfig, latent_dimension: int, layout: ConditionLayout) -> None:
         super().__init__()
         if latent_dimension % config.latent_tokens:
             raise ValueError(f"a latent of {latent_dimension} numbers cannot be cut into {config.latent_tokens} tokens")

@@ -5,38 +5,15 @@ predicts noise. Steps k count from 0 (almost clean) to num_steps − 1 (almost p
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
+from nerm.denoiser_config import DiffusionConfig
+
 NoisePredictor = Callable[[Tensor, Tensor], Tensor]
 """(z_k [batch, latent], k [batch]) → predicted noise [batch, latent]."""
-
-
-@dataclass(frozen=True)
-class DiffusionConfig:
-    """The schedule and the sampler; the defaults are the paper's (B.1).
-
-    The paper's "scaled linearly" is linear in √β, as in latent diffusion models. With `sampling_spacing` "trailing" the
-    steps used at inference start at the noisiest one, the state that z_K ~ N(0, I) belongs to; "leading" (offset 1)
-    starts up to num_steps / sampling_steps earlier, as motion-latent-diffusion does.
-    """
-
-    num_steps: int = 1000
-    beta_start: float = 8.5e-4
-    beta_end: float = 0.012
-    sampler: Literal["ddim", "ddpm"] = "ddim"
-    sampling_steps: int = 50
-    sampling_spacing: Literal["trailing", "leading"] = "trailing"
-
-    def __post_init__(self) -> None:
-        if not 0 < self.beta_start <= self.beta_end < 1:
-            raise ValueError(f"betas must rise inside (0, 1), not from {self.beta_start} to {self.beta_end}")
-        if not 1 <= self.sampling_steps <= self.num_steps:
-            raise ValueError(f"sampling_steps must lie in 1 … {self.num_steps}, not {self.sampling_steps}")
 
 
 def cumulative_alphas(config: DiffusionConfig) -> Float64[Tensor, "steps"]:

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from motionkit.errors import UsageError
 from nerm.conditions import (
@@ -13,7 +11,6 @@ from nerm.conditions import (
     ConditionLayout,
     Conditions,
     guided_noise,
-    overlapping_captions,
     unit_rows,
 )
 
@@ -86,23 +83,3 @@ def test_unknown_action_is_refused_by_name():
 def test_unit_rows_leave_zeros_alone():
     rows = unit_rows(np.array([[3.0, 4.0], [0.0, 0.0]], dtype=np.float32))
     np.testing.assert_allclose(rows, [[0.6, 0.8], [0.0, 0.0]], rtol=1e-6)
-
-
-def test_captions_of_a_window():
-    spans = [(0.0, 20.0), (0.0, 4.0), (9.5, 14.0), (8.0, 12.0), (12.0, 20.0)]
-    assert overlapping_captions(spans, 0.0, 10.0) == (0, 1, 3)
-    with pytest.raises(ValueError, match="empty"):
-        overlapping_captions(spans, 3.0, 3.0)
-
-
-@given(
-    start=st.floats(0, 50, allow_nan=False),
-    length=st.floats(0.1, 20),
-    window=st.floats(0, 50),
-    duration=st.floats(0.1, 10),
-)
-def test_a_kept_caption_really_overlaps(start, length, window, duration):
-    kept = overlapping_captions([(start, start + length)], window, window + duration)
-    if kept:
-        assert start < window + duration
-        assert window < start + length

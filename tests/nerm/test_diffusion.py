@@ -7,8 +7,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nerm.denoiser_config import DiffusionConfig
 from nerm.diffusion import (
-    DiffusionConfig,
     add_noise,
     cumulative_alphas,
     predicted_latents,

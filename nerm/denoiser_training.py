@@ -1,0 +1,81 @@
+"""Training of the latent denoiser ε_φ by Eq. 5 on a corpus of posteriors."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from motionkit.training.randomness import seeded_initialisation
+from motionkit.training.schedule import WeightAverage, rate_factor, set_rate
+from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from nerm.denoiser import Denoiser
+from nerm.denoiser_config import DenoiserConfig
+from nerm.diffusion import add_noise, cumulative_alphas
+from nerm.latent_corpus import LatentCorpus, latent_statistics
+
+
+class DenoiserTraining:
+    """A `motionkit.training.loop.Trainable`: owns the denoiser, its weight average and the optimiser.
+
+    Everything random is drawn on the CPU from the step's generator, so that every device sees the same batches.
+    """
+
+    def __init__(self, config: DenoiserConfig, corpus: LatentCorpus, *, seed: int, device: torch.device) -> None:
+        self.config = config
+        self.corpus = corpus
+        self.device = device
+        self.statistics = latent_statistics(corpus.means, corpus.log_variances)
+        self.alphas = cumulative_alphas(config.diffusion)
+        self.num_steps = config.num_steps(len(corpus))
+        with seeded_initialisation(seed, "denoiser"):
+            self.denoiser = Denoiser(config.network, corpus.means.shape[1], corpus.layout).to(device)
+        self.average = WeightAverage(self.denoiser, config.ema_decay)
+        self.optimizer = torch.optim.AdamW(self.denoiser.parameters(), lr=config.rate, weight_decay=config.weight_decay)
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
+        """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over numbers)."""
+        config = self.config
+        factor = rate_factor(
+            step, self.num_steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction
+        )
+        set_rate(self.optimizer, factor * config.rate)
+        rows = torch.randint(len(self.corpus), (config.batch,), generator=generator)
+        latents = self.statistics.standardise(self.corpus.draw(rows, generator))
+        conditions = self.corpus.draw_conditions(
+            rows, generator, drop=config.condition_drop, action_share=config.action_share
+        )
+        steps = torch.randint(config.diffusion.num_steps, (config.batch,), generator=generator)
+        noise = torch.randn(latents.shape, generator=generator)
+        noisy = add_noise(latents, noise, steps, self.alphas)
+        with _dropout_from(generator, self.device):
+            predicted = self.denoiser(noisy.to(self.device), steps.to(self.device), conditions.to(self.device))
+        loss = functional.mse_loss(predicted, noise.to(self.device))
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        self.optimizer.step()
+        self.average.update(self.denoiser, step)
+        return {"loss": loss.detach()}
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Weights, their average, the optimiser's moments."""
+        return (
+            prefixed("denoiser", self.denoiser.state_dict())
+            | prefixed("average", self.average.tensors())
+            | prefixed("optimizer", optimizer_tensors(self.optimizer))
+        )
+
+    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Go back to the state that `state_tensors` gave."""
+        self.denoiser.load_state_dict(unprefixed("denoiser", tensors))
+        self.average.load(unprefixed("average", tensors))
+        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+
+
+@contextmanager
+def _dropout_from(generator: torch.Generator, device: torch.device) -> Iterator[None]:
+    """Dropout inside follows from the generator; torch's global generators are left as they were."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        torch.manual_seed(int(torch.randint(2**62, (), generator=generator)))
+        yield

@@ -1,0 +1,143 @@
+"""A trained denoiser as it rests in a run folder, and sampling latents with it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float32, Float64
+from torch import Tensor
+
+from motionkit.training.config import from_plain, to_plain
+from motionkit.training.randomness import seeded_initialisation, step_generator
+from motionkit.training.run import RunFolder
+from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, save_tensors, unprefixed
+from nerm.conditions import ConditionLayout, Conditions, guided_noise
+from nerm.denoiser import Denoiser
+from nerm.denoiser_config import DenoiserConfig
+from nerm.diffusion import cumulative_alphas, sample_ddim, sample_ddpm, sampling_steps
+from nerm.latent_corpus import LatentStatistics
+
+STAGE_NAME = "denoiser"
+SAMPLES_PER_BATCH = 256
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedDenoiser:
+    """ε_φ with everything that sampling latents needs.
+
+    `denoiser` holds the averaged weights; `durations` are those of the training windows in units of l_max;
+    `text_encoder` and `text_fingerprint` name the encoder whose embeddings it was trained on (empty without texts), and
+    `field_sha256` the field whose latents it generates.
+    """
+
+    config: DenoiserConfig
+    denoiser: Denoiser
+    statistics: LatentStatistics
+    layout: ConditionLayout
+    durations: Float32[Tensor, "windows"]
+    text_encoder: str
+    text_fingerprint: str
+    field_sha256: str
+
+    @property
+    def latent_dimension(self) -> int:
+        """Numbers in a latent."""
+        return len(self.statistics.mean)
+
+    def sample(
+        self, conditions: Conditions, *, seed: int, guidance_scale: float | None = None
+    ) -> Float32[Tensor, "batch latent"]:
+        """One latent of the field per row of `conditions`.
+
+        Row i draws from (seed, i) alone, so it doesn't depend on how many rows there are (but for the rounding of
+        batched sums). `guidance_scale` defaults to the configuration's.
+        """
+        scale = self.config.guidance_scale if guidance_scale is None else guidance_scale
+        generators = [step_generator(seed, "generate", row) for row in range(len(conditions.action))]
+        found = []
+        for first in range(0, len(generators), SAMPLES_PER_BATCH):
+            rows = slice(first, first + SAMPLES_PER_BATCH)
+            found.append(self._sample_batch(conditions.rows(rows), generators[rows], scale))
+        return torch.cat(found)
+
+    @torch.inference_mode()
+    def _sample_batch(
+        self, conditions: Conditions, generators: Sequence[torch.Generator], guidance_scale: float
+    ) -> Float32[Tensor, "batch latent"]:
+        def draw_noise() -> Float64[Tensor, "batch latent"]:
+            drawn = [torch.randn(self.latent_dimension, generator=g, dtype=torch.float64) for g in generators]
+            return torch.stack(drawn)
+
+        device = self.denoiser.positions.device
+        on_device = conditions.to(device)
+
+        def predict_noise(latents: Tensor, steps: Tensor) -> Tensor:
+            noisy = latents.to(device, torch.float32)
+            return guided_noise(self.denoiser, noisy, steps.to(device), on_device, guidance_scale).to("cpu")
+
+        diffusion = self.config.diffusion
+        alphas, steps = cumulative_alphas(diffusion), sampling_steps(diffusion)
+        if diffusion.sampler == "ddim":
+            latents = sample_ddim(predict_noise, draw_noise(), alphas, steps)
+        else:
+            latents = sample_ddpm(predict_noise, draw_noise(), alphas, steps, draw_noise)
+        return self.statistics.restore(latents.to(torch.float32))
+
+    def draw_durations(self, count: int, *, seed: int) -> Float32[Tensor, "count"]:
+        """Durations drawn from the training windows', in units of l_max; number i follows from (seed, i)."""
+        rows = [
+            torch.randint(len(self.durations), (), generator=step_generator(seed, "duration", i)) for i in range(count)
+        ]
+        return self.durations[torch.stack(rows)] if rows else self.durations[:0]
+
+
+def save_denoiser(run: RunFolder, trained: TrainedDenoiser) -> None:
+    """Write RUN/denoiser/model.safetensors."""
+    tensors = prefixed("denoiser", trained.denoiser.state_dict()) | {
+        "latent_mean": trained.statistics.mean,
+        "latent_deviation": trained.statistics.deviation,
+        "durations": trained.durations,
+    }
+    description = {
+        "config": to_plain(trained.config),
+        "text_dimension": trained.layout.text_dimension,
+        "actions": list(trained.layout.actions),
+        "text_encoder": trained.text_encoder,
+        "text_fingerprint": trained.text_fingerprint,
+        "field_sha256": trained.field_sha256,
+    }
+    save_tensors(run.stage(STAGE_NAME).model_path, tensors, description)
+
+
+def load_denoiser(run: RunFolder) -> TrainedDenoiser:
+    """Read RUN/denoiser/model.safetensors.
+
+    Raises `RunError` where the stage was not trained to its end, `CheckpointError` for a damaged file.
+    """
+    folder = run.stage(STAGE_NAME)
+    folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    try:
+        return _rebuild(tensors, description)
+    except (KeyError, RuntimeError) as error:
+        raise CheckpointError(f"{folder.model_path}: not a denoiser of this version ({error})") from None
+
+
+def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> TrainedDenoiser:
+    config = from_plain(DenoiserConfig, description["config"])
+    layout = ConditionLayout(int(description["text_dimension"]), tuple(description["actions"]))
+    statistics = LatentStatistics(tensors["latent_mean"], tensors["latent_deviation"])
+    with seeded_initialisation(0, STAGE_NAME):
+        denoiser = Denoiser(config.network, len(statistics.mean), layout)
+    denoiser.load_state_dict(unprefixed("denoiser", tensors))
+    return TrainedDenoiser(
+        config=config,
+        denoiser=denoiser.eval().requires_grad_(False),
+        statistics=statistics,
+        layout=layout,
+        durations=tensors["durations"],
+        text_encoder=str(description["text_encoder"]),
+        text_fingerprint=str(description["text_fingerprint"]),
+        field_sha256=str(description["field_sha256"]),
+    )
