@@ -1,0 +1,174 @@
+"""The motion field f_θ(t, z, s) → pose (paper §3.1, Eq. 2; appendix D).
+
+The coordinate branch depends on t alone and is computed once per distinct coordinate; the first layer is split into a
+part for z (once per clip), one for the coordinate (once per distinct t) and one for the framerate.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Float32, Float64, Int64
+from torch import nn
+
+from nerm.attention import CodebookCoordinateAttention
+from nerm.coordinates import FourierFeatures, distinct, frame_numbers, framerate_number
+from nerm.knots import KnotLayout, mix
+from nerm.recipes import Activation, FieldConfig
+
+ACTIVATIONS: dict[Activation, type[nn.Module]] = {"relu": nn.ReLU, "silu": nn.SiLU, "gelu": nn.GELU}
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedCoordinates:
+    """Distinct coordinates as the decoder reads them, and where each pose finds its own.
+
+    `features` [D, C] go into the first layer; `basis` [D, F, K] are the knots' weights (local layout only).
+    """
+
+    features: Float[torch.Tensor, "distinct width"] | None
+    basis: Float[torch.Tensor, "distinct functions knots"] | None
+    which: Int64[torch.Tensor, "batch poses"]
+
+
+class ResidualLayer(nn.Module):
+    """h + W·σ(LN(h)): one layer of the decoder, pre-norm."""
+
+    def __init__(self, width: int, activation: Activation) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(width)
+        self.activation = ACTIVATIONS[activation]()
+        self.linear = nn.Linear(width, width)
+
+    def forward(self, hidden: Float[torch.Tensor, "*shape width"]) -> Float[torch.Tensor, "*shape width"]:
+        """One layer."""
+        updated: torch.Tensor = hidden + self.linear(self.activation(self.norm(hidden)))
+        return updated
+
+
+class TransformerLayer(nn.Module):
+    """Table 7's alternative: the poses of a clip attend to one another, pre-norm."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.layer = nn.TransformerEncoderLayer(
+            width, heads, 2 * width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
+        )
+
+    def forward(self, hidden: Float[torch.Tensor, "batch poses width"]) -> Float[torch.Tensor, "batch poses width"]:
+        """One layer."""
+        updated: torch.Tensor = self.layer(hidden)
+        return updated
+
+
+class FieldNetwork(nn.Module):
+    """f_θ: latents, coordinates and framerates → standardised `field` vectors.
+
+    `codebook` [N, d] is needed for the time encoding "codebook" and unused otherwise.
+    """
+
+    def __init__(
+        self, config: FieldConfig, num_numbers: int, codebook: Float[torch.Tensor, "codes dimension"] | None = None
+    ) -> None:
+        super().__init__()
+        self.config = config
+        self.knots = self.knot_layout(config) if config.latent_layout == "local" else None
+        self.fourier, self.attention = self._time_encoding(codebook)
+        width, hidden = self._feature_width(), config.hidden
+        latent_width = config.latent_dimension
+        if self.knots is not None:
+            latent_width = config.latent_dimension // config.num_knots * self.knots.num_basis
+        self.from_latent = nn.Linear(latent_width, hidden)
+        self.from_coordinate = nn.Linear(width, hidden, bias=False) if width else None
+        self.from_framerate = nn.Linear(1, hidden, bias=False)
+        layers = [
+            ResidualLayer(hidden, config.activation)
+            if config.decoder == "mlp"
+            else TransformerLayer(hidden, config.attention_heads)
+            for _ in range(config.layers - 1)
+        ]
+        self.layers = nn.ModuleList(layers)
+        self.head = nn.Sequential(
+            nn.LayerNorm(hidden), ACTIVATIONS[config.activation](), nn.Linear(hidden, num_numbers)
+        )
+
+    @staticmethod
+    def knot_layout(config: FieldConfig) -> KnotLayout:
+        """How a local latent lies along time; raises `ValueError` where its numbers do not divide into knots."""
+        if config.latent_dimension % config.num_knots:
+            raise ValueError(f"{config.latent_dimension} latent numbers do not divide into {config.num_knots} knots")
+        return KnotLayout(config.num_knots, config.knot_radius, config.knot_modes)
+
+    def _time_encoding(
+        self, codebook: torch.Tensor | None
+    ) -> tuple[FourierFeatures | None, CodebookCoordinateAttention | None]:
+        config = self.config
+        if config.time_encoding == "none":
+            return None, None
+        period = None if self.knots is None else self.knots.spacing
+        fourier = FourierFeatures(config.num_frequencies, config.frequency_scale, period)
+        if config.time_encoding == "fourier":
+            return fourier, None
+        if codebook is None:
+            raise ValueError("the time encoding 'codebook' needs a trained codebook")
+        if fourier.width != config.query_width:
+            raise ValueError(f"query_width {config.query_width} must equal 2·num_frequencies = {fourier.width}")
+        attention = CodebookCoordinateAttention(
+            codebook,
+            width=config.query_width,
+            num_queries=config.num_queries,
+            heads=config.attention_heads,
+            layers=config.attention_layers,
+        )
+        return fourier, attention
+
+    def _feature_width(self) -> int:
+        if self.fourier is not None:
+            return self.fourier.width
+        return 0 if self.knots is not None else 1
+
+    def encode_coordinates(
+        self, coordinates: Float64[torch.Tensor, "batch poses"], fps: Float64[torch.Tensor, "batch"]
+    ) -> EncodedCoordinates:
+        """The whole coordinate branch, once per distinct coordinate."""
+        read = coordinates
+        if self.config.coordinates == "frames":
+            read = frame_numbers(coordinates, fps, self.config.max_duration_seconds)
+        values, which = distinct(read)
+        basis = None if self.knots is None else self.knots.basis(values)
+        features = None
+        if self.fourier is not None:
+            features = self.fourier(values)
+            if self.attention is not None:
+                features = self.attention(features)
+        elif self.knots is None:
+            features = values[:, None].float()
+        return EncodedCoordinates(features, basis, which)
+
+    def decode(
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        encoded: EncodedCoordinates,
+        fps: Float64[torch.Tensor, "batch"],
+    ) -> Float[torch.Tensor, "batch poses numbers"]:
+        """Standardised pose vectors from latents and encoded coordinates."""
+        hidden = self.from_framerate(framerate_number(fps, self.config.framerate_scale)[:, None])[:, None]
+        if encoded.basis is None:
+            hidden = hidden + self.from_latent(latents)[:, None]
+        else:
+            knots = latents.reshape(len(latents), self.config.num_knots, -1)
+            hidden = hidden + self.from_latent(mix(knots, encoded.basis[encoded.which]))
+        if self.from_coordinate is not None and encoded.features is not None:
+            hidden = hidden + self.from_coordinate(encoded.features)[encoded.which]
+        for layer in self.layers:
+            hidden = layer(hidden)
+        vectors: torch.Tensor = self.head(hidden)
+        return vectors
+
+    def forward(
+        self,
+        latents: Float32[torch.Tensor, "batch latent"],
+        coordinates: Float64[torch.Tensor, "batch poses"],
+        fps: Float64[torch.Tensor, "batch"],
+    ) -> Float[torch.Tensor, "batch poses numbers"]:
+        """f_θ(t_{v,s}, z, s) for a batch of clips."""
+        return self.decode(latents, self.encode_coordinates(coordinates, fps), fps)

@@ -1,0 +1,124 @@
+"""Training the motion field and the posterior latents together (paper §3.1, Eq. 3 and 4, progressive training)."""
+
+from collections.abc import Mapping
+from fractions import Fraction
+
+import torch
+from jaxtyping import Float, Float32, Int64
+
+from motionkit.clips import PoseBatch, WindowPoses, chunks, shuffled_batches
+from motionkit.training.randomness import seeded_initialisation, step_generator
+from motionkit.training.schedule import rate_factor, set_rate
+from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from nerm.field import FieldNetwork
+from nerm.knots import ridge_knots
+from nerm.latents import LOG_VARIANCE_RANGE, RowAdam, kl_divergence, sample_posterior
+from nerm.recipes import FieldConfig
+from nerm.scaling import VectorScaling, measure_scaling, principal_components
+
+RIDGE_TIMES = 64
+
+
+def initial_means(
+    poses: WindowPoses, scaling: VectorScaling, config: FieldConfig, seed: int
+) -> Float32[torch.Tensor, "windows latent"]:
+    """μ before training: N(0, 1), or a ridge fit of principal components of the poses on the knots (local layout)."""
+    noise = torch.randn(len(poses.windows), config.latent_dimension, generator=step_generator(seed, "latents"))
+    if config.initialisation == "normal" or config.latent_layout == "global":
+        return noise
+    components = principal_components(poses, scaling, config.latent_dimension // config.num_knots)
+    layout = FieldNetwork.knot_layout(config)
+    for rows in chunks(len(poses.windows), 512):
+        batch = poses.evenly(rows, RIDGE_TIMES)
+        targets = components.scores(scaling.apply(batch.vectors))
+        noise[batch.window] = ridge_knots(targets, batch.coordinates, layout, config.ridge).flatten(1)
+    return noise
+
+
+class FieldTraining:
+    """θ, {μ_i} and {log Σ_i} with their optimisers: what `train_loop` steps."""
+
+    def __init__(
+        self,
+        poses: WindowPoses,
+        config: FieldConfig,
+        *,
+        codebook: Float[torch.Tensor, "codes dimension"] | None,
+        seed: int,
+        device: torch.device,
+    ) -> None:
+        self.poses, self.config, self.seed, self.device = poses, config, seed, device
+        self.scaling = measure_scaling(poses, config)
+        means = initial_means(poses, self.scaling, config, seed)
+        num_numbers = len(self.scaling.mean)
+        self.scaling = self.scaling.to(device)
+        with seeded_initialisation(seed, "field"):
+            self.network = FieldNetwork(config, num_numbers, codebook).to(device)
+        self.optimizer = torch.optim.AdamW(self.network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
+        self.mean = RowAdam(means.to(device))
+        self.log_variance = RowAdam(torch.full_like(self.mean.table, config.initial_log_variance))
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+        """One step on θ and on the latents of the batch."""
+        config = self.config
+        batch = self._draw(step, generator)
+        rows, which = torch.unique(batch.window, return_inverse=True)
+        mean = self.mean.table[rows].requires_grad_()
+        log_variance = self.log_variance.table[rows].requires_grad_()
+        latents = mean[which]
+        if config.variational:
+            noise = torch.randn(len(which), latents.shape[1], generator=generator).to(self.device)
+            latents = sample_posterior(latents, log_variance[which], noise)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
+            predicted = self.network(latents, batch.coordinates, batch.fps)
+        reconstruction = (predicted.float() - self.scaling.apply(batch.vectors)).square().mean()
+        kl = kl_divergence(mean, log_variance)
+        loss = reconstruction + config.kl_weight * kl if config.variational else reconstruction
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        self._update(step, rows, mean, log_variance)
+        return {"loss": loss, "reconstruction": reconstruction, "kl": kl}
+
+    def _draw(self, step: int, generator: torch.Generator) -> PoseBatch:
+        """The clips of a step: at one fixed framerate during warm-up, then at all native ones."""
+        config = self.config
+        rows = shuffled_batches(len(self.poses.windows), config.batch, step, self.seed)
+        warming_up = step < config.warmup_fraction * config.steps
+        batch = self.poses.draw(
+            rows,
+            config.num_poses,
+            generator,
+            contiguous=config.contiguous,
+            fps=Fraction(config.warmup_fps) if warming_up else None,
+            lowest_fps=config.lowest_fps,
+        )
+        return batch.to(self.device)
+
+    def _update(
+        self, step: int, rows: Int64[torch.Tensor, "rows"], mean: torch.Tensor, log_variance: torch.Tensor
+    ) -> None:
+        config = self.config
+        factor = rate_factor(step, config.steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction)
+        set_rate(self.optimizer, config.rate * factor)
+        self.optimizer.step()
+        assert mean.grad is not None
+        self.mean.update(rows, mean.grad, config.latent_rate * factor)
+        if log_variance.grad is not None:
+            self.log_variance.update(rows, log_variance.grad, config.latent_rate * factor)
+            self.log_variance.table[rows] = self.log_variance.table[rows].clamp(*LOG_VARIANCE_RANGE)
+
+    def state_tensors(self) -> dict[str, torch.Tensor]:
+        """All that a later step depends on."""
+        return (
+            prefixed("network", self.network.state_dict())
+            | prefixed("optimizer", optimizer_tensors(self.optimizer))
+            | prefixed("mean", self.mean.tensors())
+            | prefixed("log_variance", self.log_variance.tensors())
+        )
+
+    def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Go back to a state."""
+        self.network.load_state_dict(unprefixed("network", tensors))
+        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+        self.mean.load(unprefixed("mean", tensors))
+        self.log_variance.load(unprefixed("log_variance", tensors))

@@ -1,0 +1,70 @@
+"""Posterior latents without an encoder: one N(μ, Σ) per window, μ and log Σ free parameters (paper §3.1, B.2).
+
+Only the rows of a batch cost anything: they are gathered, and Adam's moments are updated for them alone, so a step's
+work does not depend on how many windows there are.
+"""
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Float, Float32, Int64
+
+LOG_VARIANCE_RANGE = (-12.0, 4.0)
+
+
+class RowAdam:
+    """Adam (Kingma & Ba 2015) on some rows of a table at a time; each row counts its own steps.
+
+    A row that was updated n times has had exactly n steps of dense Adam; others are untouched.
+    """
+
+    def __init__(
+        self,
+        table: Float32[torch.Tensor, "rows width"],
+        betas: tuple[float, float] = (0.9, 0.999),
+        epsilon: float = 1e-8,
+    ) -> None:
+        self.table = table
+        self.betas = betas
+        self.epsilon = epsilon
+        self.first = torch.zeros_like(table)
+        self.second = torch.zeros_like(table)
+        self.count = torch.zeros(len(table), 1, device=table.device)
+
+    @torch.no_grad()
+    def update(
+        self, rows: Int64[torch.Tensor, "chosen"], gradient: Float32[torch.Tensor, "chosen width"], rate: float
+    ) -> None:
+        """One step on distinct rows."""
+        beta1, beta2 = self.betas
+        count = self.count[rows] + 1.0
+        first = torch.lerp(self.first[rows], gradient, 1.0 - beta1)
+        second = torch.lerp(self.second[rows], gradient.square(), 1.0 - beta2)
+        step = rate * (first / (1.0 - beta1**count)) / ((second / (1.0 - beta2**count)).sqrt() + self.epsilon)
+        self.table[rows] -= step
+        self.first[rows], self.second[rows], self.count[rows] = first, second, count
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Table and moments."""
+        return {"table": self.table, "first": self.first, "second": self.second, "count": self.count}
+
+    def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Put table and moments back."""
+        for name, tensor in self.tensors().items():
+            tensor.copy_(tensors[name])
+
+
+def sample_posterior(
+    mean: Float[torch.Tensor, "batch latent"],
+    log_variance: Float[torch.Tensor, "batch latent"],
+    noise: Float[torch.Tensor, "batch latent"],
+) -> Float[torch.Tensor, "batch latent"]:
+    """z = μ + σ·ε, the reparameterisation of N(μ, Σ) (Eq. 1)."""
+    return mean + torch.exp(0.5 * log_variance) * noise
+
+
+def kl_divergence(
+    mean: Float[torch.Tensor, "batch latent"], log_variance: Float[torch.Tensor, "batch latent"]
+) -> Float[torch.Tensor, ""]:
+    """KL(N(μ, Σ) ‖ N(0, I)) of Eq. 3 for diagonal Σ, as a mean over latent numbers and windows, in nats."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
