@@ -79,7 +79,7 @@ class Store:
             raise StoreError(f"the store {self.path} holds no sequence {sequence_id!r}")
         return int(index)
 
-    def read(self, sequence: int | str, *, rotations: bool = True) -> Motion:
+    def read(self, sequence: int | np.integer | str, *, rotations: bool = True) -> Motion:
         """One motion by index or id; without `rotations` only positions are decoded.
 
         Raises `StoreError` for a sequence that the store does not hold, or a part that cannot be read.
@@ -103,7 +103,7 @@ class Store:
             frames.get("root_translation"),
         )
 
-    def read_many(self, sequences: Iterable[int | str], *, rotations: bool = True) -> Iterator[Motion]:
+    def read_many(self, sequences: Iterable[int | np.integer | str], *, rotations: bool = True) -> Iterator[Motion]:
         """Motions in the order asked for; in ascending order of index every row group is decoded once."""
         for sequence in sequences:
             yield self.read(sequence, rotations=rotations)

@@ -1,0 +1,79 @@
+"""`motionkit info`: what is in a store."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from motionkit.console import print_json, stdout
+from motionkit.settings import default_path
+
+if TYPE_CHECKING:
+    from motionkit.store.summary import SourceSummary, StoreSummary
+
+MEGABYTE = 1e6
+SHOWN_COUNTS = 8
+
+
+def info(
+    store: Annotated[Path | None, typer.Option(help="Store to describe.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+) -> None:
+    """Say what a store holds: sources, hours, framerates, splits, captions, skeletons, size on disk."""
+    from motionkit.store import Store
+    from motionkit.store.summary import summarise
+
+    summary = summarise(Store.open(store or default_path("store")))
+    if as_json:
+        print_json({**asdict(summary), "raw_bytes": summary.raw_bytes})
+    else:
+        _print_summary(summary)
+
+
+def _print_summary(summary: "StoreSummary") -> None:
+    stdout.print(
+        f"{summary.path}: {summary.num_sequences:,} sequences, {summary.hours:.2f} h, {summary.num_frames:,} frames, "
+        f"{summary.num_skeletons:,} skeletons",
+        markup=False,
+    )
+    for source in summary.sources:
+        stdout.print()
+        for name, text in _lines(source):
+            stdout.print(f"{name:12}{text}", markup=False)
+    stdout.print()
+    ratio = summary.disk_bytes / summary.raw_bytes if summary.raw_bytes else 0.0
+    stdout.print(
+        f"on disk {summary.disk_bytes / MEGABYTE:,.1f} MB in {summary.num_parts:,} parts, {ratio:.3f} of raw float32 "
+        f"({summary.raw_bytes / MEGABYTE:,.1f} MB); caches {summary.cache_bytes / MEGABYTE:,.1f} MB"
+    )
+    for name, column in summary.columns.items():
+        if column.raw_bytes:
+            stdout.print(
+                f"  {name} {column.disk_bytes / MEGABYTE:,.1f} MB, {column.disk_bytes / column.raw_bytes:.3f} of raw"
+            )
+    stdout.print(f"fingerprint {summary.fingerprint}")
+
+
+def _lines(source: "SourceSummary") -> list[tuple[str, str]]:
+    captions = f"{source.num_captions:,} on {source.num_captioned:,} sequences" if source.num_captions else "none"
+    lines = [
+        ("source", source.source or "(unnamed)"),
+        ("sequences", f"{source.num_sequences:,}, {source.hours:.2f} h, {source.num_frames:,} frames"),
+        ("fps", _counts(source.framerates)),
+        ("splits", _counts(source.splits)),
+        ("captions", captions),
+        ("actions", f"{source.num_actions:,}"),
+        ("skeletons", f"{source.num_skeletons:,} with {', '.join(source.joints)} joints"),
+        ("formats", _counts(source.formats)),
+        ("licences", _counts(source.licences)),
+    ]
+    return [*lines, ("flags", _counts(source.quality_flags))] if source.quality_flags else lines
+
+
+def _counts(counts: dict[str, int]) -> str:
+    """`30 (7), 120 (159)`; of many only the most frequent."""
+    most = sorted(counts, key=lambda name: -counts[name])[:SHOWN_COUNTS]
+    shown = [f"{name or 'none'} ({counts[name]:,})" for name in counts if name in most]
+    left_out = len(counts) - len(shown)
+    return ", ".join(shown) + (f" and {left_out} more" if left_out else "")

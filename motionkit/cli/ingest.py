@@ -1,0 +1,126 @@
+"""`motionkit ingest`: sources into a store."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.errors import MotionkitError, UsageError
+from motionkit.settings import default_path
+from motionkit.timegrid import parse_fps
+
+if TYPE_CHECKING:
+    from motionkit.formats.registry import ReadOptions
+    from motionkit.store.ingest import IngestReport
+
+
+class OnError(StrEnum):
+    """What a bad file does."""
+
+    SKIP = "skip"
+    STOP = "stop"
+
+
+def ingest(
+    sources: Annotated[list[Path], typer.Argument(help="Files and folders of motions.", show_default=False)],
+    store: Annotated[Path | None, typer.Option(help="Store to make or to add to.")] = None,
+    format: Annotated[str, typer.Option(help="auto tells formats by name and content; or one format's name.")] = "auto",
+    captions: Annotated[
+        Path | None, typer.Option(help="CSV with a column 'file' and any of caption, action, split, fps …")
+    ] = None,
+    fps: Annotated[str | None, typer.Option(help="Framerate that replaces what files say: 120, 30000/1001.")] = None,
+    unit_metres: Annotated[
+        float | None, typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.")
+    ] = None,
+    on_error: Annotated[
+        OnError,
+        typer.Option(
+            help="skip: good sequences are stored, bad ones are told, exit code 0. "
+            "stop: the first bad one ends it, the store stays as it was, exit code 1."
+        ),
+    ] = OnError.SKIP,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the store instead of adding to it, once all is read.")
+    ] = False,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes that read; all cores by default.", show_default=False)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Read motions of any known format into a store, at their native framerates.
+
+    A store that exists is added to: sequences that it holds from equal files are left alone, and the same id from
+    another file is refused. The store is the same whatever the number of workers.
+    """
+    from motionkit.store.ingest import Listener
+    from motionkit.store.ingest import ingest as ingest_sources
+    from motionkit.store.parallel import usable_cores
+
+    options = _options(format, captions, fps, unit_metres)
+    with progress() as display:
+        task = display.add_task("scan", total=None, note="")
+        report = ingest_sources(
+            sources,
+            store or default_path("store"),
+            options=options,
+            on_error=on_error.value,
+            overwrite=overwrite,
+            num_workers=workers or usable_cores(),
+            listener=Listener(
+                on_start=lambda num_items: display.update(task, description="ingest", total=num_items),
+                on_item=lambda: display.advance(task),
+                on_problem=lambda problem: stderr.print(str(problem), markup=False),
+            ),
+        )
+    if as_json:
+        print_json(_as_json(report))
+    else:
+        _print_summary(report)
+    if report.problems and on_error is OnError.STOP:
+        raise MotionkitError(f"stopped at the first problem; the store {report.store} is as it was")
+    if not report.num_in_store:
+        raise MotionkitError(f"nothing could be stored in {report.store}")
+
+
+def _options(format: str, captions: Path | None, fps: str | None, unit_metres: float | None) -> "ReadOptions":
+    from motionkit.formats.registry import ReadOptions
+
+    if unit_metres is not None and not 0 < unit_metres < float("inf"):
+        raise UsageError(f"--unit-metres must be a positive number, not {unit_metres}")
+    try:
+        rate = None if fps is None else parse_fps(fps)
+    except (ValueError, ZeroDivisionError) as error:
+        raise UsageError(f"--fps {fps}: {error}") from None
+    return ReadOptions(format=format, fps=rate, unit_metres=unit_metres, captions=captions)
+
+
+def _print_summary(report: "IngestReport") -> None:
+    hours = report.duration_seconds / 3600
+    stdout.print(
+        f"stored {report.num_stored:,} sequences ({hours:.2f} h, {report.num_frames:,} frames) in {report.store}, "
+        f"which holds {report.num_in_store:,}",
+        markup=False,
+    )
+    if report.num_already_stored:
+        stdout.print(f"already there: {report.num_already_stored:,}")
+    for name, counts in (("failed", report.problems_by_reason), ("warnings", report.warnings_by_reason)):
+        if counts:
+            reasons = ", ".join(f"{count:,} {reason}" for reason, count in counts.items())
+            stdout.print(f"{name}: {sum(counts.values()):,} ({reasons})", markup=False)
+
+
+def _as_json(report: "IngestReport") -> dict[str, Any]:
+    return {
+        "store": str(report.store),
+        "committed": report.committed,
+        "stored": report.num_stored,
+        "frames": report.num_frames,
+        "hours": report.duration_seconds / 3600,
+        "already_stored": report.num_already_stored,
+        "sequences_in_store": report.num_in_store,
+        "failed": report.problems_by_reason,
+        "warnings": report.warnings_by_reason,
+        "problems": [{"reason": problem.reason, "message": str(problem)} for problem in report.problems],
+    }

@@ -1,0 +1,84 @@
+"""`motionkit query`: SQL over a store."""
+
+import csv
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from motionkit.console import stdout
+from motionkit.errors import UsageError
+from motionkit.settings import default_path
+
+LONG_LIST = 6
+
+
+def query(
+    sql: Annotated[str, typer.Argument(help="One SQL statement, in duckdb's dialect.", show_default=False)],
+    store: Annotated[Path | None, typer.Option(help="Store to ask.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON.")] = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Print the rows as CSV.")] = False,
+) -> None:
+    """Ask a store in SQL: the tables sequences, segments and skeletons; nothing can be changed.
+
+    For example: SELECT fps, count(*), sum(duration_seconds) / 3600 AS hours FROM sequences GROUP BY fps
+    """
+    from motionkit.store import Store
+
+    if as_json and as_csv:
+        raise UsageError("--json and --csv exclude each other")
+    result = Store.open(store or default_path("store")).query(sql)
+    rows = [{name: _plain(value) for name, value in row.items()} for row in result.to_pylist()]
+    if as_json:
+        print(json.dumps(rows, indent=2, ensure_ascii=False, allow_nan=False))
+    elif as_csv:
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow(result.column_names)
+        writer.writerows([_cell(row[name]) for name in result.column_names] for row in rows)
+    else:
+        _print_table(result.column_names, rows)
+
+
+def _print_table(names: list[str], rows: list[dict[str, Any]]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table()
+    for name in names:
+        numeric = all(isinstance(row[name], int | float) and not isinstance(row[name], bool) for row in rows)
+        table.add_column(Text(name), justify="right" if numeric and rows else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(_short(row[name])) for name in names))
+    stdout.print(table)
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON knows it: no NaN, no decimals, no dates, no bytes."""
+    if isinstance(value, dict):
+        return {str(name): _plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if type(value).__name__ == "Decimal":
+        return int(value) if value == int(value) else float(value)
+    return value.hex() if isinstance(value, bytes) else str(value)
+
+
+def _cell(value: Any) -> Any:
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, list | dict) else value
+
+
+def _short(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list) and len(value) > LONG_LIST and not isinstance(value[0], str):
+        return f"[{', '.join(_short(each) for each in value[:3])}, … {len(value):,} values]"
+    return str(_cell(value))

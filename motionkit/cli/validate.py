@@ -1,0 +1,44 @@
+"""`motionkit validate`: is a store intact."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from motionkit.console import print_json, progress, stdout
+from motionkit.settings import default_path
+
+
+def validate(
+    store: Annotated[Path | None, typer.Option(help="Store to check.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the faults as JSON.")] = False,
+) -> None:
+    """Check every file of a store: checksums, counts, segments, finite frames, skeletons.
+
+    One line for each fault and exit code 1; exit code 0 where there is none.
+    """
+    from motionkit.store.manifest import read_manifest
+    from motionkit.store.validate import faults
+
+    path = store or default_path("store")
+    manifest = read_manifest(path)
+    with progress() as display:
+        task = display.add_task("validate", total=len(manifest.files), note="")
+
+        def on_file(name: str) -> None:
+            display.update(task, advance=1, note=name)
+
+        found = list(faults(path, on_file))
+    if as_json:
+        print_json({"store": str(path), "fingerprint": manifest.fingerprint, "faults": found})
+    else:
+        for fault in found:
+            stdout.print(fault, markup=False)
+        if not found:
+            stdout.print(
+                f"{path} is intact: {manifest.num_sequences:,} sequences, {manifest.num_frames:,} frames, "
+                f"{len(manifest.files)} files",
+                markup=False,
+            )
+    if found:
+        raise typer.Exit(1)

@@ -1,0 +1,177 @@
+"""Sources → store: scan, read by processes in order, store; what cannot be read is told and counted."""
+
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from motionkit.errors import FormatError
+from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, read, scan
+from motionkit.motion import Motion
+from motionkit.store.manifest import read_manifest
+from motionkit.store.parallel import map_in_order
+from motionkit.store.schema import MANIFEST_FILE
+from motionkit.store.writer import RefusedMotion, StoreWriter
+
+OnError = Literal["skip", "stop"]
+
+
+@dataclass(frozen=True)
+class IngestReport:
+    """What an ingest did: sequences stored, those the store already held, problems that cost a sequence, warnings.
+
+    `committed` is False where the store was left as it was: after a problem under `stop`, or with nothing to store.
+    """
+
+    store: Path
+    committed: bool
+    num_stored: int
+    num_frames: int
+    duration_seconds: float
+    num_already_stored: int
+    num_in_store: int
+    problems: tuple[FormatError, ...]
+    warnings: tuple[FormatError, ...]
+
+    @property
+    def problems_by_reason(self) -> dict[str, int]:
+        """Number of problems by their reason, most frequent first."""
+        return dict(Counter(problem.reason for problem in self.problems).most_common())
+
+    @property
+    def warnings_by_reason(self) -> dict[str, int]:
+        """Number of warnings by their reason, most frequent first."""
+        return dict(Counter(warning.reason for warning in self.warnings).most_common())
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Who is told what during an ingest: `on_start` the number of sequences, `on_item` after each, and each problem."""
+
+    on_start: Callable[[int], None] = lambda num_items: None
+    on_item: Callable[[], None] = lambda: None
+    on_problem: Callable[[FormatError], None] = lambda problem: None
+
+
+def ingest(
+    sources: Sequence[Path],
+    store: Path,
+    *,
+    options: ReadOptions | None = None,
+    on_error: OnError = "skip",
+    overwrite: bool = False,
+    num_workers: int = 1,
+    listener: Listener | None = None,
+) -> IngestReport:
+    """Read every sequence of the sources into a store, which is made, added to, or (`overwrite`) replaced.
+
+    The store is the same, byte for byte, whatever the number of workers. Under `skip` the good sequences are stored;
+    under `stop` the first problem ends the ingest and the store stays as it was. A sequence that the store holds from
+    an equal file is counted and left alone; one with the same id from another file is a problem. Raises `UsageError`
+    for sources or options that make no sense and `StoreError` for a store that cannot be written.
+    """
+    run = _Run(store, options or ReadOptions(), on_error, num_workers, listener or Listener())
+    return run.ingest(sources, overwrite)
+
+
+class _Stopped(Exception):
+    """A problem under `stop`, or nothing to store: leave the writer without a commit."""
+
+
+class _Run:
+    """One ingest: owns its counts and the problems met."""
+
+    def __init__(
+        self, store: Path, options: ReadOptions, on_error: OnError, num_workers: int, listener: Listener
+    ) -> None:
+        self._store = store
+        self._options = options
+        self._on_error = on_error
+        self._num_workers = num_workers
+        self._listener = listener
+        self._problems: list[FormatError] = []
+        self._num_stored = 0
+        self._num_frames = 0
+        self._num_already_stored = 0
+        self._duration_seconds = 0.0
+
+    def ingest(self, sources: Sequence[Path], overwrite: bool) -> IngestReport:
+        appends = (self._store / MANIFEST_FILE).exists() and not overwrite
+        writer = StoreWriter.append(self._store) if appends else StoreWriter.create(self._store, overwrite=overwrite)
+        found = scan(sources, self._options)
+        committed = True
+        try:
+            for problem in found.problems:
+                self._fail(problem)
+            if found.items:
+                self._write(writer, found)
+            if not self._num_stored:
+                raise _Stopped
+        except _Stopped:
+            committed = False
+        exists = (self._store / MANIFEST_FILE).exists()
+        return IngestReport(
+            store=self._store,
+            committed=committed,
+            num_stored=self._num_stored if committed else 0,
+            num_frames=self._num_frames if committed else 0,
+            duration_seconds=self._duration_seconds if committed else 0.0,
+            num_already_stored=self._num_already_stored,
+            num_in_store=read_manifest(self._store).num_sequences if exists else 0,
+            problems=tuple(self._problems),
+            warnings=found.warnings,
+        )
+
+    def _write(self, writer: StoreWriter, found: ScanResult) -> None:
+        self._listener.on_start(len(found.items))
+        with writer, closing(self._read(found.items)) as results:
+            for item, result in results:
+                if isinstance(result, FormatError):
+                    self._fail(result)
+                else:
+                    self._add(writer, item, result)
+                self._listener.on_item()
+            if not self._num_stored:
+                raise _Stopped
+
+    def _read(self, items: Sequence[SourceItem]) -> Generator[tuple[SourceItem, Motion | FormatError]]:
+        num_workers = min(self._num_workers, len(items))
+        return map_in_order(partial(read_or_fault, options=self._options), items, num_workers)
+
+    def _add(self, writer: StoreWriter, item: SourceItem, motion: Motion) -> None:
+        held = writer.source_sha256(motion.sequence_id)
+        if held and held == motion.provenance.source_sha256:
+            self._num_already_stored += 1
+            return
+        try:
+            writer.add(motion)
+        except RefusedMotion as refused:
+            self._fail(FormatError(str(refused), path=item.path, reason=refused.reason))
+            return
+        self._num_stored += 1
+        self._num_frames += motion.num_frames
+        self._duration_seconds += motion.duration_seconds
+
+    def _fail(self, problem: FormatError) -> None:
+        self._problems.append(problem)
+        self._listener.on_problem(problem)
+        if self._on_error == "stop":
+            raise _Stopped
+
+
+def read_or_fault(item: SourceItem, options: ReadOptions) -> Motion | FormatError:
+    """Read one sequence; a fault is returned, so that it travels between processes like a result.
+
+    An exception that no reader foresaw becomes a fault too (`unexpected`): one odd file must not end an ingest of a
+    million.
+    """
+    try:
+        return read(item, options)
+    except FormatError as problem:
+        return problem
+    except Exception as error:
+        text = f"{type(error).__name__}: {error}".splitlines()[0]
+        return FormatError(f"the {item.format} reader failed: {text}", path=item.path, reason="unexpected")
