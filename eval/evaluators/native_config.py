@@ -1,0 +1,80 @@
+"""Settings of the native-rate evaluator and its named recipes; imports nothing heavy."""
+
+from dataclasses import dataclass, field, replace
+
+
+@dataclass(frozen=True)
+class NativeNetworkConfig:
+    """Widths: convolutions, each direction of the GRU, the embedding, and the space shared with text."""
+
+    convolution: int = 128
+    recurrent: int = 128
+    embedding: int = 128
+    shared: int = 128
+    text_hidden: int = 256
+
+
+@dataclass(frozen=True)
+class NativeTrainingConfig:
+    """What a step sees and how much each task counts.
+
+    A step draws one framerate from `framerates` (those that the store reaches) and one m, a multiple of 4 in
+    `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are. `text_encoder` is "" (no text) or a name
+    that `nerm.text_encoders` knows.
+    """
+
+    steps: int = 1500
+    batch_size: int = 128
+    learning_rate: float = 2e-3
+    warmup_fraction: float = 0.02
+    weight_decay: float = 1e-4
+    gradient_clip: float = 1.0
+    framerates: tuple[float, ...] = (20.0, 24.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0)
+    min_poses: int = 16
+    max_poses: int = 64
+    clean_fraction: float = 0.2
+    text_weight: float = 0.2
+    text_temperature: float = 0.1
+    text_encoder: str = "minilm"
+    statistics_batches: int = 24
+
+    def __post_init__(self) -> None:
+        if not 8 <= self.min_poses <= self.max_poses or self.min_poses % 4 or self.max_poses % 4:
+            raise ValueError("min_poses and max_poses must be multiples of 4 with 8 <= min_poses <= max_poses")
+        if not 0 <= self.clean_fraction < 1:
+            raise ValueError("clean_fraction must lie in [0, 1)")
+
+
+@dataclass(frozen=True)
+class NativeConfig:
+    """Everything that a trained native-rate evaluator depends on besides store and seed."""
+
+    network: NativeNetworkConfig = field(default_factory=NativeNetworkConfig)
+    training: NativeTrainingConfig = field(default_factory=NativeTrainingConfig)
+
+
+def nano() -> NativeConfig:
+    """Two cores, under three minutes."""
+    return NativeConfig()
+
+
+def demo() -> NativeConfig:
+    """Two cores, well under a minute: enough to see every family, not to quote."""
+    config = NativeConfig()
+    return replace(config, training=replace(config.training, steps=250, batch_size=96, statistics_batches=12))
+
+
+def base() -> NativeConfig:
+    """One GPU: four times the width, long training."""
+    return NativeConfig(
+        network=NativeNetworkConfig(convolution=256, recurrent=512, embedding=256, shared=256, text_hidden=512),
+        training=NativeTrainingConfig(steps=50_000, batch_size=512, learning_rate=5e-4),
+    )
+
+
+def paper() -> NativeConfig:
+    """The widths of Guo et al. (text-to-motion networks/modules.py): 512 convolutions, GRU 1024, embedding 512."""
+    return NativeConfig(
+        network=NativeNetworkConfig(convolution=512, recurrent=1024, embedding=512, shared=512, text_hidden=1024),
+        training=NativeTrainingConfig(steps=200_000, batch_size=512, learning_rate=1e-4),
+    )

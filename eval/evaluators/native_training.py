@@ -1,0 +1,201 @@
+"""How the native-rate evaluator learns: from damage whose strength is known, and from captions.
+
+A step takes clips of one framerate and one length, spoils most of them with one family of `eval.corruptions` at a
+random strength, and lets the embedding tell by linear heads how much of what was done, and at which framerate it was
+sampled. Clips left clean are matched with their captions (InfoNCE); pairs with the same caption are no negatives.
+Classifying the kind of damage saturates at its mildest level (measured), so its log strength is regressed.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Float64, Int64
+from torch import Tensor
+
+from eval.corruptions import Family, families
+from eval.evaluators.native_bank import ClipBank
+from eval.evaluators.native_config import NativeConfig
+from eval.evaluators.native_input import rich_input
+from eval.evaluators.native_network import TARGETS, NativeNetwork, TextProjection
+from motionkit.training.randomness import seeded_initialisation
+from motionkit.training.schedule import rate_factor, set_rate
+from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+
+TARGET_OF_FAMILY: Mapping[str, int] = {
+    "upsampling-slerp": TARGETS.index("upsampling"),
+    "upsampling-linear": TARGETS.index("upsampling"),
+    "foot-sliding": TARGETS.index("foot-sliding"),
+    "jitter": TARGETS.index("jitter"),
+    "low-pass": TARGETS.index("low-pass"),
+}
+FRAMERATE = TARGETS.index("framerate")
+REFERENCE_FPS = 60.0
+MARGIN_SECONDS = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Captions:
+    """Distinct sentences with their embeddings, and for each take the ids of its own (none for most corpora)."""
+
+    embeddings: Float32[np.ndarray, "sentences text"]
+    of_take: tuple[tuple[int, ...], ...]
+
+    @property
+    def dimension(self) -> int:
+        """Size of a sentence embedding; 0 where there is no text."""
+        return int(self.embeddings.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class SpoiledClips:
+    """Clips as the network is to see them, the strengths it should tell, and which of them were left clean."""
+
+    positions: Float32[np.ndarray, "clips poses 22 3"]
+    targets: Float32[np.ndarray, "clips targets"]
+    clean: Int64[np.ndarray, "clean"]
+
+
+def spoil(
+    clips: Float64[np.ndarray, "clips longer 22 3"],
+    fps: float,
+    margin: int,
+    num_clean: int,
+    damage: Sequence[Family],
+    rng: np.random.Generator,
+) -> SpoiledClips:
+    """Spoil all but the first `num_clean` clips, families in turn, strengths at random; then cut the margins off.
+
+    Positions become relative to the clip's first root, so that single precision is enough for accelerations.
+    """
+    spoiled = clips.copy()
+    targets = np.zeros((len(clips), len(TARGETS)))
+    for index, family in enumerate(damage):
+        rows = np.arange(num_clean + index, len(clips), len(damage))
+        strength = family.draw(rng, fps, len(rows))
+        spoiled[rows] = family.corrupt(clips[rows], fps, strength, rng)
+        targets[rows, TARGET_OF_FAMILY[family.name]] = family.severity(strength, fps)
+    targets[:, FRAMERATE] = np.log(fps / REFERENCE_FPS)
+    cut = spoiled[:, margin : spoiled.shape[1] - margin]
+    return SpoiledClips(
+        centre(cut).astype(np.float32), targets.astype(np.float32), np.arange(num_clean, dtype=np.int64)
+    )
+
+
+def centre(clips: Float64[np.ndarray, "clips poses 22 3"]) -> Float64[np.ndarray, "clips poses 22 3"]:
+    """Clips moved so that the first root lies above the origin."""
+    origin = clips[:, :1, :1] * np.array([1.0, 0.0, 1.0])
+    return clips - origin
+
+
+def matching_loss(
+    motions: Float[Tensor, "pairs shared"],
+    sentences: Float[Tensor, "pairs shared"],
+    sentence_ids: Int64[np.ndarray, "pairs"],
+    temperature: float,
+) -> Float[Tensor, ""]:
+    """Symmetric InfoNCE on negative squared distances; other pairs with the same caption are left out of the sums.
+
+    Distances, not cosines, because the metrics that use these embeddings (R-Precision, MM-Dist) are Euclidean.
+    """
+    logits = -(torch.cdist(motions, sentences) ** 2) / (temperature * motions.shape[1])
+    ids = torch.from_numpy(sentence_ids).to(logits.device)
+    same = (ids[:, None] == ids[None]) & ~torch.eye(len(ids), dtype=torch.bool, device=logits.device)
+    logits = logits.masked_fill(same, float("-inf"))
+    own = torch.arange(len(ids), device=logits.device)
+    cross_entropy = torch.nn.functional.cross_entropy
+    return 0.5 * (cross_entropy(logits, own) + cross_entropy(logits.T, own))
+
+
+class NativeTraining:
+    """The evaluator in training; it owns the networks, the input statistics and the optimiser."""
+
+    def __init__(
+        self, config: NativeConfig, banks: Sequence[ClipBank], captions: Captions, seed: int, device: torch.device
+    ) -> None:
+        self.config, self.banks, self.captions, self.device = config, banks, captions, device
+        self.damage = families()
+        with seeded_initialisation(seed, "evaluator"):
+            self.network = NativeNetwork(config.network).to(device)
+            self.text = TextProjection(max(captions.dimension, 1), config.network).to(device)
+        self.mean, self.scale = self._statistics(np.random.default_rng((seed, 1)))
+        parameters = [*self.network.parameters(), *self.text.parameters()]
+        self.optimizer = torch.optim.AdamW(parameters, lr=0.0, weight_decay=config.training.weight_decay)
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
+        """One batch of one framerate and one clip length."""
+        training = self.config.training
+        rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
+        batch, take, fps = self._batch(rng)
+        embeddings = self.network(self._inputs(batch.positions, fps))
+        targets = torch.from_numpy(batch.targets).to(self.device)
+        strength = torch.nn.functional.smooth_l1_loss(self.network.strengths(embeddings), targets, beta=0.5)
+        matching = self._matching(embeddings, batch.clean, take, rng)
+        loss = strength + training.text_weight * matching
+        factor = rate_factor(step, training.steps, schedule="cosine", warmup_fraction=training.warmup_fraction)
+        set_rate(self.optimizer, training.learning_rate * factor)
+        self.optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), training.gradient_clip)
+        self.optimizer.step()
+        return {"loss": loss, "strength": strength, "matching": matching}
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Networks, statistics, optimiser."""
+        return self.model_tensors() | prefixed("optimizer", optimizer_tensors(self.optimizer))
+
+    def model_tensors(self) -> dict[str, Tensor]:
+        """What `eval.evaluators.native.load_native` reads: networks and statistics."""
+        networks = prefixed("network", self.network.state_dict()) | prefixed("text", self.text.state_dict())
+        return networks | {"statistics.mean": self.mean, "statistics.scale": self.scale}
+
+    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Go back to a state of `state_tensors`."""
+        self.network.load_state_dict(unprefixed("network", tensors))
+        self.text.load_state_dict(unprefixed("text", tensors))
+        self.mean = tensors["statistics.mean"].to(self.device)
+        self.scale = tensors["statistics.scale"].to(self.device)
+        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+
+    def _batch(self, rng: np.random.Generator) -> tuple[SpoiledClips, Int64[np.ndarray, "clips"], float]:
+        training = self.config.training
+        bank = self.banks[int(rng.integers(len(self.banks)))]
+        longest = min(training.max_poses, int(bank.num_frames.max()) // 4 * 4)
+        num_poses = 4 * int(rng.integers(training.min_poses // 4, longest // 4 + 1))
+        fps = float(bank.fps)
+        margin = int(np.ceil(MARGIN_SECONDS * fps))
+        clips, take = bank.draw(rng, training.batch_size, num_poses, margin)
+        num_clean = round(training.clean_fraction * training.batch_size)
+        return spoil(clips, fps, margin, num_clean, self.damage, rng), take, fps
+
+    def _inputs(self, positions: Float32[np.ndarray, "clips poses 22 3"], fps: float) -> Tensor:
+        raw = rich_input(torch.from_numpy(positions).to(self.device), fps)
+        return (raw - self.mean) * self.scale
+
+    def _matching(
+        self,
+        embeddings: Float[Tensor, "clips features"],
+        clean: Int64[np.ndarray, "clean"],
+        take: Int64[np.ndarray, "clips"],
+        rng: np.random.Generator,
+    ) -> Float[Tensor, ""]:
+        """Matching loss of the clean clips that have captions, one caption each."""
+        rows = np.array([row for row in clean if self.captions.of_take[take[row]]], dtype=np.int64)
+        if len(rows) < 2:
+            return embeddings.new_zeros(())
+        sentence = np.array([rng.choice(np.array(self.captions.of_take[take[row]])) for row in rows], dtype=np.int64)
+        texts = self.text(torch.from_numpy(self.captions.embeddings[sentence]).to(self.device))
+        motions = self.network.shared(embeddings[torch.from_numpy(rows).to(self.device)])
+        return matching_loss(motions, texts, sentence, self.config.training.text_temperature)
+
+    def _statistics(self, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """Mean and 1 / deviation of every channel over spoiled and clean clips of all framerates."""
+        rows = []
+        for _ in range(self.config.training.statistics_batches):
+            batch, _, fps = self._batch(rng)
+            inputs = rich_input(torch.from_numpy(batch.positions), fps)
+            rows.append(inputs.reshape(-1, inputs.shape[-1]).double())
+        everything = torch.cat(rows)
+        mean, deviation = everything.mean(dim=0), everything.std(dim=0)
+        return mean.float().to(self.device), (1.0 / deviation.clamp_min(1e-3)).float().to(self.device)
