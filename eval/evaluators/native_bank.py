@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from motionkit.errors import UsageError
+from motionkit.motion import Caption
 from motionkit.resample import resample_positions
 
 
@@ -20,14 +21,14 @@ from motionkit.resample import resample_positions
 class Takes:
     """Sequences at their native rates, one after another in `positions` [rows, 22, 3] (metres, y up; may be mapped).
 
-    `captions` holds each sequence's sentences, in any number.
+    `captions` holds each sequence's sentences with their seconds from its start, in any number.
     """
 
     positions: Float32[np.ndarray, "rows 22 3"]
     start_row: Int64[np.ndarray, "sequences"]
     num_frames: Int64[np.ndarray, "sequences"]
     fps: tuple[Fraction, ...]
-    captions: tuple[tuple[str, ...], ...]
+    captions: tuple[tuple[Caption, ...], ...]
 
     def sequence(self, index: int) -> Float32[np.ndarray, "frames 22 3"]:
         """Joint positions of one sequence."""
@@ -40,6 +41,15 @@ class Takes:
 
 
 @dataclass(frozen=True, eq=False)
+class DrawnClips:
+    """Clips, the take that each comes from, and the time of each clip's middle in seconds from the take's start."""
+
+    positions: Float64[np.ndarray, "clips poses 22 3"]
+    take: Int64[np.ndarray, "clips"]
+    centre_seconds: Float64[np.ndarray, "clips"]
+
+
+@dataclass(frozen=True, eq=False)
 class ClipBank:
     """Sequences at one framerate; `sequence_index` says where in the takes each comes from."""
 
@@ -49,10 +59,8 @@ class ClipBank:
     num_frames: Int64[np.ndarray, "sequences"]
     sequence_index: Int64[np.ndarray, "sequences"]
 
-    def draw(
-        self, rng: np.random.Generator, num_clips: int, num_poses: int, margin: int = 0
-    ) -> tuple[Float64[np.ndarray, "clips poses 22 3"], Int64[np.ndarray, "clips"]]:
-        """Random clips of `num_poses` poses with `margin` more on either side, and the take that each comes from.
+    def draw(self, rng: np.random.Generator, num_clips: int, num_poses: int, margin: int = 0) -> DrawnClips:
+        """Random clips of `num_poses` poses, with `margin` more on either side.
 
         Every position of the clip inside a sequence is equally likely. Margins that reach beyond a sequence continue it
         by point reflection about its end pose. Raises `ValueError` where no sequence is long enough.
@@ -65,7 +73,8 @@ class ClipBank:
         sequence = np.searchsorted(total, place, side="right")
         start = place - (total[sequence] - places[sequence])
         frame = start[:, None] + np.arange(-margin, num_poses + margin)
-        return self._gather(sequence, frame), self.sequence_index[sequence]
+        middle = (start + (num_poses - 1) / 2) / float(self.fps)
+        return DrawnClips(self._gather(sequence, frame), self.sequence_index[sequence], middle)
 
     def _gather(
         self, sequence: Int64[np.ndarray, "clips"], frame: Int64[np.ndarray, "clips poses"]

@@ -19,7 +19,8 @@ class NativeTrainingConfig:
     """What a step sees and how much each task counts.
 
     A step draws one framerate from `framerates` (those that the store reaches) and one m, a multiple of 4 in
-    `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are. `text_encoder` is "" (no text) or a name
+    `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are. `bank_seconds` bounds the motion that is
+    held in memory per framerate. `text_encoder` is "" (no text) or a name
     that `nerm.text_encoders` knows.
     """
 
@@ -37,6 +38,7 @@ class NativeTrainingConfig:
     text_temperature: float = 0.1
     text_encoder: str = "minilm"
     statistics_batches: int = 24
+    bank_seconds: float = 1200.0
 
     def __post_init__(self) -> None:
         if not 8 <= self.min_poses <= self.max_poses or self.min_poses % 4 or self.max_poses % 4:
@@ -68,7 +70,7 @@ def base() -> NativeConfig:
     """One GPU: four times the width, long training."""
     return NativeConfig(
         network=NativeNetworkConfig(convolution=256, recurrent=512, embedding=256, shared=256, text_hidden=512),
-        training=NativeTrainingConfig(steps=50_000, batch_size=512, learning_rate=5e-4),
+        training=NativeTrainingConfig(steps=50_000, batch_size=512, learning_rate=5e-4, bank_seconds=36_000.0),
     )
 
 
@@ -76,5 +78,5 @@ def paper() -> NativeConfig:
     """The widths of Guo et al. (text-to-motion networks/modules.py): 512 convolutions, GRU 1024, embedding 512."""
     return NativeConfig(
         network=NativeNetworkConfig(convolution=512, recurrent=1024, embedding=512, shared=512, text_hidden=1024),
-        training=NativeTrainingConfig(steps=200_000, batch_size=512, learning_rate=1e-4),
+        training=NativeTrainingConfig(steps=200_000, batch_size=512, learning_rate=1e-4, bank_seconds=144_000.0),
     )

@@ -6,7 +6,7 @@ sampled. Clips left clean are matched with their captions (InfoNCE); pairs with 
 Classifying the kind of damage saturates at its mildest level (measured), so its log strength is regressed.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +15,11 @@ from jaxtyping import Float, Float32, Float64, Int64
 from torch import Tensor
 
 from eval.corruptions import Family, families
-from eval.evaluators.native_bank import ClipBank
+from eval.evaluators.native_bank import ClipBank, DrawnClips
 from eval.evaluators.native_config import NativeConfig
-from eval.evaluators.native_input import rich_input
+from eval.evaluators.native_input import centre, rich_input
 from eval.evaluators.native_network import TARGETS, NativeNetwork, TextProjection
+from motionkit.motion import Caption
 from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.schedule import rate_factor, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
@@ -36,25 +37,55 @@ MARGIN_SECONDS = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Captions:
-    """Distinct sentences with their embeddings, and for each take the ids of its own (none for most corpora)."""
+class Sentences:
+    """Distinct sentences with their embeddings, and where each is said.
+
+    One row per utterance: `take` (ascending), `sentence` (a row of `embeddings`), and the seconds
+    [start_seconds, end_seconds) of the take that it is about (infinity: to the end).
+    """
 
     embeddings: Float32[np.ndarray, "sentences text"]
-    of_take: tuple[tuple[int, ...], ...]
+    take: Int64[np.ndarray, "utterances"]
+    sentence: Int64[np.ndarray, "utterances"]
+    start_seconds: Float64[np.ndarray, "utterances"]
+    end_seconds: Float64[np.ndarray, "utterances"]
 
     @property
     def dimension(self) -> int:
         """Size of a sentence embedding; 0 where there is no text."""
         return int(self.embeddings.shape[1])
 
+    def about(self, take: int, seconds: float) -> Int64[np.ndarray, "found"]:
+        """Sentences said about an instant of a take."""
+        rows = slice(*np.searchsorted(self.take, (take, take + 1)))
+        said = (self.start_seconds[rows] <= seconds) & (seconds < self.end_seconds[rows])
+        return self.sentence[rows][said]
+
+
+def collect_sentences(
+    captions: Sequence[Sequence[Caption]], embed: Callable[[list[str]], Float32[np.ndarray, "sentences text"]]
+) -> Sentences:
+    """Sentences of all takes, each distinct text embedded once; empty texts are left out."""
+    said = [(take, caption) for take, some in enumerate(captions) for caption in some if caption.text.strip()]
+    texts = list(dict.fromkeys(caption.text for _, caption in said))
+    row = {text: index for index, text in enumerate(texts)}
+    ends = [np.inf if caption.end_seconds is None else caption.end_seconds for _, caption in said]
+    return Sentences(
+        embeddings=embed(texts) if texts else np.zeros((0, 0), dtype=np.float32),
+        take=np.array([take for take, _ in said], dtype=np.int64),
+        sentence=np.array([row[caption.text] for _, caption in said], dtype=np.int64),
+        start_seconds=np.array([caption.start_seconds for _, caption in said], dtype=np.float64),
+        end_seconds=np.array(ends, dtype=np.float64),
+    )
+
 
 @dataclass(frozen=True, eq=False)
 class SpoiledClips:
-    """Clips as the network is to see them, the strengths it should tell, and which of them were left clean."""
+    """Clips as the network is to see them, the first `num_clean` as they were, and the strengths it should tell."""
 
     positions: Float32[np.ndarray, "clips poses 22 3"]
     targets: Float32[np.ndarray, "clips targets"]
-    clean: Int64[np.ndarray, "clean"]
+    num_clean: int
 
 
 def spoil(
@@ -78,15 +109,7 @@ def spoil(
         targets[rows, TARGET_OF_FAMILY[family.name]] = family.severity(strength, fps)
     targets[:, FRAMERATE] = np.log(fps / REFERENCE_FPS)
     cut = spoiled[:, margin : spoiled.shape[1] - margin]
-    return SpoiledClips(
-        centre(cut).astype(np.float32), targets.astype(np.float32), np.arange(num_clean, dtype=np.int64)
-    )
-
-
-def centre(clips: Float64[np.ndarray, "clips poses 22 3"]) -> Float64[np.ndarray, "clips poses 22 3"]:
-    """Clips moved so that the first root lies above the origin."""
-    origin = clips[:, :1, :1] * np.array([1.0, 0.0, 1.0])
-    return clips - origin
+    return SpoiledClips(centre(cut).astype(np.float32), targets.astype(np.float32), num_clean)
 
 
 def matching_loss(
@@ -112,13 +135,13 @@ class NativeTraining:
     """The evaluator in training; it owns the networks, the input statistics and the optimiser."""
 
     def __init__(
-        self, config: NativeConfig, banks: Sequence[ClipBank], captions: Captions, seed: int, device: torch.device
+        self, config: NativeConfig, banks: Sequence[ClipBank], sentences: Sentences, seed: int, device: torch.device
     ) -> None:
-        self.config, self.banks, self.captions, self.device = config, banks, captions, device
+        self.config, self.banks, self.sentences, self.device = config, banks, sentences, device
         self.damage = families()
         with seeded_initialisation(seed, "evaluator"):
             self.network = NativeNetwork(config.network).to(device)
-            self.text = TextProjection(max(captions.dimension, 1), config.network).to(device)
+            self.text = TextProjection(max(sentences.dimension, 1), config.network).to(device)
         self.mean, self.scale = self._statistics(np.random.default_rng((seed, 1)))
         parameters = [*self.network.parameters(), *self.text.parameters()]
         self.optimizer = torch.optim.AdamW(parameters, lr=0.0, weight_decay=config.training.weight_decay)
@@ -127,11 +150,11 @@ class NativeTraining:
         """One batch of one framerate and one clip length."""
         training = self.config.training
         rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
-        batch, take, fps = self._batch(rng)
+        batch, drawn, fps = self._batch(rng)
         embeddings = self.network(self._inputs(batch.positions, fps))
         targets = torch.from_numpy(batch.targets).to(self.device)
         strength = torch.nn.functional.smooth_l1_loss(self.network.strengths(embeddings), targets, beta=0.5)
-        matching = self._matching(embeddings, batch.clean, take, rng)
+        matching = self._matching(embeddings, batch.num_clean, drawn, rng)
         loss = strength + training.text_weight * matching
         factor = rate_factor(step, training.steps, schedule="cosine", warmup_fraction=training.warmup_fraction)
         set_rate(self.optimizer, training.learning_rate * factor)
@@ -158,35 +181,33 @@ class NativeTraining:
         self.scale = tensors["statistics.scale"].to(self.device)
         load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
 
-    def _batch(self, rng: np.random.Generator) -> tuple[SpoiledClips, Int64[np.ndarray, "clips"], float]:
+    def _batch(self, rng: np.random.Generator) -> tuple[SpoiledClips, DrawnClips, float]:
         training = self.config.training
         bank = self.banks[int(rng.integers(len(self.banks)))]
         longest = min(training.max_poses, int(bank.num_frames.max()) // 4 * 4)
         num_poses = 4 * int(rng.integers(training.min_poses // 4, longest // 4 + 1))
         fps = float(bank.fps)
         margin = int(np.ceil(MARGIN_SECONDS * fps))
-        clips, take = bank.draw(rng, training.batch_size, num_poses, margin)
+        drawn = bank.draw(rng, training.batch_size, num_poses, margin)
         num_clean = round(training.clean_fraction * training.batch_size)
-        return spoil(clips, fps, margin, num_clean, self.damage, rng), take, fps
+        return spoil(drawn.positions, fps, margin, num_clean, self.damage, rng), drawn, fps
 
     def _inputs(self, positions: Float32[np.ndarray, "clips poses 22 3"], fps: float) -> Tensor:
         raw = rich_input(torch.from_numpy(positions).to(self.device), fps)
         return (raw - self.mean) * self.scale
 
     def _matching(
-        self,
-        embeddings: Float[Tensor, "clips features"],
-        clean: Int64[np.ndarray, "clean"],
-        take: Int64[np.ndarray, "clips"],
-        rng: np.random.Generator,
+        self, embeddings: Float[Tensor, "clips features"], num_clean: int, drawn: DrawnClips, rng: np.random.Generator
     ) -> Float[Tensor, ""]:
         """Matching loss of the clean clips that have captions, one caption each."""
-        rows = np.array([row for row in clean if self.captions.of_take[take[row]]], dtype=np.int64)
+        takes, seconds = drawn.take[:num_clean].tolist(), drawn.centre_seconds[:num_clean].tolist()
+        about = [self.sentences.about(take, second) for take, second in zip(takes, seconds, strict=True)]
+        rows = [row for row, found in enumerate(about) if len(found)]
         if len(rows) < 2:
             return embeddings.new_zeros(())
-        sentence = np.array([rng.choice(np.array(self.captions.of_take[take[row]])) for row in rows], dtype=np.int64)
-        texts = self.text(torch.from_numpy(self.captions.embeddings[sentence]).to(self.device))
-        motions = self.network.shared(embeddings[torch.from_numpy(rows).to(self.device)])
+        sentence = np.array([rng.choice(about[row]) for row in rows], dtype=np.int64)
+        texts = self.text(torch.from_numpy(self.sentences.embeddings[sentence]).to(self.device))
+        motions = self.network.shared(embeddings[torch.tensor(rows, device=self.device)])
         return matching_loss(motions, texts, sentence, self.config.training.text_temperature)
 
     def _statistics(self, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
