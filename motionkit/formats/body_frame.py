@@ -68,6 +68,32 @@ def is_z_up(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joi
     return bool(posed_z > abs(posed_y))
 
 
+def upright(
+    skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]
+) -> tuple[Float32[np.ndarray, "frames joints 3"], list[str]]:
+    """Positions of a standard layout turned so that the body, on average, stands along +y; a log line if it did not.
+
+    Turns about x only, so left stays left: from z up, (x, y, z) → (x, z, −y); from y down, (x, −y, −z).
+    """
+    head, left, right = (_joint(skeleton, joint_positions, name) for name in ("head", "left_ankle", "right_ankle"))
+    _, y, z = (head - 0.5 * (left + right)).mean(axis=0).tolist()
+    if z > 2.0 * abs(y):
+        return _turn(joint_positions), ["turned from z up to y up: (x, y, z) → (x, z, −y)"]
+    if -y > 2.0 * abs(z):
+        return joint_positions * np.array([1, -1, -1], np.float32), [
+            "turned from y down to y up: (x, y, z) → (x, −y, −z)"
+        ]
+    return joint_positions, []
+
+
+def _joint(
+    skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"], name: str
+) -> Float32[np.ndarray, "frames 3"]:
+    weights = joint_map(skeleton, SMPL22.name).weights[SMPL22.index(name)]
+    place: Float32[np.ndarray, "frames 3"] = np.matmul(weights, joint_positions)
+    return place
+
+
 def z_up_to_y_up(
     skeleton: Skeleton,
     joint_positions: Float32[np.ndarray, "frames joints 3"],

@@ -61,6 +61,17 @@ def parse_table(
     return _parse_slowly(text, num_rows, num_columns, path, first_line)
 
 
+def format_table(table: Float64[np.ndarray, "rows columns"]) -> bytes:
+    """One line of numbers a row, separated by spaces, each with as many digits as it needs."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    columns = pa.table({str(column): values for column, values in enumerate(np.ascontiguousarray(table.T))})
+    buffer = pa.BufferOutputStream()
+    csv.write_csv(columns, buffer, csv.WriteOptions(include_header=False, delimiter=" ", quoting_style="none"))
+    return bytes(buffer.getvalue().to_pybytes())
+
+
 def _parse_slowly(
     text: bytes, num_rows: int, num_columns: int, path: Path, first_line: int
 ) -> Float64[np.ndarray, "rows columns"]:

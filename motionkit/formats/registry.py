@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from motionkit.errors import FormatError, UsageError
-from motionkit.formats import annotations, asfamc, bvh
+from motionkit.formats import annotations, asfamc, bvh, humanact12, humanml3d, joints_npy, kit
 from motionkit.formats.annotations import Annotation, AnnotationTable
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.motion import Motion
@@ -21,8 +21,8 @@ __all__ = ["FORMATS", "Format", "ReadOptions", "ScanResult", "SourceItem", "read
 class Format:
     """One format: how its sequences are found and read, and what people are told about it.
 
-    A file format has `suffixes`. A folder format has `claims`, which says whether a folder is one, and `find`, which
-    lists its sequences; a claimed folder is not searched any further.
+    A file format has `suffixes`, and `accepts` where the suffix alone does not tell. A folder format has `claims`,
+    which says whether a folder is one, and `find`, which lists its sequences; a claimed folder is not searched further.
     """
 
     name: str
@@ -31,6 +31,7 @@ class Format:
     rotations: bool
     read: Callable[[SourceItem, ReadOptions], Motion]
     suffixes: tuple[str, ...] = ()
+    accepts: Callable[[Path], bool] | None = None
     claims: Callable[[Path], bool] | None = None
     find: Callable[[Path, Path], ScanResult] | None = None
     writes: bool = False
@@ -55,6 +56,45 @@ FORMATS: Mapping[str, Format] = {
             rotations=True,
             read=lambda item, options: asfamc.read_asfamc(item.path, options),
             suffixes=(".amc",),
+        ),
+        Format(
+            name="humanml3d",
+            description="HumanML3D folder: new_joints and/or new_joint_vecs (263 numbers), texts, splits",
+            framerate="20, by definition",
+            rotations=False,
+            read=humanml3d.read_humanml3d,
+            claims=humanml3d.claims,
+            find=humanml3d.find,
+            writes=True,
+        ),
+        Format(
+            name="kit",
+            description="KIT-ML folder in HumanML3D's form: 21 joints, 251 numbers",
+            framerate="12.5, by definition",
+            rotations=False,
+            read=kit.read_kit,
+            claims=kit.claims,
+            find=kit.find,
+            writes=True,
+        ),
+        Format(
+            name="humanact12",
+            description="HumanAct12 clips (.npy, 24 joints, action in the name)",
+            framerate="20, by definition",
+            rotations=False,
+            read=lambda item, options: humanact12.read_humanact12(item.path, options),
+            suffixes=(".npy",),
+            accepts=humanact12.accepts,
+        ),
+        Format(
+            name="joints-npy",
+            description="joint positions (.npy, frames × joints × 3; 21, 22 or 24 joints)",
+            framerate="motions.json, annotation CSV or --fps",
+            rotations=False,
+            read=lambda item, options: joints_npy.read_joints_npy(item.path, options),
+            suffixes=(".npy",),
+            accepts=joints_npy.accepts,
+            writes=True,
         ),
     )
 }
@@ -96,7 +136,7 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
         subset=item.subset,
         source_path=item.path.relative_to(item.root).as_posix(),
         licence=item.licence,
-        subject=item.subject,
+        subject=item.subject or motion.provenance.subject,
     )
     return replace(
         motion,
@@ -146,7 +186,7 @@ def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, 
             return replace(found, items=tuple(replace(item, licence=item.licence or licence) for item in found.items))
     items = []
     for path in files:
-        kind = next((entry for entry in candidates if path.suffix.lower() in entry.suffixes), None)
+        kind = next((entry for entry in candidates if _takes(entry, path)), None)
         if kind is not None:
             relative = path.relative_to(root)
             item = SourceItem(
@@ -160,6 +200,10 @@ def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, 
             )
             items.append(item)
     return ScanResult(tuple(items))
+
+
+def _takes(entry: Format, path: Path) -> bool:
+    return path.suffix.lower() in entry.suffixes and (entry.accepts is None or entry.accepts(path))
 
 
 def _tables(folder: Path) -> tuple[list[AnnotationTable], tuple[FormatError, ...]]:

@@ -1,0 +1,268 @@
+"""HumanML3D folders (22 joints, 20 fps, metres) and what the KIT-ML folders of the same shape share with them.
+
+A folder has `new_joints/ID.npy` [T, J, 3] and/or `new_joint_vecs/ID.npy` [T, 12·J − 1], `texts/ID.txt`, `train.txt`,
+`val.txt`, `test.txt`, `Mean.npy` and `Std.npy`. Source: https://github.com/EricGuo5513/HumanML3D.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from motionkit.errors import FormatError
+from motionkit.formats import npy, sourcefile, texts
+from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
+from motionkit.motion import Caption, Motion, Provenance
+from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.timegrid import TimeGrid
+
+JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER = "new_joints", "new_joint_vecs", "texts"
+SPLITS = ("train", "val", "test")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One of the two published datasets of this shape; `unit_metres` is how long a unit of its files is."""
+
+    name: str
+    skeleton: Skeleton
+    fps: Fraction
+    unit_metres: float
+
+    @property
+    def num_values(self) -> int:
+        """Width of a pose vector, 12·J − 1."""
+        return 12 * self.skeleton.num_joints - 1
+
+    @property
+    def blocks(self) -> tuple[slice, ...]:
+        """The 7 parts of a pose vector inside each of which the published Std is one number."""
+        joints = self.skeleton.num_joints
+        widths = (1, 2, 1, 3 * (joints - 1), 6 * (joints - 1), 3 * joints, 4)
+        ends = np.cumsum(widths).tolist()
+        return tuple(slice(end - width, end) for width, end in zip(widths, ends, strict=True))
+
+
+HUMANML3D = Layout("humanml3d", SMPL22, Fraction(20), 1.0)
+
+
+def claims(folder: Path, layout: Layout = HUMANML3D) -> bool:
+    """Whether a folder is one of this layout, judged by the shape of its first array."""
+    for name, shape in (
+        (JOINTS_FOLDER, (layout.skeleton.num_joints, 3)),
+        (VECTORS_FOLDER, (layout.num_values,)),
+    ):
+        first = next(iter(sorted((folder / name).glob("*.npy"))), None)
+        if first is not None:
+            stated = npy.peek_shape(first)
+            return stated is not None and stated[1:] == shape
+    return False
+
+
+def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
+    """All sequences of a folder with their splits; captions without motion are problems, the reverse warnings."""
+    paths = _arrays(folder)
+    described = {path.stem: path for path in sorted((folder / TEXTS_FOLDER).glob("*.txt"))}
+    splits, warnings = _splits(folder, paths)
+    place = folder.relative_to(root).as_posix()
+    prefix = root.name if place == "." else f"{root.name}/{place}"
+    items = tuple(
+        SourceItem(
+            format=layout.name,
+            path=path,
+            root=root,
+            sequence_id=f"{prefix}/{key}",
+            key=key,
+            split=splits.get(key, ""),
+            source=root.name,
+            subset="" if place == "." else place,
+        )
+        for key, path in paths.items()
+    )
+    problems = tuple(
+        FormatError(
+            f"describes {key}, but there is no {JOINTS_FOLDER}/{key}.npy or {VECTORS_FOLDER}/{key}.npy",
+            path=path,
+            reason="caption-without-motion",
+        )
+        for key, path in described.items()
+        if key not in paths
+    )
+    if described:
+        warnings += [
+            FormatError(f"has no {TEXTS_FOLDER}/{key}.txt; kept without a caption", path=path, reason="no-caption")
+            for key, path in paths.items()
+            if key not in described
+        ]
+    return ScanResult(items, problems, tuple(warnings))
+
+
+def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMANML3D) -> Motion:
+    """Read one sequence: joints where the folder has them, else recovered from its pose vectors, in metres.
+
+    The published 6D rotations have lost their twist and are not offered as rotations. Raises `FormatError`.
+    """
+    data = sourcefile.read_bytes(item.path)
+    operations: list[str] = []
+    if item.path.parent.name == VECTORS_FOLDER:
+        vectors = npy.read_npy(item.path, data, (None, layout.num_values))
+        positions = recover_positions(vectors, layout.skeleton.num_joints)
+        operations.append(f"joint positions recovered from {layout.num_values}-number pose vectors")
+    else:
+        positions = npy.read_npy(item.path, data, (None, layout.skeleton.num_joints, 3))
+    unit = options.unit_metres or layout.unit_metres
+    if unit != 1.0:
+        positions = positions * np.float32(unit)
+        operations.append(f"lengths × {unit:g} to metres ({'given' if options.unit_metres else 'a body 1.7 m tall'})")
+    if item.key.startswith("M"):
+        operations.append(f"a mirrored copy of {item.key[1:]}, made by the dataset's authors")
+    fps = options.fps or layout.fps
+    if fps != layout.fps:
+        operations.append(f"framerate set to {fps}; the dataset says {layout.fps}")
+    described = item.path.parents[1] / TEXTS_FOLDER / f"{item.key}.txt"
+    return Motion(
+        joint_positions=positions,
+        skeleton=layout.skeleton,
+        timegrid=TimeGrid(fps, len(positions)),
+        captions=texts.read_texts(described) if described.is_file() else (),
+        split=item.split,
+        sequence_id=item.sequence_id,
+        provenance=Provenance(
+            source_path=item.path.name,
+            source_sha256=sourcefile.sha256(data),
+            source_format=layout.name,
+            stated_fps=str(float(layout.fps)),
+            operations=tuple(operations),
+        ),
+    )
+
+
+def recover_positions(
+    vectors: Float[np.ndarray, "frames values"], num_joints: int
+) -> Float32[np.ndarray, "frames joints 3"]:
+    """Joint positions, in the vectors' own unit, from the first 4 + 3·(J − 1) of 12·J − 1 numbers.
+
+    The yaw rate (half angles per frame) and the root's displacements are summed from the first frame on, so errors add
+    up; the other joints are read from their root-relative positions. Source: HumanML3D, recover_from_ric.
+    """
+    values = vectors.astype(np.float64)
+    angle = np.zeros(len(values))
+    angle[1:] = 2.0 * np.cumsum(values[:-1, 0])
+    step = np.zeros((len(values), 3))
+    step[1:, [0, 2]] = values[:-1, 1:3]
+    root = np.cumsum(_turned_back(step[:, None], angle)[:, 0], axis=0)
+    positions = np.empty((len(values), num_joints, 3))
+    local = values[:, 4 : 4 + 3 * (num_joints - 1)].reshape(len(values), num_joints - 1, 3)
+    positions[:, 1:] = _turned_back(local, angle) + root[:, None]
+    positions[:, 0] = root
+    positions[:, 0, 1] = values[:, 3]
+    return positions.astype(np.float32)
+
+
+def _turned_back(
+    vectors: Float64[np.ndarray, "frames joints 3"], angle: Float64[np.ndarray, "frames"]
+) -> Float64[np.ndarray, "frames joints 3"]:
+    # The inverse of the heading quaternion (cos, 0, sin, 0): a turn about y by −angle.
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.stack((cosine * x - sine * z, y, sine * x + cosine * z), axis=-1)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One sequence to write: joints in the layout's unit, its pose vectors if there are any, captions and split."""
+
+    name: str
+    joint_positions: Float32[np.ndarray, "frames joints 3"]
+    vectors: Float32[np.ndarray, "rows values"] | None = None
+    captions: tuple[Caption, ...] = ()
+    split: str = ""
+
+
+def write_humanml3d(folder: Path, entries: Iterable[Entry], layout: Layout = HUMANML3D) -> int:
+    """Write a folder of the published form and return the number of sequences.
+
+    `Mean.npy` and `Std.npy` (float64 sums; Std averaged inside each block, as published) are of the training vectors,
+    or of all where no sequence is marked train. Raises `ValueError` for a name that is repeated or no plain file name.
+    """
+    for name in (JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    members: dict[str, list[str]] = {split: [] for split in ("all", *SPLITS)}
+    sums = {True: _Sums(layout.num_values), False: _Sums(layout.num_values)}
+    for entry in entries:
+        if Path(entry.name).name != entry.name or entry.name in members["all"]:
+            raise ValueError(f"{entry.name!r} is not a plain file name, or is repeated")
+        np.save(folder / JOINTS_FOLDER / f"{entry.name}.npy", entry.joint_positions, allow_pickle=False)
+        if entry.vectors is not None:
+            np.save(folder / VECTORS_FOLDER / f"{entry.name}.npy", entry.vectors, allow_pickle=False)
+            sums[entry.split == "train"].add(entry.vectors)
+        duration = len(entry.joint_positions) / float(layout.fps)
+        if entry.captions:
+            lines = texts.format_texts(entry.captions, duration)
+            (folder / TEXTS_FOLDER / f"{entry.name}.txt").write_text(lines, encoding="utf-8")
+        members["all"].append(entry.name)
+        if entry.split in SPLITS:
+            members[entry.split].append(entry.name)
+    members["train_val"] = [*members["train"], *members["val"]]
+    for split, names in members.items():
+        (folder / f"{split}.txt").write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
+    chosen = sums[True] if sums[True].count else sums[False]
+    if chosen.count:
+        mean, std = chosen.statistics(layout)
+        np.save(folder / "Mean.npy", mean, allow_pickle=False)
+        np.save(folder / "Std.npy", std, allow_pickle=False)
+    return len(members["all"])
+
+
+class _Sums:
+    """Running sums of vectors and their squares."""
+
+    def __init__(self, num_values: int) -> None:
+        self.count = 0
+        self.total = np.zeros(num_values)
+        self.squares = np.zeros(num_values)
+
+    def add(self, vectors: Float32[np.ndarray, "rows values"]) -> None:
+        """Take in the rows of one sequence."""
+        values = vectors.astype(np.float64)
+        self.count += len(values)
+        self.total += values.sum(axis=0)
+        self.squares += np.square(values).sum(axis=0)
+
+    def statistics(self, layout: Layout) -> tuple[Float32[np.ndarray, "values"], Float32[np.ndarray, "values"]]:
+        """Mean, and the standard deviation averaged inside each block."""
+        mean = self.total / self.count
+        std = np.sqrt(np.maximum(self.squares / self.count - np.square(mean), 0.0))
+        for block in layout.blocks:
+            std[block] = std[block].mean()
+        return mean.astype(np.float32), std.astype(np.float32)
+
+
+def _arrays(folder: Path) -> dict[str, Path]:
+    paths = {path.stem: path for path in sorted((folder / VECTORS_FOLDER).glob("*.npy"))}
+    paths.update({path.stem: path for path in sorted((folder / JOINTS_FOLDER).glob("*.npy"))})
+    return dict(sorted(paths.items()))
+
+
+def _splits(folder: Path, known: Mapping[str, Path]) -> tuple[dict[str, str], list[FormatError]]:
+    splits: dict[str, str] = {}
+    warnings: list[FormatError] = []
+    for split in SPLITS:
+        path = folder / f"{split}.txt"
+        names = list(_lines(path))
+        splits.update(dict.fromkeys(names, split))
+        absent = [name for name in names if name not in known]
+        if absent:
+            message = f"lists {len(absent)} sequences that are not in the folder, first {absent[0][:40]!r}"
+            warnings.append(FormatError(message, path=path, reason="split-without-motion"))
+    return splits, warnings
+
+
+def _lines(path: Path) -> Iterator[str]:
+    if path.is_file():
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.strip():
+                yield line.strip()

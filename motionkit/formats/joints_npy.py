@@ -1,0 +1,130 @@
+"""Joint positions in .npy files [T, J, 3], with the framerate from `motions.json`, an annotation CSV or an option.
+
+`motions.json` beside the files may say `{"fps": "30000/1001", "layout": "smpl22", "unit_metres": 1.0}`; without it the
+layout follows from J: 22 or 24 joints are SMPL's (hands dropped), 21 are KIT's.
+"""
+
+import json
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from motionkit.errors import FormatError
+from motionkit.formats import body_frame, npy, sourcefile
+from motionkit.formats.items import ReadOptions
+from motionkit.motion import Motion, Provenance
+from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.timegrid import TimeGrid, format_fps, parse_fps
+
+MANIFEST = "motions.json"
+LAYOUT_BY_JOINTS = {21: "kit21", 22: "smpl22", 24: "smpl22"}
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What `motions.json` says about the arrays beside it."""
+
+    fps: Fraction | None = None
+    layout: str = ""
+    unit_metres: float = 1.0
+
+
+def accepts(path: Path) -> bool:
+    """Whether a .npy file is a sequence of joints; a broken header passes, so that reading it says what is wrong."""
+    shape = npy.peek_shape(path)
+    return shape is None or (len(shape) == 3 and shape[2] == 3)
+
+
+def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read one array as positions in metres, turned to y up where the body stands along z.
+
+    Raises `FormatError`, with the reason `no-framerate` where nothing says the framerate.
+    """
+    options = options or ReadOptions()
+    manifest = read_manifest(path.parent / MANIFEST)
+    fps = options.fps or manifest.fps
+    if fps is None:
+        raise FormatError(
+            f'nothing says the framerate; put {{"fps": 30}} into {MANIFEST} beside the file, a column fps into an '
+            "annotation CSV, or use --fps",
+            path=path,
+            reason="no-framerate",
+        )
+    data = sourcefile.read_bytes(path)
+    positions = npy.read_npy(path, data, (None, None, 3))
+    skeleton = _skeleton(positions.shape[1], manifest, path)
+    operations = []
+    if positions.shape[1] != skeleton.num_joints:
+        operations.append(f"kept the first {skeleton.num_joints} of {positions.shape[1]} joints")
+        positions = np.ascontiguousarray(positions[:, : skeleton.num_joints])
+    unit = options.unit_metres or manifest.unit_metres
+    if unit != 1.0:
+        positions = positions * np.float32(unit)
+        operations.append(f"lengths × {unit:g} to metres (given)")
+    positions, turned = body_frame.upright(skeleton, positions)
+    operations += turned
+    return Motion(
+        joint_positions=positions,
+        skeleton=skeleton,
+        timegrid=TimeGrid(fps, len(positions)),
+        sequence_id=path.stem,
+        provenance=Provenance(
+            source_path=path.name,
+            source_sha256=sourcefile.sha256(data),
+            source_format="joints-npy",
+            stated_fps="" if manifest.fps is None else format_fps(manifest.fps),
+            operations=tuple(operations),
+        ),
+    )
+
+
+def write_joints_npy(motion: Motion, path: Path) -> None:
+    """Write the positions in metres and their framerate into `motions.json` beside them.
+
+    Raises `ValueError` where the folder's `motions.json` has another framerate or layout.
+    """
+    if motion.skeleton.name not in STANDARD_SKELETONS:
+        raise ValueError(f"skeleton {motion.skeleton.name!r} is none of {', '.join(STANDARD_SKELETONS)}; map it first")
+    manifest = path.parent / MANIFEST
+    if manifest.exists():
+        there = read_manifest(manifest)
+        if (there.fps, there.layout) != (motion.fps, motion.skeleton.name):
+            raise ValueError(f"{manifest} says {there.fps} fps and {there.layout}; one folder holds one of each")
+    np.save(path, motion.joint_positions, allow_pickle=False)
+    manifest.write_text(json.dumps({"fps": format_fps(motion.fps), "layout": motion.skeleton.name}), encoding="utf-8")
+
+
+def read_manifest(path: Path) -> Manifest:
+    """Read `motions.json`; an absent one says nothing. Raises `FormatError` (`manifest`)."""
+    if not path.is_file():
+        return Manifest()
+    try:
+        value = json.loads(sourcefile.decode(sourcefile.read_bytes(path), path))
+        fps = value.get("fps")
+        manifest = Manifest(
+            None if fps is None else parse_fps(fps), str(value.get("layout", "")), float(value.get("unit_metres", 1.0))
+        )
+    except (ValueError, TypeError, AttributeError, ZeroDivisionError, RecursionError) as error:
+        raise FormatError(f"expected an object with fps and layout ({error})", path=path, reason="manifest") from None
+    if manifest.layout not in ("", *STANDARD_SKELETONS) or not 0 < manifest.unit_metres < 1e6:
+        raise FormatError(
+            f"layout {manifest.layout!r} and unit {manifest.unit_metres} m, expected one of "
+            f"{', '.join(STANDARD_SKELETONS)} and a length",
+            path=path,
+            reason="manifest",
+        )
+    return manifest
+
+
+def _skeleton(num_joints: int, manifest: Manifest, path: Path) -> Skeleton:
+    layout = manifest.layout or LAYOUT_BY_JOINTS.get(num_joints, "")
+    if layout not in STANDARD_SKELETONS or LAYOUT_BY_JOINTS.get(num_joints) != layout:
+        raise FormatError(
+            f"{num_joints} joints{f' for the layout {layout}' if layout else ''}, expected 22 (smpl22), 24 (SMPL with "
+            "hands) or 21 (kit21)",
+            path=path,
+            reason="channel-count",
+        )
+    return STANDARD_SKELETONS[layout]

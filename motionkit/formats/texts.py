@@ -1,0 +1,54 @@
+"""HumanML3D's text files: one caption a line, `caption#word/POS word/POS …#start#end`, in seconds.
+
+0.0#0.0 means the whole motion; so does nan. Source: https://github.com/EricGuo5513/HumanML3D (texts.zip, README).
+"""
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+from motionkit.errors import FormatError
+from motionkit.formats import sourcefile
+from motionkit.motion import Caption
+
+
+def read_texts(path: Path) -> tuple[Caption, ...]:
+    """Captions with their segments; swapped ends are put right. A line without `#` is a caption of the whole motion.
+
+    Raises `FormatError` (`text`, `encoding`, `empty`) naming the line.
+    """
+    text = sourcefile.decode(sourcefile.read_bytes(path), path)
+    return tuple(_caption(line, path, number) for number, line in enumerate(text.split("\n"), start=1) if line.strip())
+
+
+def format_texts(captions: Iterable[Caption], duration_seconds: float) -> str:
+    """The lines for some captions; words without tags get the tag X (other), `#` in a caption becomes a space."""
+    lines = []
+    for caption in captions:
+        words = " ".join(caption.text.replace("#", " ").split())
+        tokens = caption.tokens or " ".join(f"{word.strip('.,;:!?').lower()}/X" for word in words.split())
+        whole = caption.start_seconds == 0.0 and caption.end_seconds is None
+        end = duration_seconds if caption.end_seconds is None else caption.end_seconds
+        start, end = (0.0, 0.0) if whole else (caption.start_seconds, end)
+        lines.append(f"{words}#{tokens.replace('#', ' ')}#{start!r}#{end!r}\n")
+    return "".join(lines)
+
+
+def _caption(line: str, path: Path, number: int) -> Caption:
+    parts = line.strip().split("#")
+    if len(parts) == 1:
+        return Caption(parts[0])
+    if len(parts) != 4:
+        raise FormatError(
+            f"{len(parts)} parts between '#', expected caption#tokens#start#end", path=path, reason="text", line=number
+        )
+    try:
+        start, end = (float(part) for part in parts[2:])
+    except ValueError:
+        raise FormatError(
+            f"segment {parts[2][:20]!r} to {parts[3][:20]!r}, expected seconds", path=path, reason="text", line=number
+        ) from None
+    if not (math.isfinite(start) and math.isfinite(end)) or start == end == 0.0:
+        return Caption(parts[0], tokens=parts[1])
+    start, end = max(0.0, min(start, end)), max(start, end)
+    return Caption(parts[0], start, end, parts[1])
