@@ -145,7 +145,7 @@ def clap(rng: np.random.Generator, body: Body, start: float, end: float) -> Part
             Layer(f"{side}_arm_elevation", scaled(float(rng.uniform(0.65, 0.85)), ready)),
             Layer(f"{side}_arm_azimuth", scaled(-1.05, ready)),
             Layer(f"{side}_elbow", scaled(1.1, ready)),
-            Layer(f"{side}_arm_twist", scaled(-0.45, ready)),
+            Layer(f"{side}_arm_twist", scaled(-0.38, ready)),
             Layer(f"{side}_arm_twist", product(ready, cosine(frequency, start + 0.6, -0.22))),
         ]
     manner = "quickly" if frequency > 2.3 else "slowly" if frequency < 1.9 else "steadily"
@@ -187,7 +187,7 @@ def kick(rng: np.random.Generator, body: Body, start: float, end: float) -> Part
     other = "right" if side == "left" else "left"
     sign = 1.0 if side == "left" else -1.0
     height = float(rng.uniform(0.35, 0.75)) * body.leg_length / 0.805
-    reach = 0.92 * float(np.sqrt(body.leg_length**2 - (0.9 - height) ** 2 / 2.0))
+    reach = 0.95 * float(np.sqrt(body.leg_length**2 - (body.leg_length - height) ** 2))
     period = float(rng.uniform(1.9, 2.4))
     count = max(1, int((end - start) / period))
     layers: list[Layer] = []
@@ -217,26 +217,30 @@ def kick(rng: np.random.Generator, body: Body, start: float, end: float) -> Part
 
 
 def throw(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
-    """Throw something overarm."""
+    """Throw something overarm, again and again if there is time."""
     side = SIDES[int(rng.integers(2))]
     sign = 1.0 if side == "right" else -1.0
-    begin = start + float(rng.uniform(0.0, max(0.01, end - start - 2.6)))
-    wind_up = pulse(begin, 0.7, 0.25, 0.35)
-    release = pulse(begin + 0.95, 0.3, 0.1, 0.9)
-    layers = (
-        Layer(f"{side}_arm_elevation", scaled(1.5, wind_up)),
-        Layer(f"{side}_arm_azimuth", scaled(0.5, wind_up)),
-        Layer(f"{side}_arm_twist", scaled(1.6, wind_up)),
-        Layer(f"{side}_elbow", scaled(1.4, wind_up)),
-        Layer("spine_yaw", scaled(-0.6 * sign, wind_up)),
-        Layer(f"{side}_arm_elevation", scaled(1.25, release)),
-        Layer(f"{side}_arm_azimuth", scaled(-0.9, release)),
-        Layer("spine_yaw", scaled(0.4 * sign, release)),
-        Layer("spine_pitch", scaled(0.3, release)),
-        Layer("pelvis_forward", scaled(0.06, release)),
-    )
+    period = float(rng.uniform(2.5, 3.2))
+    count = max(1, int((end - start) / period))
+    layers: list[Layer] = []
+    for k in range(count):
+        begin = start + k * period + 0.1
+        wind_up = pulse(begin, 0.7, 0.25, 0.35)
+        release = pulse(begin + 0.95, 0.3, 0.1, 0.9)
+        layers += [
+            Layer(f"{side}_arm_elevation", scaled(1.5, wind_up)),
+            Layer(f"{side}_arm_azimuth", scaled(0.5, wind_up)),
+            Layer(f"{side}_arm_twist", scaled(1.6, wind_up)),
+            Layer(f"{side}_elbow", scaled(1.4, wind_up)),
+            Layer("spine_yaw", scaled(-0.6 * sign, wind_up)),
+            Layer(f"{side}_arm_elevation", scaled(1.25, release)),
+            Layer(f"{side}_arm_azimuth", scaled(-0.9, release)),
+            Layer("spine_yaw", scaled(0.4 * sign, release)),
+            Layer("spine_pitch", scaled(0.3, release)),
+            Layer("pelvis_forward", scaled(0.06, release)),
+        ]
     phrases = (f"throws something with the {side} hand", "throws a ball overarm", f"throws with the {side} arm")
-    return Part("throw", start, end, layers, (), phrases)
+    return Part("throw", start, start + count * period, tuple(layers), (), phrases)
 
 
 def stretch(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:

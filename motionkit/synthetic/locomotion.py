@@ -97,7 +97,7 @@ def _alternating(rng: np.random.Generator, gait: Gait, first: str, start: float,
 
 def pace(body: Body, speed: float, dimension: float = 1.0) -> float:
     """Strides per second at which a body walks at a speed: cadence grows with √speed (Grieve and Gear 1966)."""
-    return float(0.80 * dimension * np.sqrt(max(speed, 0.3) / 1.3) * np.sqrt(0.805 / body.leg_length))
+    return float(0.90 * dimension * np.sqrt(max(speed, 0.3) / 1.3) * np.sqrt(0.805 / body.leg_length))
 
 
 def _moderately(speed: float, slow: float, fast: float) -> str:
@@ -106,7 +106,7 @@ def _moderately(speed: float, slow: float, fast: float) -> str:
 
 def walk(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
     """Walk straight on."""
-    speed = float(rng.uniform(0.6, 1.7)) * np.sqrt(body.leg_length / 0.805)
+    speed = float(rng.uniform(0.6, 1.6)) * np.sqrt(body.leg_length / 0.805)
     layers, swings, moving = travel(rng, _walking(rng, body, speed), start, end)
     wander = Layer("turn_rate", product(moving, wave(float(rng.uniform(0.08, 0.15)), float(rng.uniform(0, 9)), 0.06)))
     manner = _moderately(speed, 0.9, 1.4)
@@ -226,14 +226,14 @@ def _running(rng: np.random.Generator, body: Body, speed: float, duty: float) ->
 
 def jog(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
     """Jog forward."""
-    layers, swings, _ = travel(rng, _running(rng, body, float(rng.uniform(1.8, 2.4)), 0.43), start, end)
+    layers, swings, _ = travel(rng, _running(rng, body, float(rng.uniform(1.7, 2.3)), 0.40), start, end)
     phrases = ("jogs forward", "jogs at an easy pace", "trots forward")
     return Part("jog", start, end, layers, swings, phrases)
 
 
 def run(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
     """Run forward."""
-    layers, swings, _ = travel(rng, _running(rng, body, float(rng.uniform(2.7, 3.6)), 0.36), start, end)
+    layers, swings, _ = travel(rng, _running(rng, body, float(rng.uniform(2.6, 3.4)), 0.31), start, end)
     phrases = ("runs forward", "runs fast in a straight line", "sprints ahead")
     return Part("run", start, end, layers, swings, phrases)
 
