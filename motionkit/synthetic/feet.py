@@ -10,9 +10,8 @@ from motionkit.synthetic.curves import glide, smoothstep
 from motionkit.synthetic.script import Swing
 from motionkit.synthetic.trajectory import Trajectory, turned
 
-# How long before liftoff the heel begins to rise, and how long after touchdown the toe still comes down, as fractions
-# of the swing's duration.
-HEEL_RISE_LEAD, TOE_DOWN_LAG = 0.45, 0.30
+TOE_OUT = 0.12  # radians
+TOE_DOWN_LAG = 0.30  # how long after touchdown the toe still comes down, as a fraction of the swing's duration
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +57,8 @@ def foot_path(
     arc = np.where(inside, (4.0 * u * (1.0 - u)) ** 2, 0.0)
     # The ankle is highest early in the swing, as in walking: the arc is skewed by (1.6 − 1.2 u).
     base[:, 1] += (arc * (1.6 - 1.2 * u)) @ np.array([swing.lift for swing in own])
-    rise = smoothstep((u + HEEL_RISE_LEAD) / HEEL_RISE_LEAD) * smoothstep((0.55 - u) / 0.55)
+    lead = np.array([swing.heel_lead for swing in own])
+    rise = smoothstep((u + lead) / lead) * smoothstep((0.55 - u) / 0.55)
     toe_up = smoothstep((u - 0.5) / 0.45) * smoothstep((1.0 + TOE_DOWN_LAG - u) / TOE_DOWN_LAG)
     return FootPath(
         base=base,
@@ -88,6 +88,3 @@ def _footprints(
     prints = trajectory.position(middles) + turned(np.stack((aside, np.zeros_like(aside), ahead), axis=-1), heading)
     prints[:, 1] = body.ankle_height
     return prints, heading + sign * TOE_OUT
-
-
-TOE_OUT = 0.12

@@ -53,7 +53,7 @@ def travel(
         Layer("forward_speed", scaled(gait.forward_speed, moving)),
         Layer("left_speed", scaled(gait.left_speed, moving)),
         Layer("pelvis_drop", product(moving, cosine(2.0 * gait.cadence, left_middle, rising * gait.bob))),
-        Layer("pelvis_drop", scaled(0.012, moving)),
+        Layer("pelvis_drop", scaled(0.028, moving)),
         Layer("pelvis_left", scaled(gait.sway, over_left)),
         Layer("pelvis_roll", scaled(0.05 * gait.duty, over_left)),
         Layer("pelvis_yaw", scaled(gait.pelvis_yaw, fore_aft)),
@@ -89,6 +89,8 @@ def _alternating(rng: np.random.Generator, gait: Gait, first: str, start: float,
             lift=gait.lift * float(uneven[k]),
             heel_rise=gait.heel_rise * float(uneven[k]),
             toe_up=gait.toe_up * float(uneven[k]),
+            # Running, the heel must not rise before the foot has landed.
+            heel_lead=min(0.7, 0.7 * gait.duty / (1.0 - gait.duty)),
             out=gait.out,
         )
         for k in range(count)

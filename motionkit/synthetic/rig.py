@@ -13,11 +13,12 @@ from motionkit.synthetic.trajectory import Trajectory, turned
 
 Channels = dict[str, Float64[np.ndarray, " times"]]
 
-STANDING_STRETCH = 0.975  # of a leg's length when standing upright
-PLANTED_STRETCH = 0.980  # the pelvis is kept low enough for a planted leg never to need more than this
-LARGEST_STRETCH = 0.992  # a foot in the air is drawn towards the hip before its leg would need more than this
-SOFT_MINIMUM_PER_METRE = 80.0
-FREED_BY_SWING = 0.6  # metres by which a leg in the air ceases to hold the pelvis down
+STANDING_STRETCH = 0.985  # of a leg's length when standing upright
+PLANTED_STRETCH = 0.986  # the pelvis is kept low enough for a planted leg never to need more than this
+STRETCH_MARGIN = 0.010  # within which a leg that reaches for more saturates smoothly
+SOFT_MINIMUM_PER_METRE = 220.0
+SWING_FLEXION = 0.09  # by which a leg stays shorter in the middle of a swing
+FREED_BY_SWING = 0.08  # metres by which a leg in the air ceases to hold the pelvis down
 JOINT = {name: index for index, name in enumerate(SMPL22.joint_names)}
 
 
@@ -142,7 +143,7 @@ def _pose_leg(
     bones = body.skeleton.offsets.astype(np.float64)
     thigh, shin = -bones[JOINT[f"{side}_knee"], 1], -bones[JOINT[f"{side}_ankle"], 1]
     hip = root + local[:, 0] @ bones[JOINT[f"{side}_hip"]]
-    reach, down = _within_reach(ankle - hip, thigh + shin)
+    reach, down = _within_reach(ankle - hip, thigh + shin, foot.airborne)
     # The knee's hinge points to the body's left, half way between the pelvis and the foot, and is square to the leg.
     knee_yaw = heading + (foot.yaw - heading) / 2.0 + channels["pelvis_yaw"] / 2.0 + sign * channels[f"{side}_knee_out"]
     hinge = turned(np.broadcast_to([1.0, 0.0, 0.0], hip.shape), knee_yaw)
@@ -160,13 +161,13 @@ def _pose_leg(
 
 
 def _within_reach(
-    span: Float64[np.ndarray, "times 3"], length: float
+    span: Float64[np.ndarray, "times 3"], length: float, airborne: Float64[np.ndarray, " times"]
 ) -> tuple[Float64[np.ndarray, " times"], Float64[np.ndarray, "times 3"]]:
-    """Distance and direction hip → ankle; the distance is untouched up to PLANTED_STRETCH and saturates beyond."""
+    """Distance and direction hip → ankle; the distance of a planted foot is kept, that of one in the air saturates."""
     distance = np.linalg.norm(span, axis=-1)
-    free, most = PLANTED_STRETCH * length, LARGEST_STRETCH * length
-    beyond = np.maximum(distance - free, 0.0)
-    reach = np.minimum(distance, free) + (most - free) * np.tanh(beyond / (most - free))
+    free = (PLANTED_STRETCH - SWING_FLEXION * airborne) * length
+    margin = (STRETCH_MARGIN + 0.8 * SWING_FLEXION * airborne) * length
+    reach = np.minimum(distance, free) + margin * np.tanh(np.maximum(distance - free, 0.0) / margin)
     return np.maximum(reach, 0.2 * length), span / distance[:, None]
 
 

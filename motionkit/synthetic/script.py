@@ -56,7 +56,8 @@ class Swing:
 
     It lands where the trajectory is in the middle of the stance that follows, `out` metres to its own side (None: the
     body's standing width) and `forward` metres ahead; `lift` is how high the ankle is raised, `heel_rise` and `toe_up`
-    the foot's pitch in radians at liftoff and at touchdown.
+    the foot's pitch in radians at liftoff and at touchdown. The heel begins to rise `heel_lead` swing durations before
+    liftoff.
     """
 
     side: str
@@ -65,6 +66,7 @@ class Swing:
     lift: float = 0.08
     heel_rise: float = 0.5
     toe_up: float = 0.2
+    heel_lead: float = 0.7
     out: float | None = None
     forward: float = 0.0
 
