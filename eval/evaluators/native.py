@@ -91,7 +91,8 @@ class NativeEvaluator:
             raise MotionkitError("this evaluator was trained on a store without captions: it knows no sentences")
         embeddings = torch.from_numpy(self._text_encoder.encode(list(texts)))
         with torch.inference_mode():
-            return self.text(embeddings).double().numpy()
+            projected: Float64[np.ndarray, "texts shared"] = self.text(embeddings).double().numpy()
+        return projected
 
     @cached_property
     def _text_encoder(self) -> TextEncoder | None:

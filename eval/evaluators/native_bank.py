@@ -84,7 +84,11 @@ class ClipBank:
         end = np.clip(frame, 0, last)
         mirrored = np.clip(2 * end - frame, 0, last)
         ends = self.positions[first_row + end].astype(np.float64)
-        return np.where((frame == end)[..., None, None], ends, 2 * ends - self.positions[first_row + mirrored])
+        inside = (frame == end)[..., None, None]
+        clips: Float64[np.ndarray, "clips poses 22 3"] = np.where(
+            inside, ends, 2 * ends - self.positions[first_row + mirrored]
+        )
+        return clips
 
 
 def build_bank(takes: Takes, fps: Fraction, max_seconds: float, min_poses: int, rng: np.random.Generator) -> ClipBank:
@@ -115,7 +119,9 @@ def build_banks(
     highest = max(takes.fps, default=Fraction(0))
     reached = [fps for fps in framerates if fps <= highest]
     if not reached:
-        raise UsageError(f"the store's highest framerate is {highest}; the evaluator is trained at {min(framerates)} up")
+        raise UsageError(
+            f"the store's highest framerate is {highest}; the evaluator is trained at {min(framerates)} up"
+        )
     return tuple(
         build_bank(takes, fps, max_seconds, min_poses, np.random.default_rng((seed, fps.numerator, fps.denominator)))
         for fps in reached

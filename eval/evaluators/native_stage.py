@@ -52,7 +52,14 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
         trainable.model_tensors(),
         describe_training(to_plain(config), store.fingerprint, reached, encoder),
     )
-    folder.finish({**latest, "sequences": len(takes.fps), "sentences": len(sentences.embeddings), "fps": [str(fps) for fps in reached]})
+    folder.finish(
+        {
+            **latest,
+            "sequences": len(takes.fps),
+            "sentences": len(sentences.embeddings),
+            "fps": [str(fps) for fps in reached],
+        }
+    )
 
 
 def takes_of_cache(store: "Store", cache: "PositionCache") -> "Takes":

@@ -159,7 +159,7 @@ class NativeTraining:
         factor = rate_factor(step, training.steps, schedule="cosine", warmup_fraction=training.warmup_fraction)
         set_rate(self.optimizer, training.learning_rate * factor)
         self.optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), training.gradient_clip)
         self.optimizer.step()
         return {"loss": loss, "strength": strength, "matching": matching}
