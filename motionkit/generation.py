@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from motionkit.errors import UsageError
 from motionkit.motionfield import MotionField
@@ -18,13 +18,17 @@ from motionkit.skeleton import Skeleton
 
 @dataclass(frozen=True)
 class GenerationRequest:
-    """One motion wanted: a duration, and a text, an action or neither as its condition."""
+    """One motion wanted: a duration, and a text, an action or neither as its condition.
 
-    duration_seconds: float
+    Where the duration is None, the model draws one from those of its training data.
+    """
+
+    duration_seconds: float | None
     text: str = ""
     action: str = ""
 
 
+@runtime_checkable
 class GenerativeModel(Protocol):
     """A trained model that turns requests into motion fields."""
 

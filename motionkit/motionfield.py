@@ -49,6 +49,15 @@ class MotionField(Protocol):
         ...
 
 
+@runtime_checkable
+class FramerateConditioned(Protocol):
+    """A field that also depends on the framerate at which it is sampled (the s of NeRM's Eq. 2)."""
+
+    def at_fps(self, fps: Fraction) -> MotionField:
+        """The same motion, told that it is sampled at this framerate."""
+        ...
+
+
 def check_times(field: MotionField, times_seconds: Float64[np.ndarray, "times"]) -> None:
     """Raise `ValueError` for times outside the field's domain (a microsecond of rounding is allowed)."""
     outside = (times_seconds < field.start_seconds - 1e-6) | (times_seconds > field.end_seconds + 1e-6)
@@ -62,6 +71,8 @@ def check_times(field: MotionField, times_seconds: Float64[np.ndarray, "times"])
 
 def to_motion(field: MotionField, fps: Fraction, provenance: Provenance | None = None) -> Motion:
     """Sample the whole field uniformly: frame k at start_seconds + k / fps."""
+    if isinstance(field, FramerateConditioned):
+        field = field.at_fps(fps)
     grid = TimeGrid(fps, num_frames_within(field.end_seconds - field.start_seconds, fps), field.start_seconds)
     poses = field.query(np.minimum(grid.seconds(), field.end_seconds))
     return Motion(

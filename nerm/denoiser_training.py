@@ -14,6 +14,7 @@ from nerm.denoiser import Denoiser
 from nerm.denoiser_config import DenoiserConfig
 from nerm.diffusion import add_noise, cumulative_alphas
 from nerm.latent_corpus import LatentCorpus, latent_statistics
+from nerm.trained_denoiser import TrainedDenoiser
 
 
 class DenoiserTraining:
@@ -57,6 +58,22 @@ class DenoiserTraining:
         self.optimizer.step()
         self.average.update(self.denoiser, step)
         return {"loss": loss.detach()}
+
+    def finished(self, *, text_fingerprint: str, field_sha256: str) -> TrainedDenoiser:
+        """The trained denoiser, with its averaged weights, on the CPU."""
+        with seeded_initialisation(0, "denoiser"):
+            denoiser = Denoiser(self.config.network, self.corpus.means.shape[1], self.corpus.layout)
+        denoiser.load_state_dict(self.average.tensors())
+        return TrainedDenoiser(
+            config=self.config,
+            denoiser=denoiser.eval().requires_grad_(False),
+            statistics=self.statistics,
+            layout=self.corpus.layout,
+            durations=self.corpus.duration,
+            text_encoder=self.config.text_encoder,
+            text_fingerprint=text_fingerprint,
+            field_sha256=field_sha256,
+        )
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Weights, their average, the optimiser's moments."""

@@ -48,20 +48,6 @@ def mixture_corpus(windows: int = 60) -> LatentCorpus:
     )
 
 
-def trained(training: DenoiserTraining) -> TrainedDenoiser:
-    training.denoiser.load_state_dict(training.average.tensors())
-    return TrainedDenoiser(
-        config=training.config,
-        denoiser=training.denoiser.eval(),
-        statistics=training.statistics,
-        layout=training.corpus.layout,
-        durations=training.corpus.duration,
-        text_encoder="none",
-        text_fingerprint="",
-        field_sha256="f" * 64,
-    )
-
-
 @pytest.fixture(scope="module")
 def mixture(tmp_path_factory) -> tuple[TrainedDenoiser, RunFolder]:
     run = RunFolder(tmp_path_factory.mktemp("run"))
@@ -69,7 +55,7 @@ def mixture(tmp_path_factory) -> tuple[TrainedDenoiser, RunFolder]:
     folder.path.mkdir()
     training = DenoiserTraining(CONFIG, mixture_corpus(), seed=0, device=torch.device("cpu"))
     train_loop(training, folder, steps=training.num_steps, seed=0)
-    model = trained(training)
+    model = training.finished(text_fingerprint="", field_sha256="f" * 64)
     save_denoiser(run, model)
     folder.finish({"loss": 1.0})
     return model, run

@@ -1,0 +1,1 @@
+"""The commands that NeRM adds to motionkit, one file each."""

@@ -1,0 +1,181 @@
+"""NeRM as a generative model: requests → conditions → latents (§3.2) → motion fields (§3.1)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Float64
+
+from motionkit.errors import UsageError
+from motionkit.generation import GenerationRequest
+from motionkit.motionfield import MotionField, Poses, check_times
+from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.training.run import RunError
+from nerm.conditions import Conditions, unit_rows
+from nerm.text_encoders import TextEncoder, load_text_encoder
+from nerm.trained_denoiser import TrainedDenoiser
+
+POSES_PER_CALL = 4096
+"""How many poses one call of the field decodes: what bounds the memory of a query."""
+
+
+@runtime_checkable
+class LatentField(Protocol):
+    """What generation needs from `nerm.field_model.TrainedField`."""
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """l_max."""
+        ...
+
+    @property
+    def max_training_fps(self) -> Fraction:
+        """Highest framerate of its training data."""
+        ...
+
+    def decode(
+        self,
+        latents: Float32[torch.Tensor, "batch latent"],
+        times_seconds: Float64[np.ndarray, "batch times"],
+        fps: Fraction,
+    ) -> Float32[np.ndarray, "batch times joints 3"]:
+        """Positions in metres of each latent's motion at its times, sampled at `fps`."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class NermField:
+    """One generated motion: f_θ(t, z, s) for a fixed z, on [0, end_seconds].
+
+    `fps` is the framerate s that the field is told (Eq. 2): the highest of its training data until `at_fps` says
+    otherwise. Poses at any instants don't depend on which others are asked for.
+    """
+
+    field: LatentField
+    latent: Float32[torch.Tensor, "latent"]
+    end_seconds: float
+    fps: Fraction
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The 22-joint layout that the field was trained on."""
+        return SMPL22
+
+    @property
+    def start_seconds(self) -> float:
+        """0."""
+        return 0.0
+
+    def at_fps(self, fps: Fraction) -> "NermField":
+        """The same motion (the same z), told that it is sampled at this framerate."""
+        return replace(self, fps=fps)
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times in [0, end_seconds], in any order; raises `ValueError` outside it."""
+        check_times(self, times_seconds)
+        parts = [np.zeros((0, self.skeleton.num_joints, 3), dtype=np.float32)]
+        for first in range(0, len(times_seconds), POSES_PER_CALL):
+            times = times_seconds[None, first : first + POSES_PER_CALL]
+            parts.append(self.field.decode(self.latent[None], times, self.fps)[0])
+        return Poses(np.concatenate(parts))
+
+
+@dataclass(frozen=True, eq=False)
+class NermModel:
+    """A `motionkit.generation.GenerativeModel`: a trained field and a denoiser of its latents."""
+
+    field: LatentField
+    denoiser: TrainedDenoiser
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        return "NeRM"
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The 22-joint layout."""
+        return SMPL22
+
+    @property
+    def max_training_fps(self) -> Fraction:
+        """Highest framerate in its training data; detail above it is invented."""
+        return self.field.max_training_fps
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """l_max: the longest motion that one latent describes."""
+        return self.field.max_duration_seconds
+
+    @cached_property
+    def text_encoder(self) -> TextEncoder:
+        """The encoder it was trained with, loaded when the first text comes.
+
+        Raises `UsageError` where it was trained without texts, `RunError` where the encoder's weights have changed.
+        """
+        if not self.denoiser.text_fingerprint:
+            raise UsageError("this model was trained without texts: ask for an action, or for unconditional motions")
+        encoder = load_text_encoder(self.denoiser.text_encoder)
+        if encoder.fingerprint != self.denoiser.text_fingerprint:
+            raise RunError(
+                f"the text encoder {self.denoiser.text_encoder!r} is not the one that the model was trained with "
+                f"(fingerprint {encoder.fingerprint[:16]}, expected {self.denoiser.text_fingerprint[:16]})"
+            )
+        return encoder
+
+    def generate(
+        self, requests: Sequence[GenerationRequest], *, seed: int, guidance_scale: float | None = None
+    ) -> list[MotionField]:
+        """One field per request, in order; request i follows from (seed, i) and itself alone.
+
+        `guidance_scale` is r of Eq. 6 (default: the recipe's). Raises `UsageError` for a duration outside (0, l_max], a
+        request with both a text and an action, an unknown action, or a text where it was trained without texts.
+        """
+        if not requests:
+            return []
+        if any(request.text and request.action for request in requests):
+            raise UsageError("a motion is conditioned on a text or on an action, not both")
+        durations = self._durations(requests, seed)
+        conditions = Conditions(
+            text=torch.from_numpy(self._embed([request.text for request in requests])),
+            action=torch.tensor([self.denoiser.layout.action_index(request.action) for request in requests]),
+            duration=torch.tensor(durations, dtype=torch.float32) / self.max_duration_seconds,
+        )
+        latents = self.denoiser.sample(conditions, seed=seed, guidance_scale=guidance_scale)
+        return [
+            NermField(self.field, latent, duration, self.max_training_fps)
+            for latent, duration in zip(latents, durations, strict=True)
+        ]
+
+    def _durations(self, requests: Sequence[GenerationRequest], seed: int) -> list[float]:
+        """Seconds of each request, drawn from the training windows' where none are asked for."""
+        drawn = self.denoiser.draw_durations(len(requests), seed=seed) * self.max_duration_seconds
+        return [
+            float(own) if request.duration_seconds is None else self._checked(request)
+            for request, own in zip(requests, drawn, strict=True)
+        ]
+
+    def _checked(self, request: GenerationRequest) -> float:
+        seconds = request.duration_seconds
+        assert seconds is not None
+        if not 0 < seconds <= self.max_duration_seconds + 1e-9:
+            raise UsageError(
+                f"{seconds:g} s is outside what one generation covers: more than 0 and up to "
+                f"{self.max_duration_seconds:g} s (the longest motion this model was trained on)"
+            )
+        return float(seconds)
+
+    def _embed(self, texts: Sequence[str]) -> Float32[np.ndarray, "texts dimension"]:
+        """Unit-length embeddings, zeros for empty texts; each distinct text is encoded once."""
+        rows = np.zeros((len(texts), self.denoiser.layout.text_dimension), dtype=np.float32)
+        distinct = list(dict.fromkeys(text for text in texts if text))
+        if distinct:
+            embedded = dict(zip(distinct, unit_rows(self.text_encoder.encode(distinct)), strict=True))
+            for row, text in enumerate(texts):
+                if text:
+                    rows[row] = embedded[text]
+        return rows

@@ -1,0 +1,171 @@
+"""NeRM as a generative model, over a field whose decoding is known in closed form."""
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.errors import UsageError
+from motionkit.generation import GenerationRequest, GenerativeModel
+from motionkit.motionfield import to_motion
+from motionkit.training.randomness import seeded_initialisation
+from motionkit.training.run import RunError
+from nerm.conditions import ConditionLayout
+from nerm.denoiser import Denoiser
+from nerm.denoiser_config import DenoiserConfig, DiffusionConfig, TransformerConfig
+from nerm.latent_corpus import LatentStatistics
+from nerm.model import NermModel
+from nerm.trained_denoiser import TrainedDenoiser
+
+NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, dropout=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownField:
+    """Every joint at (z₀ + t, z₁, fps): what was asked for can be read off the positions."""
+
+    latent_dimension: int = 4
+    max_duration_seconds: float = 8.0
+    max_training_fps: Fraction = Fraction(120)
+
+    def decode(self, latents, times_seconds, fps):
+        positions = np.zeros((*times_seconds.shape, 22, 3), dtype=np.float32)
+        positions[..., 0] = latents[:, :1].numpy()[..., None] + times_seconds[..., None]
+        positions[..., 1] = latents[:, 1:2].numpy()[..., None]
+        positions[..., 2] = float(fps)
+        return positions
+
+
+def known_model(text_fingerprint: str = "") -> NermModel:
+    layout = ConditionLayout(text_dimension=6, actions=("jump", "walk"))
+    with seeded_initialisation(0, "test"):
+        denoiser = Denoiser(NETWORK, 4, layout)
+    trained = TrainedDenoiser(
+        config=DenoiserConfig(network=NETWORK, diffusion=DiffusionConfig(sampling_steps=5), guidance_scale=2.0),
+        denoiser=denoiser.eval(),
+        statistics=LatentStatistics(torch.full((4,), 5.0), torch.ones(4)),
+        layout=layout,
+        durations=torch.tensor([0.25, 0.5]),
+        text_encoder="letters",
+        text_fingerprint=text_fingerprint,
+        field_sha256="",
+    )
+    return NermModel(KnownField(), trained)
+
+
+class LetterEncoder:
+    """Embeds a text as the counts of six letters, and counts the texts it saw."""
+
+    name, fingerprint, dimension = "letters", "ab" * 32, 6
+
+    def __init__(self):
+        self.seen = []
+
+    def encode(self, texts):
+        self.seen.extend(texts)
+        return np.array([[text.count(letter) for letter in "abcdjw"] for text in texts], dtype=np.float32)
+
+
+@pytest.fixture
+def encoder(monkeypatch):
+    letters = LetterEncoder()
+    monkeypatch.setattr("nerm.model.load_text_encoder", lambda name: letters)
+    return letters
+
+
+def test_it_is_a_generative_model():
+    model = known_model()
+    accepted: GenerativeModel = model
+    assert accepted.name == "NeRM"
+    assert (model.max_training_fps, model.max_duration_seconds) == (Fraction(120), 8.0)
+    assert model.generate([], seed=0) == []
+
+
+def test_the_motion_is_the_same_at_every_framerate():
+    [field] = known_model().generate([GenerationRequest(2.0, action="walk")], seed=7)
+    slow, fast = to_motion(field, Fraction(20)), to_motion(field, Fraction(24000, 1001))
+    start = slow.joint_positions[0, 0, 0]
+    np.testing.assert_allclose(slow.joint_positions[:, 0, 0] - start, slow.timegrid.seconds(), atol=1e-5)
+    np.testing.assert_allclose(fast.joint_positions[:, 0, 0] - start, fast.timegrid.seconds(), atol=1e-5)
+    np.testing.assert_array_equal(slow.joint_positions[..., 1], slow.joint_positions[0, 0, 1])
+    assert fast.joint_positions[0, 0, 1] == slow.joint_positions[0, 0, 1]
+
+
+def test_the_field_is_told_its_framerate():
+    [field] = known_model().generate([GenerationRequest(2.0)], seed=7)
+    assert np.all(to_motion(field, Fraction(20)).joint_positions[..., 2] == 20.0)
+    assert np.all(field.query(np.array([0.0, 1.9])).joint_positions[..., 2] == 120.0)
+
+
+def test_arbitrary_instants_in_any_order(monkeypatch):
+    monkeypatch.setattr("nerm.model.POSES_PER_CALL", 3)
+    [field] = known_model().generate([GenerationRequest(2.0)], seed=7)
+    times = np.array([1.25, 0.5, 2.0, 0.0, 0.125, 0.3, 1.0])
+    together = field.query(times).joint_positions
+    for index, time in enumerate(times):
+        np.testing.assert_array_equal(together[index], field.query(np.array([time])).joint_positions[0])
+    assert field.query(np.array([])).joint_positions.shape == (0, 22, 3)
+    with pytest.raises(ValueError, match="outside the motion"):
+        field.query(np.array([2.5]))
+
+
+def test_seeds_and_requests_decide(encoder):
+    model = known_model(LetterEncoder.fingerprint)
+    requests = [GenerationRequest(2.0, text=text) for text in ("a jump", "a walk", "a jump")]
+
+    def latents(seed, **options):
+        return torch.stack([field.latent for field in model.generate(requests, seed=seed, **options)])
+
+    first = latents(0)
+    assert torch.equal(first, latents(0))
+    assert not torch.allclose(first, latents(1))
+    assert not torch.allclose(first[0], first[2])
+    assert not torch.allclose(first, latents(0, guidance_scale=5.0))
+    torch.testing.assert_close(first, latents(0, guidance_scale=2.0), rtol=0, atol=0)
+    assert encoder.seen == ["a jump", "a walk"] * 5
+
+
+def test_durations_come_from_the_data_where_none_is_asked_for():
+    model = known_model()
+    fields = model.generate([GenerationRequest(None)] * 30 + [GenerationRequest(1.5)], seed=0)
+    assert {field.end_seconds for field in fields[:-1]} == {2.0, 4.0}
+    assert fields[-1].end_seconds == 1.5
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, 8.5, float("nan")])
+def test_impossible_durations_are_refused(seconds):
+    with pytest.raises(UsageError, match="up to 8 s"):
+        known_model().generate([GenerationRequest(seconds)], seed=0)
+
+
+def test_conditions_that_make_no_sense_are_refused(encoder):
+    with pytest.raises(UsageError, match=r"no action 'swim'; it knows jump, walk"):
+        known_model().generate([GenerationRequest(1.0, action="swim")], seed=0)
+    with pytest.raises(UsageError, match="trained without texts"):
+        known_model().generate([GenerationRequest(1.0, text="a walk")], seed=0)
+    with pytest.raises(UsageError, match="not both"):
+        known_model("ab" * 32).generate([GenerationRequest(1.0, text="a walk", action="walk")], seed=0)
+
+
+def test_another_encoder_than_the_trained_one_is_refused(encoder):
+    with pytest.raises(RunError, match="is not the one that the model was trained with"):
+        known_model("cd" * 32).generate([GenerationRequest(1.0, text="a walk")], seed=0)
+
+
+def test_texts_matter(encoder):
+    model = known_model(LetterEncoder.fingerprint)
+    same_noise = [model.generate([GenerationRequest(2.0, text=text)], seed=0)[0].latent for text in ("a jump", "w")]
+    assert not torch.allclose(*same_noise)
+    lengths_do_not = model.generate([GenerationRequest(2.0, text="a jump a jump")], seed=0)[0].latent
+    torch.testing.assert_close(same_noise[0], lengths_do_not, rtol=0, atol=0)
+
+
+def test_ancestral_sampling_follows_the_seed():
+    model = known_model()
+    diffusion = replace(model.denoiser.config.diffusion, sampler="ddpm")
+    denoiser = replace(model.denoiser, config=replace(model.denoiser.config, diffusion=diffusion))
+    ancestral = NermModel(model.field, denoiser)
+    first, again = (ancestral.generate([GenerationRequest(1.0)] * 2, seed=3) for _ in range(2))
+    assert all(torch.equal(a.latent, b.latent) for a, b in zip(first, again, strict=True))
