@@ -60,7 +60,7 @@ def damage(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("kind", READERS)
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_only_explained_errors_come_out(tmp_path: Path, kind: str, data: st.DataObject) -> None:
     content, reader = READERS[kind]
