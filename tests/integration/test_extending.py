@@ -1,0 +1,108 @@
+"""The package of docs/extending.md, installed and run as it is printed there."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.motion import Motion
+from motionkit.skeleton import SMPL22
+from motionkit.store import StoreWriter
+from motionkit.timegrid import TimeGrid
+
+PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+NAMED_BLOCK = re.compile(r"^```\w+\n# (?P<path>[\w/]+\.(?:py|toml))\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
+APP = "from motionkit.cli.app import main; main()"
+GENERATE = """
+import numpy as np, sys
+from pathlib import Path
+from motionkit.generation import GenerationRequest, load_model
+model = load_model("standstill", Path(sys.argv[1]))
+first, second = model.generate([GenerationRequest(2.0), GenerationRequest(3.0, text="a person walks")], seed=0)
+poses = second.query(np.array([0.0, 0.1, 3.0])).joint_positions
+assert poses.shape == (3, 22, 3) and (poses == poses[:1]).all()
+print(model.name, first.end_seconds)
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder for sys.path that holds the package and the metadata that an installer would write."""
+    folder = tmp_path_factory.mktemp("site")
+    files = {found["path"]: found["text"] for found in NAMED_BLOCK.finditer(PAGE.read_text(encoding="utf-8"))}
+    project = tomllib.loads(files.pop("pyproject.toml"))["project"]
+    for path, text in files.items():
+        (folder / path).parent.mkdir(exist_ok=True)
+        (folder / path).write_text(text, encoding="utf-8")
+    (folder / "standstill" / "__init__.py").touch()
+    metadata = folder / f"{project['name']}-{project['version']}.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n", encoding="utf-8"
+    )
+    groups = (
+        "\n".join((f"[{group}]", *(f"{name} = {value}" for name, value in entries.items())))
+        for group, entries in project["entry-points"].items()
+    )
+    (metadata / "entry_points.txt").write_text("\n\n".join(groups) + "\n", encoding="utf-8")
+    return folder
+
+
+def python(site: Path, *arguments: str, installed: bool = True) -> subprocess.CompletedProcess[str]:
+    """Run a program in a folder beside the package, so that only PYTHONPATH decides whether it is found."""
+    environment = {**os.environ, "PYTHONPATH": str(site) if installed else "", "COLUMNS": "120"}
+    beside = site / "beside"
+    beside.mkdir(exist_ok=True)
+    return subprocess.run(
+        [sys.executable, "-c", *arguments], env=environment, cwd=beside, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def run(site: Path) -> Path:
+    """A run folder in which the package's stage is trained by `motionkit train`."""
+    rng = np.random.default_rng(0)
+    body = rng.normal(0, 0.3, (22, 3)).astype(np.float32)
+    body[:, 1] = np.linspace(0.0, 1.7, 22)
+    with StoreWriter.create(site / "store") as writer:
+        for index, fps in enumerate((30, 120)):
+            path = np.array([0.5 * index, 0.0, 0.0], dtype=np.float32) + np.zeros((40, 1, 3), dtype=np.float32)
+            motion = Motion(body + path, SMPL22, TimeGrid(Fraction(fps), 40), sequence_id=f"take-{index}")
+            writer.add(motion)
+    trained = python(
+        site, APP, "train", "--stage", "standstill", "--store", "../store", "--runs", "../runs", "--run", "idle",
+        "--set", "stride=4", "--json",
+    )  # fmt: skip
+    assert trained.returncode == 0, trained.stderr
+    assert json.loads(trained.stdout)["stages"] == [{"stage": "standstill", "poses": 20}]
+    return site / "runs" / "idle"
+
+
+def test_help_lists_the_command_only_where_the_package_is_installed(site: Path) -> None:
+    assert "standing-height" in python(site, APP, "--help").stdout
+    assert "standing-height" not in python(site, APP, "--help", installed=False).stdout
+
+
+def test_the_command_answers(site: Path, run: Path) -> None:
+    told = python(site, APP, "standing-height", str(run), "--json")
+    assert told.returncode == 0, told.stderr
+    assert json.loads(told.stdout)["height_metres"] == pytest.approx(1.7, abs=1e-5)
+
+
+def test_the_model_is_found_by_name(site: Path, run: Path) -> None:
+    told = python(site, GENERATE, str(run))
+    assert told.returncode == 0, told.stderr
+    assert told.stdout.split() == ["standing", "still", "2.0"]
+
+
+def test_a_stage_that_nobody_brought_is_a_usage_error(site: Path) -> None:
+    told = python(site, APP, "train", "--stage", "standstill", "--store", "store", installed=False)
+    assert told.returncode == 2
+    assert "no stage is called 'standstill'" in told.stderr

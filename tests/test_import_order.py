@@ -1,0 +1,53 @@
+"""The order of imports that pyproject.toml's contracts describe, and that they can fail."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+PACKAGES = ("motionkit", "nerm", "eval")
+LINT = "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports(no_cache=True, no_logo=True))"
+
+
+def lint(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Check the contracts of the pyproject.toml in a folder on the packages beside it."""
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    return subprocess.run(
+        [sys.executable, "-c", LINT], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """The three packages' modules and their contracts."""
+    for package in PACKAGES:
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(REPOSITORY / package, tmp_path / package, ignore=ignored)
+    shutil.copy(REPOSITORY / "pyproject.toml", tmp_path)
+    return tmp_path
+
+
+def test_imports_run_one_way() -> None:
+    result = lint(REPOSITORY)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "contract"),
+    [
+        ("motionkit/motion.py", "import motionkit.kinematics", "data flows one way"),
+        ("motionkit/timegrid.py", "import nerm", "the ground floor knows nobody above it"),
+        ("eval/metrics/frechet.py", "import torch", "the corpus and the metrics never import torch"),
+        ("nerm/diffusion.py", "import motionkit.cli.app", "models and evaluation do not know the command line"),
+    ],
+)
+def test_an_import_against_the_order_is_found(copy: Path, module: str, line: str, contract: str) -> None:
+    path = copy / module
+    path.write_text(path.read_text(encoding="utf-8") + f"\n{line}\n", encoding="utf-8")
+    result = lint(copy)
+    assert result.returncode != 0
+    assert f"{contract} BROKEN" in " ".join(result.stdout.split())

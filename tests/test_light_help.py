@@ -1,0 +1,47 @@
+"""`motionkit --help` and `motionkit train --help` load nothing heavy, whatever is installed."""
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("torch", "pandas", "scipy", "matplotlib", "pyarrow", "duckdb", "sklearn", "transformers")
+HELP = """
+import sys
+from motionkit.cli.app import build_app
+try:
+    build_app()({arguments!r})
+except SystemExit as stop:
+    assert not stop.code, stop.code
+print("loaded:", *sorted(set(sys.modules) & set({heavy!r})), *{extra})
+"""
+
+
+def loaded(arguments: list[str], extra: str = "[]") -> list[str]:
+    """Heavy modules that a fresh interpreter holds after the command; `extra` is an expression to add to them."""
+    script = HELP.format(arguments=arguments, heavy=HEAVY, extra=extra)
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "Usage" in result.stdout
+    return result.stdout.rstrip().splitlines()[-1].removeprefix("loaded:").split()
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["train", "--help"]])
+def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
+    assert loaded(arguments) == []
+
+
+def test_what_is_loaded_would_be_seen() -> None:
+    assert loaded(["--help"], extra="[__import__('scipy').__name__]") == ["scipy"]
+
+
+def test_stages_are_listed_without_loading_anything_heavy() -> None:
+    script = (
+        "import sys; from motionkit.training.stage import registered_stages; names = list(registered_stages()); "
+        f"print(*names); print('loaded:', *sorted(set(sys.modules) & set({HEAVY!r})))"
+    )
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    names, heavy = result.stdout.splitlines()
+    assert "evaluator" in names.split()
+    assert heavy == "loaded:"
