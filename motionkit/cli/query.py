@@ -14,6 +14,7 @@ from motionkit.errors import UsageError
 from motionkit.settings import default_path
 
 LONG_LIST = 6
+PIPE_WIDTH = 10_000
 
 
 def query(
@@ -43,6 +44,7 @@ def query(
 
 
 def _print_table(names: list[str], rows: list[dict[str, Any]]) -> None:
+    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -52,7 +54,9 @@ def _print_table(names: list[str], rows: list[dict[str, Any]]) -> None:
         table.add_column(Text(name), justify="right" if numeric and rows else "left", overflow="fold")
     for row in rows:
         table.add_row(*(Text(_short(row[name])) for name in names))
-    stdout.print(table)
+    # In a pipe or a file nothing is folded to a terminal's width.
+    console = stdout if stdout.is_terminal else Console(width=PIPE_WIDTH)
+    console.print(table)
 
 
 def _plain(value: Any) -> Any:

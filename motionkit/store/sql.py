@@ -15,16 +15,17 @@ def query(views: Views, sql: str) -> pa.Table:
     """Result of one SQL statement over the views as an Arrow table.
 
     The statement can neither read nor write files: duckdb's access to them is switched off, and the views live in this
-    process. Raises `UsageError` with duckdb's words where it cannot run or returns no rows.
+    process. Raises `UsageError` for anything but one reading statement, and with duckdb's words where
+    it cannot run.
     """
     with duckdb.connect() as connection:
         for name, view in views.items():
             connection.register(name, view)
         connection.execute("SET enable_external_access = false; SET lock_configuration = true")
         try:
-            result = connection.sql(sql)
-            if result is None:
-                raise UsageError(f"this SQL returns no rows: {sql.strip()}")
-            return result.to_arrow_table()
+            kinds = [statement.type for statement in connection.extract_statements(sql)]
+            if len(kinds) != 1 or kinds[0] not in (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN):
+                raise UsageError("one statement that only reads is expected: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE …")
+            return connection.sql(sql).to_arrow_table()
         except duckdb.Error as error:
             raise UsageError(f"duckdb: {error}") from None

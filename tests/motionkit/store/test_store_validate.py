@@ -1,0 +1,133 @@
+"""Every kind of damage is found, and told in one line."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from motionkit.errors import StoreError
+from motionkit.store import StoreWriter
+from motionkit.store.manifest import commit_manifest, describe_file, read_manifest
+from motionkit.store.schema import segment_writer_options
+from motionkit.store.validate import faults
+
+PART = "segments/part-00000.parquet"
+Edit = Callable[[pa.Table], pa.Table]
+
+
+def rewrite(store: Path, name: str, edit: Edit) -> None:
+    """Change a file's rows and make the manifest agree: damage that a checksum cannot see."""
+    table = edit(pq.read_table(store / name))
+    options = segment_writer_options() if name == PART else {}
+    pq.write_table(table, store / name, **options)
+    manifest = read_manifest(store)
+    entries = {**manifest.files, name: describe_file(store / name, table.num_rows)}
+    commit_manifest(store, type(manifest)(**{**vars(manifest), "files": entries}))
+
+
+def with_column(name: str, change: Callable[[pa.ChunkedArray], object]) -> Edit:
+    def edit(table: pa.Table) -> pa.Table:
+        index = table.schema.get_field_index(name)
+        field = table.schema.field(index)
+        return table.set_column(index, field, pa.array(change(table[name]), type=field.type))
+
+    return edit
+
+
+def with_value(name: str, row: int, value: object) -> Edit:
+    def change(column: pa.ChunkedArray) -> list[object]:
+        values = column.to_pylist()
+        values[row] = value
+        return values
+
+    return with_column(name, change)
+
+
+def with_number(name: str, row: int, number: float) -> Edit:
+    def change(column: pa.ChunkedArray) -> list[object]:
+        values = column.to_pylist()
+        values[row][5] = number
+        return values
+
+    return with_column(name, change)
+
+
+def test_an_intact_store_has_no_faults(small_store, make_motion):
+    with StoreWriter.append(small_store) as writer:
+        writer.add(make_motion("later", 300, rotations=True))
+    seen: list[str] = []
+    assert list(faults(small_store, seen.append)) == []
+    assert seen == ["sequences.parquet", "skeletons.parquet", PART, "segments/part-00001.parquet"]
+
+
+@pytest.mark.parametrize("name", ["sequences.parquet", "skeletons.parquet", PART])
+@pytest.mark.parametrize("damage", ["flip", "cut", "remove"])
+def test_damaged_files(small_store, name, damage):
+    path = small_store / name
+    content = bytearray(path.read_bytes())
+    if damage == "remove":
+        path.unlink()
+    elif damage == "cut":
+        path.write_bytes(content[:-100])
+    else:
+        content[50] ^= 4
+        path.write_bytes(content)
+    says = "it is missing" if damage == "remove" else "its sha256 is not the manifest's"
+    assert list(faults(small_store)) == [f"{name}: {says}"]
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "expected"),
+    [
+        (
+            PART,
+            with_number("joint_positions", 4, np.nan),
+            [r"joint_positions of sequence 3 is not finite .* frame 256"],
+        ),
+        (PART, with_number("joint_rotations", 0, np.inf), ["joint_rotations of sequence 0 is not finite"]),
+        (PART, with_value("joint_positions", 1, [1.0]), ["joint_positions of sequence 1, frame 0 holds 1 numbers"]),
+        (PART, with_value("joint_rotations", 0, None), ["joint_rotations of sequence 0, frame 0 holds 0 numbers"]),
+        (PART, with_value("start_frame", 4, 128), ["row 4 is .*'start_frame': 128.* expected .*'start_frame': 256"]),
+        (PART, with_value("sequence_index", 7, 4), ["row 7 is .*'sequence_index': 4.* expected .*'sequence_index': 5"]),
+        (PART, with_value("num_frames", 0, 41), ["row 0 is .*'num_frames': 41"]),
+        (PART, lambda table: table.slice(0, 7), ["counts 8 segments, the parts hold 7", "holds 7 segments, .* says 8"]),
+        ("sequences.parquet", with_value("skeleton", 2, "feed"), ["'take-2': its skeleton is not in"]),
+        ("sequences.parquet", with_value("sequence_id", 1, "take-0"), ["id 'take-0' occurs more than once"]),
+        ("sequences.parquet", with_value("fps", 0, 25.0), ["'take-0': fps is not fps_numerator / fps_denominator"]),
+        ("sequences.parquet", with_value("duration_seconds", 0, 9.0), ["'take-0': duration_seconds is not"]),
+        ("sequences.parquet", with_value("part", 5, 3), ["part-00003.parquet is referred to", "holds 8 .* says 7"]),
+        ("sequences.parquet", with_value("first_row", 5, 6), ["do not follow each other"]),
+        ("sequences.parquet", with_value("sequence_index", 5, 6), ["does not count 0, 1, 2", "row 7 is"]),
+        (
+            "sequences.parquet",
+            with_value("num_joints", 0, 21),
+            ["'take-0': num_joints is not its skeleton's", "joint_positions of .* 0, .* expected 2520", "rotations"],
+        ),
+        ("skeletons.parquet", lambda table: table.drop_columns("feet"), ["its columns are not those"]),
+    ],
+)
+def test_damage_that_a_checksum_cannot_see(small_store, name, edit, expected):
+    rewrite(small_store, name, edit)
+    found = list(faults(small_store))
+    assert len(found) == len(expected)
+    for fault, pattern in zip(found, expected, strict=True):
+        assert pc.match_substring_regex(pa.array([fault]), pattern)[0].as_py(), f"{fault!r} does not say {pattern!r}"
+        assert "\n" not in fault
+
+
+def test_counts_in_the_manifest(small_store):
+    manifest = small_store / "manifest.json"
+    document = json.loads(manifest.read_text())
+    document["counts"]["frames"] += 1
+    manifest.write_text(json.dumps(document))
+    assert list(faults(small_store)) == ["manifest.json: counts 813 frames, sequences.parquet says 812"]
+
+
+def test_no_store_is_an_error(tmp_path):
+    with pytest.raises(StoreError, match="there is no store"):
+        list(faults(tmp_path))
