@@ -25,6 +25,7 @@ from eval.samples import SampleSet
 from motionkit.errors import MotionkitError
 
 VERSION = "clip-fid/1"
+PART = "part "
 REAL, OTHER = 0, 1
 """The two sides of a comparison: each draws its own sequences."""
 
@@ -97,6 +98,16 @@ class ClipPlaces:
     num_poses: Int64[np.ndarray, "clips"]
 
 
+def check_lengths(samples: SampleSet, protocol: Protocol) -> None:
+    """Raise `ClipError` where a set has no sequence for the protocol's largest clips."""
+    largest, longest = int(protocol.sizes.sizes(samples.fps).max()), int(samples.num_frames.max())
+    if longest < largest:
+        raise ClipError(
+            f"{samples.name}: no sequence has the {largest} poses that a clip at {samples.fps} fps may need; the "
+            f"longest has {longest}; lower the largest clip size or give longer motions"
+        )
+
+
 def draw_clips(protocol: Protocol, fps: Fraction, replication: int, side: int) -> ClipList:
     """The clip list of one replication: both sides share sizes and centres; each side draws its own sequences.
 
@@ -125,11 +136,7 @@ def place_clips(clips: ClipList, samples: SampleSet, among: Int64[np.ndarray, "c
         wanted = clips.num_poses == size
         weight = np.cumsum(np.where(num_frames >= size, num_frames, 0))
         if not len(weight) or weight[-1] == 0:
-            longest = int(num_frames.max()) if len(num_frames) else 0
-            raise ClipError(
-                f"{samples.name}: no sequence has the {size} poses that a clip at {samples.fps} fps needs; the longest "
-                f"has {longest}; lower the largest clip size or give longer motions"
-            )
+            raise ClipError(f"{samples.name}: no sequence among {len(sequences)} has {size} poses at {samples.fps} fps")
         chosen[wanted] = np.searchsorted(weight, clips.sequence_quantile[wanted] * weight[-1], side="right")
     room = num_frames[chosen] - clips.num_poses + 1
     start = np.floor(clips.centre_quantile * room).astype(np.int64)
@@ -161,16 +168,15 @@ def describe_clips(
 
 @dataclass(frozen=True)
 class ClipFid:
-    """One comparison: clip-FID and, on the same features, the FID of named parts, FID_∞, KID and PRDC."""
+    """One comparison: clip-FID, the FID of named parts of the features, and further metrics on the same features.
+
+    `details` holds fid_infinity, kid, precision, recall, density and coverage; it is empty where the protocol asks for
+    no detailed replications.
+    """
 
     clip_fid: Estimate
     parts: Mapping[str, Estimate]
-    fid_infinity: Estimate
-    kid: Estimate
-    precision: Estimate
-    recall: Estimate
-    density: Estimate
-    coverage: Estimate
+    details: Mapping[str, Estimate]
 
 
 Scores = dict[str, float]
@@ -268,7 +274,7 @@ def _compare(
 ) -> Scores:
     scores = {"clip_fid": frechet_distance(fit_gaussian(real), fit_gaussian(other))}
     for name, part in parts.items():
-        scores[f"part {name}"] = frechet_distance(fit_gaussian(real[:, part]), fit_gaussian(other[:, part]))
+        scores[PART + name] = frechet_distance(fit_gaussian(real[:, part]), fit_gaussian(other[:, part]))
     if replication < protocol.detailed_replications:
         rng = np.random.default_rng((protocol.seed, replication, 4))
         neighbours = prdc(real, other, protocol.num_neighbours)
@@ -280,13 +286,6 @@ def _compare(
 
 def _summarise(replications: list[Scores]) -> ClipFid:
     means = {key: estimate([scores[key] for scores in replications if key in scores]) for key in replications[0]}
-    return ClipFid(
-        clip_fid=means["clip_fid"],
-        parts={key.removeprefix("part "): value for key, value in means.items() if key.startswith("part ")},
-        fid_infinity=means["fid_infinity"],
-        kid=means["kid"],
-        precision=means["precision"],
-        recall=means["recall"],
-        density=means["density"],
-        coverage=means["coverage"],
-    )
+    total = means.pop("clip_fid")
+    parts = {key.removeprefix(PART): means.pop(key) for key in list(means) if key.startswith(PART)}
+    return ClipFid(total, parts, means)

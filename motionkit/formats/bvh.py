@@ -108,7 +108,8 @@ def _to_motion(pose: ChannelPose, fps: Fraction, options: ReadOptions, path: Pat
 def _unit(pose: ChannelPose, options: ReadOptions, path: Path) -> tuple[float, str]:
     if options.unit_metres is not None:
         return options.unit_metres, "given"
-    unit = body_frame.infer_unit(bvh_channels.first_skeleton(pose))
+    # Bones whose OFFSET is overridden by position channels have the length that those say.
+    unit = body_frame.infer_unit(bvh_channels.settle_offsets(pose, 0.0).skeleton)
     if unit is None:
         raise FormatError(
             "in none of m, cm, mm, inch and the CMU database's unit is this skeleton the size of a human body; "
@@ -148,7 +149,7 @@ def _split(data: bytes, path: Path) -> _File:
         words = sourcefile.decode(data[position:end], path).strip()
         key, colon, value = words.partition(":")
         if words:
-            match " ".join(key.lower().split()) if colon else "":
+            match key.strip().lower() if colon else "":
                 case "frames":
                     frames = value.strip()
                 case "frame time":

@@ -107,14 +107,6 @@ def fold_reference(pose: ChannelPose) -> ChannelPose:
     )
 
 
-def first_skeleton(pose: ChannelPose) -> Skeleton:
-    """The skeleton with the bones that it has in the first frame: position channels overrule an OFFSET."""
-    offsets = pose.skeleton.offsets.copy()
-    for joint, place in pose.moving_offsets.items():
-        offsets[joint] = place[0]
-    return replace(pose.skeleton, offsets=offsets)
-
-
 def settle_offsets(pose: ChannelPose, tolerance: float) -> ChannelPose:
     """Where position channels stay within `tolerance` file units, make them plain offsets; keep the rest moving.
 

@@ -42,9 +42,15 @@ def parse_table(
     `first_line` is the 1-based line of the file where `text` begins. Raises `FormatError` (`truncated`,
     `channel-count`, `frame-count`, `not-a-number`, `nan`, `range`) naming the line and the frame.
     """
-    # Declared sizes are believed only where the bytes are there: a number takes at least a digit and a separator.
-    if 2 * num_rows * num_columns - 1 > len(text):
-        return _parse_slowly(text, num_rows, num_columns, path, first_line)
+    smallest = 2 * num_rows * num_columns - 1
+    if smallest > len(text):
+        raise FormatError(
+            f"{num_rows} frames of {num_columns} channels are declared, which takes at least {smallest} bytes, but the "
+            f"file has {len(text)} left; the file was cut off or its header is wrong",
+            path=path,
+            reason="truncated",
+            line=first_line,
+        )
     marked = text.strip().replace(b"\n", b" nan ").translate(SEPARATORS_TO_NEWLINES) + b"\nnan\n"
     values = parse_column(marked)
     if values is not None and values.size == num_rows * (num_columns + 1):
@@ -70,9 +76,8 @@ def _parse_slowly(
     text: bytes, num_rows: int, num_columns: int, path: Path, first_line: int
 ) -> Float64[np.ndarray, "rows columns"]:
     rows: list[list[float]] = []
-    lines = text.rstrip().splitlines()
-    last_line = first_line + len(lines) - 1
-    for line_number, line in enumerate(lines, start=first_line):
+    line_number = first_line
+    for line_number, line in enumerate(text.splitlines(), start=first_line):
         words = line.split()
         if not words:
             continue
@@ -83,14 +88,6 @@ def _parse_slowly(
                 path=path,
                 reason="frame-count",
                 line=line_number,
-            )
-        if len(words) < num_columns and line_number == last_line:
-            raise FormatError(
-                f"the file ends after {len(words)} of {num_columns} numbers, expected {num_rows} whole frames",
-                path=path,
-                reason="truncated",
-                line=line_number,
-                frame=frame,
             )
         if len(words) != num_columns:
             raise FormatError(
@@ -106,7 +103,7 @@ def _parse_slowly(
             f"the file ends after {len(rows)} frames, expected {num_rows}",
             path=path,
             reason="truncated",
-            line=last_line,
+            line=line_number,
             frame=len(rows),
         )
     return np.array(rows, dtype=np.float64).reshape(num_rows, num_columns)

@@ -12,6 +12,7 @@ from eval.clip_fid import (
     PoseRange,
     Protocol,
     SecondsRange,
+    check_lengths,
     describe_clips,
     draw_clips,
     place_clips,
@@ -87,7 +88,9 @@ def test_features_come_in_the_order_of_the_places() -> None:
 
 def test_too_short_sequences_are_refused_with_the_reason() -> None:
     samples = ramps("tiny", [40, 30])
-    with pytest.raises(ClipError, match=r"tiny: no sequence has the \d+ poses .* the longest has 40"):
+    with pytest.raises(ClipError, match=r"tiny: no sequence has the 64 poses .* the longest has 40"):
+        check_lengths(samples, SMALL)
+    with pytest.raises(ClipError, match=r"tiny: no sequence among 2 has \d+ poses"):
         place_clips(draw_clips(SMALL, FPS, 0, REAL), samples)
     places = place_clips(draw_clips(Protocol(sizes=PoseRange(16, 40)), FPS, 0, REAL), samples)
     assert places.num_poses.max() == 40
@@ -109,8 +112,8 @@ def test_a_copy_scores_the_floor_and_a_change_scores_more() -> None:
     assert 0 < scores["copy"].clip_fid.mean < 0.05 * scores["moved"].clip_fid.mean
     assert scores["moved"].parts["first"].mean == pytest.approx(8000.0**2, rel=0.5)
     assert scores["moved"].clip_fid.replications == 3
-    assert scores["moved"].kid.replications == 1
-    assert scores["copy"].coverage.mean > 0.9
+    assert scores["moved"].details["kid"].replications == 1
+    assert scores["copy"].details["coverage"].mean > 0.9
 
 
 def test_scores_repeat_and_do_not_depend_on_the_other_rows() -> None:

@@ -1,0 +1,136 @@
+"""Calibration of a feature set: does clip-FID rise with every kind of damage, and stay flat where nothing changed?
+
+A feature set has to pass before its clip-FID may be quoted: a network trained to match text and motion does not.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from eval.clip_fid import Protocol, score_rows
+from eval.corruptions import Family, families, shift_between_frames, translate, turn
+from eval.evaluators.feature_set import FeatureSet
+from eval.metrics.interval import Estimate
+from eval.samples import SampleSet
+
+VERSION = "calibration/1"
+MIN_SPEARMAN = 0.95
+MAX_FLAT_RATIO = 3.0
+"""A transform that changes nothing may raise the score to this multiple of the floor: draws are random, and sinc
+interpolation by half a frame loses what lies at the Nyquist frequency itself."""
+
+
+@dataclass(frozen=True)
+class Graded:
+    """Scores of one family at one framerate: `strengths` mild to severe, `scores` with the clean set's first."""
+
+    family: str
+    unit: str
+    strengths: tuple[float, ...]
+    scores: tuple[Estimate, ...]
+
+    @property
+    def spearman(self) -> float:
+        """Rank correlation between severity (clean included) and mean score."""
+        from scipy.stats import spearmanr
+
+        means = [score.mean for score in self.scores]
+        return float(spearmanr(range(len(means)), means).statistic)
+
+    @property
+    def first_visible(self) -> float | None:
+        """The mildest strength whose interval lies above the clean set's, and all severer ones' too; None if none."""
+        ceiling = self.scores[0].mean + self.scores[0].ci95
+        visible: float | None = None
+        for strength, score in zip(reversed(self.strengths), reversed(self.scores[1:]), strict=True):
+            if score.mean - score.ci95 <= ceiling:
+                break
+            visible = strength
+        return visible
+
+    @property
+    def passes(self) -> bool:
+        """Whether the score rises with the damage (Spearman ≥ 0.95 over level means)."""
+        return self.spearman >= MIN_SPEARMAN
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How one feature set behaves at one framerate; `flat` are scores of transforms that change nothing."""
+
+    fps: Fraction
+    features: str
+    fingerprint: str
+    floor: Estimate
+    graded: tuple[Graded, ...]
+    flat: Mapping[str, Estimate]
+
+    @property
+    def passes(self) -> bool:
+        """Whether every family rises and every flat test stays near the floor."""
+        steady = all(score.mean <= MAX_FLAT_RATIO * self.floor.mean for score in self.flat.values())
+        return steady and all(family.passes for family in self.graded)
+
+
+def calibrate(
+    real: SampleSet,
+    shifted: SampleSet | None,
+    features: FeatureSet,
+    protocol: Protocol,
+    on_replication: Callable[[], None] = lambda: None,
+) -> Calibration:
+    """Score every corruption of the real set, and every harmless transform, against the real set itself.
+
+    `shifted` is the real set made from native frames that start one later, where there is one. Corrupted sets have the
+    same sequences as the clean one and share its draws, so levels differ by the corruption alone. Raises `ClipError`
+    where the takes are too short.
+    """
+    rows: dict[str, SampleSet] = {"clean": real}
+    rows |= _harmless(real, protocol.seed)
+    if shifted is not None:
+        rows["native grid shifted by one frame"] = shifted
+    flat_names = [name for name in rows if name != "clean"]
+    levels: list[tuple[Family, tuple[float, ...]]] = []
+    for family in families():
+        strengths = family.levels_at(float(real.fps))
+        levels.append((family, strengths))
+        for strength in strengths:
+            rows[_row_name(family, strength)] = _corrupted(real, family, strength, protocol.seed)
+    scores = score_rows(real, rows, features, protocol, on_replication=on_replication)
+    floor = scores["clean"].clip_fid
+    graded = [
+        Graded(
+            family.name,
+            family.unit,
+            strengths,
+            (floor, *(scores[_row_name(family, strength)].clip_fid for strength in strengths)),
+        )
+        for family, strengths in levels
+        if strengths
+    ]
+    flat = {name: scores[name].clip_fid for name in flat_names}
+    return Calibration(real.fps, features.name, features.fingerprint, floor, tuple(graded), flat)
+
+
+def _row_name(family: Family, strength: float) -> str:
+    return f"{family.name} {strength:g} {family.unit}"
+
+
+def _corrupted(real: SampleSet, family: Family, strength: float, seed: int) -> SampleSet:
+    rng = np.random.default_rng((seed, 5))
+    sequences = [family.corrupt(take[None], float(real.fps), strength, rng)[0] for take in real.sequences()]
+    return real.with_positions(_row_name(family, strength), real.fps, sequences)
+
+
+def _harmless(real: SampleSet, seed: int) -> dict[str, SampleSet]:
+    """Global yaw and translation drawn per take, and sinc interpolation by half a frame."""
+    rng = np.random.default_rng((seed, 6))
+    takes = list(real.sequences())
+    turned = [turn(take, float(yaw)) for take, yaw in zip(takes, rng.uniform(0, 2 * np.pi, len(takes)), strict=True)]
+    offsets = rng.uniform(-5.0, 5.0, (len(takes), 2))
+    moved = [translate(take, offset) for take, offset in zip(takes, offsets, strict=True)]
+    delayed = [shift_between_frames(take) for take in takes]
+    named = {"yaw": turned, "translation": moved, "sinc interpolation by half a frame": delayed}
+    return {name: real.with_positions(name, real.fps, sequences) for name, sequences in named.items()}

@@ -1,0 +1,125 @@
+"""`motionkit eval`: build a table, or calibrate the feature sets."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from motionkit.console import print_json, stderr
+from motionkit.errors import UsageError
+from motionkit.settings import default_path
+
+if TYPE_CHECKING:
+    from fractions import Fraction
+
+    from eval.clip_fid import PoseRange, SecondsRange
+    from eval.tables.registry import TableRequest
+
+DEFAULT_RUN = "nano"
+
+
+def evaluate(
+    table: Annotated[str | None, typer.Option(help="Table to build, by its number in the paper.")] = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Check that clip-FID rises with damage, and only with damage.")
+    ] = False,
+    paper: Annotated[str, typer.Option(help="Paper whose table is meant.")] = "nerm",
+    store: Annotated[Path | None, typer.Option(help="Store with the real motion.")] = None,
+    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.")] = None,
+    run: Annotated[str, typer.Option(help="Trained run to evaluate; its rows are left out where there is none.")] = (
+        DEFAULT_RUN
+    ),
+    results: Annotated[Path | None, typer.Option(help="Folder for the JSON result and its Markdown table.")] = None,
+    split: Annotated[str, typer.Option(help="Real sequences to compare with: a split, or all.")] = "test",
+    fps: Annotated[str | None, typer.Option(help="Framerates, such as 20,60,120; the table's own by default.")] = None,
+    clips: Annotated[int, typer.Option(min=64, help="Clips on each side (N).")] = 4096,
+    replications: Annotated[int, typer.Option(min=1, help="Independent repetitions behind the intervals.")] = 20,
+    sizes: Annotated[str, typer.Option(help="Clip sizes: poses 16:64, or seconds 0.4s:1.6s.")] = "16:64",
+    samples: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=DIR", help="A folder of another system's motions, as a row.")
+    ] = None,
+    features: Annotated[str | None, typer.Option(help="Feature sets: kinematic,native; all there are.")] = None,
+    motions: Annotated[int, typer.Option(min=2, help="Most motions that a model generates.")] = 1024,
+    seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Build one of the papers' tables, or calibrate the features that clip-FID is computed on."""
+    from eval.clip_fid import Protocol
+    from eval.tables.registry import TableRequest, installed_tables
+
+    if (table is None) == (not calibrate):
+        raise UsageError(f"give --table NUMBER or --calibrate; installed tables: {', '.join(installed_tables())}")
+    request = TableRequest(
+        store=store or default_path("store"),
+        results=results or default_path("results"),
+        run=(runs or default_path("runs")) / run,
+        split=split,
+        fps=_framerates(fps),
+        protocol=Protocol(sizes=_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
+        samples=_samples(samples or []),
+        features=tuple(features.split(",")) if features else None,
+        max_motions=motions,
+        seed=seed,
+    )
+    _build(request, table, paper, as_json)
+
+
+def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from eval.report.render import to_markdown
+    from eval.report.results import write_result
+    from eval.tables.calibration import build_calibration
+    from eval.tables.registry import find_table
+
+    build = build_calibration if table is None else find_table(paper, table).build
+    result = build(request)
+    path = write_result(result, request.results)
+    text = to_markdown(result)
+    path.with_suffix(".md").write_text(text, encoding="utf-8")
+    if as_json:
+        print_json(asdict(result))
+    else:
+        print(text, end="")
+    stderr.print(f"written: {path} and {path.with_suffix('.md').name}", markup=False)
+
+
+def _framerates(text: str | None) -> "tuple[Fraction, ...] | None":
+    from motionkit.timegrid import parse_fps
+
+    if text is None:
+        return None
+    try:
+        return tuple(parse_fps(part.strip()) for part in text.split(","))
+    except (ValueError, ZeroDivisionError) as error:
+        raise UsageError(f"--fps {text}: {error}") from None
+
+
+def _sizes(text: str) -> "PoseRange | SecondsRange":
+    from eval.clip_fid import PoseRange, SecondsRange
+
+    low, _, high = text.partition(":")
+    try:
+        if low.endswith("s") and high.endswith("s"):
+            seconds = SecondsRange(float(low[:-1]), float(high[:-1]))
+            valid = 0 < seconds.minimum <= seconds.maximum
+            chosen: PoseRange | SecondsRange = seconds
+        else:
+            poses = PoseRange(int(low), int(high))
+            valid = 8 <= poses.minimum <= poses.maximum
+            chosen = poses
+    except ValueError:
+        valid = False
+    if not valid:
+        raise UsageError(f"--sizes {text}: give poses such as 16:64 (at least 8), or seconds such as 0.4s:1.6s")
+    return chosen
+
+
+def _samples(pairs: list[str]) -> dict[str, Path]:
+    named = {}
+    for pair in pairs:
+        name, separator, folder = pair.partition("=")
+        if not separator or not name or not folder:
+            raise UsageError(f"--samples {pair}: give NAME=DIR")
+        named[name] = Path(folder)
+    return named

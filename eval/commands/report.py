@@ -1,0 +1,42 @@
+"""`motionkit report`: every result as one page."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from motionkit.console import print_json, stderr
+from motionkit.errors import UsageError
+from motionkit.settings import default_path
+
+
+def report(
+    results: Annotated[Path | None, typer.Option(help="Folder with the JSON results.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Page to write; report.html beside the results.")] = None,
+    format: Annotated[
+        str, typer.Option(help="html for one page; markdown, latex or csv print the tables instead.")
+    ] = "html",
+    as_json: Annotated[bool, typer.Option("--json", help="Print every result as JSON.")] = False,
+) -> None:
+    """Show every result of the results folder: one HTML page, or Markdown, LaTeX or CSV on stdout."""
+    from dataclasses import asdict
+
+    from eval.report.render import to_csv, to_html, to_latex, to_markdown
+    from eval.report.results import read_results
+
+    folder = results or default_path("results")
+    found = read_results(folder)
+    if not found:
+        raise UsageError(f"there is no result in {str(folder)!r}: motionkit eval --table 2 makes one")
+    printers = {"markdown": to_markdown, "latex": to_latex, "csv": to_csv}
+    if as_json:
+        print_json([asdict(result) for result in found])
+    elif format in printers:
+        print("\n".join(printers[format](result) for result in found), end="")
+    elif format == "html":
+        page = out or folder / "report.html"
+        page.write_text(to_html(found), encoding="utf-8")
+        print(page)
+        stderr.print(f"{len(found)} results", markup=False)
+    else:
+        raise UsageError(f"there is no format {format!r}: html, {', '.join(printers)}")

@@ -1,0 +1,96 @@
+"""The feature sets that can be had: the kinematic descriptor always, the learned evaluator where a run holds one."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from eval.clip_fid import REAL, Protocol, draw_clips, gather_clips, place_clips
+from eval.evaluators.feature_set import FeatureSet
+from eval.evaluators.kinematic import BLOCKS, VERSION, KinematicDescriptor, fit_kinematic
+from eval.real import RealMotion
+from eval.samples import SampleSet
+from motionkit.errors import MotionkitError, UsageError
+
+FIT_CLIPS = 8192
+FIT_REPLICATION = 1_000_000
+"""The descriptor's fit draws from a stream that no replication of an evaluation uses."""
+
+
+@dataclass(frozen=True)
+class FeatureSource:
+    """A kind of features; `at` gives the feature set for one framerate from the real training motion.
+
+    `parts` are slices of its features whose own FID is worth printing beside the total.
+    """
+
+    name: str
+    title: str
+    at: Callable[[Fraction, RealMotion], FeatureSet]
+    parts: Mapping[str, slice] = field(default_factory=dict)
+    note: str = ""
+
+
+def feature_sources(run: Path | None, wanted: Sequence[str] | None, missing: list[str]) -> list[FeatureSource]:
+    """All feature sets there are, or the `wanted` ones; what is not there is named in `missing`.
+
+    Raises `UsageError` for a name that is unknown.
+    """
+    known: dict[str, Callable[[], FeatureSource]] = {
+        "kinematic": kinematic_source,
+        "native": partial(native_source, run),
+    }
+    unknown = [name for name in wanted or () if name not in known]
+    if unknown:
+        raise UsageError(f"there is no feature set {unknown[0]!r}: {', '.join(known)}")
+    sources = []
+    for name, make in known.items():
+        if wanted is not None and name not in wanted:
+            continue
+        try:
+            sources.append(make())
+        except MotionkitError as error:
+            missing.append(f"features {name!r}: {error}")
+    return sources
+
+
+def kinematic_source() -> FeatureSource:
+    """The kinematic descriptor, fitted at each framerate on the training motion."""
+    return FeatureSource(
+        name="kinematic",
+        title=f"clip-FID on the kinematic descriptor ({VERSION})",
+        at=lambda fps, train: fit_on(train.at(fps)),
+        parts={"slip": BLOCKS["slip"]},
+        note=(
+            "Each of the descriptor's 5 blocks has a total variance of 1 on real training clips, so 1 is the variance "
+            "of a whole block. At high framerates clip-FID partly measures capture noise: removing what real captures "
+            "hold above 20 Hz already costs many times the floor."
+        ),
+    )
+
+
+def native_source(run: Path | None) -> FeatureSource:
+    """The learned evaluator of a run. Raises `RunError` where the run has none."""
+    from eval.evaluators.native import load_native
+
+    if run is None:
+        raise MotionkitError("the learned evaluator belongs to a run, and none was given")
+    evaluator: FeatureSet = load_native(run)
+    return FeatureSource(
+        name="native",
+        title="clip-FID on the learned native-rate evaluator",
+        at=lambda fps, train: evaluator,
+    )
+
+
+def fit_on(train: SampleSet, seed: int = 0) -> KinematicDescriptor:
+    """Fit the kinematic descriptor on random clips of a training set."""
+    protocol = Protocol(num_clips=FIT_CLIPS, seed=seed)
+    places = place_clips(draw_clips(protocol, train.fps, FIT_REPLICATION, REAL), train)
+    sizes = np.unique(places.num_poses).tolist()
+    return fit_kinematic(
+        (gather_clips(train, places.first_row[places.num_poses == size], size) for size in sizes), train.fps
+    )

@@ -1,0 +1,108 @@
+"""Markdown, LaTeX, CSV and HTML from results; nothing is computed here."""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from eval.report.results import Block, Cell, Result
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+SIGNIFICANT_DIGITS = 3
+
+
+def to_markdown(result: Result) -> str:
+    """The whole result as Markdown."""
+    return _environment().get_template("table.md.j2").render(result=result)
+
+
+def to_latex(result: Result) -> str:
+    """One LaTeX table per block (booktabs)."""
+    return _environment(latex=True).get_template("table.tex.j2").render(result=result)
+
+
+def to_html(results: Sequence[Result], title: str = "motionkit results") -> str:
+    """All results as one page that needs no other file and no network."""
+    return _environment(html=True).get_template("report.html.j2").render(results=results, title=title)
+
+
+def to_csv(result: Result) -> str:
+    """One line per number: block, row, origin, column, metric, value, half width of its 95 % interval."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("task", "version", "block", "row", "origin", "column", "metric", "value", "ci95"))
+    for block in result.blocks:
+        for row in block.rows:
+            for column, cell in row.cells.items():
+                place = (result.task, result.version, block.title, row.name, row.origin, column)
+                writer.writerow((*place, "value", repr(cell.value), "" if cell.ci95 is None else repr(cell.ci95)))
+                writer.writerows((*place, name, repr(value), "") for name, value in cell.details.items())
+    return text.getvalue()
+
+
+def format_number(value: float) -> str:
+    """Three significant digits without exponents between 1e-4 and 1e6."""
+    if value == 0:
+        return "0"
+    magnitude = math.floor(math.log10(abs(value)))
+    if not -4 <= magnitude < 6:
+        return f"{value:.2e}"
+    return f"{value:.{max(0, SIGNIFICANT_DIGITS - 1 - magnitude)}f}"
+
+
+def format_cell(cell: Cell | None, as_printed: bool = False) -> str:
+    """`0.123 ± 0.004`, or a dash where there is no number; a paper's figure keeps the digits that it prints."""
+    if cell is None:
+        return "–"
+    if as_printed:
+        return f"{cell.value:g}" if cell.ci95 is None else f"{cell.value:g} ± {cell.ci95:g}"
+    if cell.ci95 is None:
+        return format_number(cell.value)
+    return f"{format_number(cell.value)} ± {format_number(cell.ci95)}"
+
+
+def detail_names(block: Block) -> list[str]:
+    """Names of all further metrics in a block, in order of appearance."""
+    names: dict[str, None] = {}
+    for row in block.rows:
+        for cell in row.cells.values():
+            names.update(dict.fromkeys(cell.details))
+    return list(names)
+
+
+def _environment(*, html: bool = False, latex: bool = False) -> "Environment":
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("eval.report"),
+        autoescape=html,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    filters: Mapping[str, Callable[..., object]] = {
+        "cell": format_cell,
+        "number": format_number,
+        "details": detail_names,
+        "tex": _escape_latex,
+        "md": lambda text: str(text).replace("|", "\\|"),
+    }
+    environment.filters.update(filters)
+    if latex:
+        environment.block_start_string, environment.block_end_string = "<%", "%>"
+        environment.variable_start_string, environment.variable_end_string = "<<", ">>"
+        environment.comment_start_string, environment.comment_end_string = "<#", "#>"
+    return environment
+
+
+def _escape_latex(text: object) -> str:
+    replaced = str(text).replace("\\", "\\textbackslash{}")
+    for character in "&%$#_{}":
+        if character in "{}" and "\\textbackslash{}" in replaced:
+            continue
+        replaced = replaced.replace(character, f"\\{character}")
+    return replaced.replace("±", "$\\pm$").replace("–", "--").replace("∞", "$\\infty$").replace("×", "$\\times$")

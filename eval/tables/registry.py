@@ -1,0 +1,59 @@
+"""The tables that `motionkit eval` can build: entry points of group `motionkit.tables`, each naming a `Table`.
+
+A package adds its own table the same way; the entry point's name is `PAPER-NUMBER`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from eval.clip_fid import Protocol
+from eval.report.results import Result
+from motionkit.errors import UsageError
+
+
+@dataclass(frozen=True)
+class TableRequest:
+    """What a table is built from: a store, a trained run where there is one, folders of other systems' samples.
+
+    `fps` None means the table's own columns; `features` None means every feature set that is available; `split` names
+    the real sequences that are compared with.
+    """
+
+    store: Path
+    results: Path
+    run: Path | None = None
+    split: str = "test"
+    fps: tuple[Fraction, ...] | None = None
+    protocol: Protocol = field(default_factory=Protocol)
+    samples: Mapping[str, Path] = field(default_factory=dict)
+    features: tuple[str, ...] | None = None
+    max_motions: int = 1024
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a paper that can be built here."""
+
+    paper: str
+    number: str
+    title: str
+    build: Callable[[TableRequest], Result]
+
+
+def installed_tables() -> dict[str, str]:
+    """Names of all installed tables (`PAPER-NUMBER`) with the objects that build them."""
+    return {entry.name: entry.value for entry in sorted(entry_points(group="motionkit.tables"), key=lambda e: e.name)}
+
+
+def find_table(paper: str, number: str) -> Table:
+    """Load one table. Raises `UsageError` with the ones there are."""
+    found = entry_points(group="motionkit.tables", name=f"{paper}-{number}")
+    if not found:
+        known = ", ".join(installed_tables()) or "none"
+        raise UsageError(f"there is no table {number} of {paper!r}; installed tables: {known}")
+    table: Table = next(iter(found)).load()
+    return table

@@ -1,0 +1,316 @@
+"""NeRM's Table 2: clip-FID at 20, 40, 60, 100 and 120 fps."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+from eval.baselines.slerp import upsample_by_slerp
+from eval.clip_fid import (
+    VERSION,
+    ClipError,
+    ClipFid,
+    Protocol,
+    check_lengths,
+    score_disjoint_halves,
+    score_rows,
+)
+from eval.evaluators.feature_set import FeatureSet
+from eval.feature_sources import FeatureSource, feature_sources
+from eval.generated import Window, generate_fields, sample_fields, windows_of
+from eval.real import NoRealMotionError, RealMotion, real_motion
+from eval.report.results import Block, Cell, Result, Row, environment
+from eval.reported import SOURCES, reported_figures
+from eval.sample_folder import SampleFolder, read_sample_folder
+from eval.samples import SampleSet
+from eval.tables.registry import Table, TableRequest
+from motionkit.console import progress
+from motionkit.errors import MotionkitError
+from motionkit.generation import load_model
+from motionkit.motionfield import MotionField
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from motionkit.store.reader import Store
+
+COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
+LOW_FPS = Fraction(20)
+P1 = "real, independent draws (P1)"
+P2 = "real, disjoint halves of the takes (P2)"
+SLERP = "real kept at 20 fps, SLERP"
+VECTORS = "real kept at 20 fps, as vectors (handicapped)"
+NERM = "NeRM"
+NERM_SLERP = "NeRM generated at 20 fps, SLERP"
+ROW_NOTES = {
+    P1: "two draws from the same takes: what sampling alone leaves",
+    P2: "takes of one half against takes of the other: what a faithful model of other takes could reach",
+    SLERP: "joint rotations on great arcs, the root on straight lines: the fair way to upsample",
+    VECTORS: "humanml3d vectors interpolated with per-frame velocities unscaled: a handicap of the procedure",
+}
+DETAIL_NAMES = {
+    "fid_infinity": "FID_∞",
+    "kid": "KID",
+    "precision": "precision",
+    "recall": "recall",
+    "density": "density",
+    "coverage": "coverage",
+}
+SMALL_SECONDS = 3600.0
+"""Less real motion than this at any framerate makes a table a small-scale one, and its caption says so."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Column:
+    """Everything that one framerate's numbers are made of."""
+
+    fps: Fraction
+    real: SampleSet
+    rows: Mapping[str, SampleSet]
+
+
+def build_table2(request: TableRequest) -> Result:
+    """Compute every row that can be computed; what cannot is named in `missing`.
+
+    Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` where no column has
+    real motion.
+    """
+    from motionkit.store.reader import Store
+
+    store = Store.open(request.store)
+    real = real_motion(store, request.split)
+    train = _training_motion(store, real)
+    folders = [read_sample_folder(name, folder) for name, folder in request.samples.items()]
+    notes = ROW_NOTES | {folder.name: folder.describe() for folder in folders}
+    missing: list[str] = []
+    with progress() as display:
+        task = display.add_task("real sets", total=None, note="")
+        rates = _usable_rates(request.fps or COLUMNS, real, missing)
+        display.update(task, description="generating", total=1)
+        fields = _nerm_fields(request, real, rates, missing)
+        columns = [_column(fps, real, fields, folders) for fps in rates]
+        display.remove_task(task)
+        blocks = tuple(
+            _block(source, columns, train, request.protocol, notes, display, missing)
+            for source in feature_sources(request.run, request.features, missing)
+        )
+    return Result(
+        task="nerm-table2",
+        version=VERSION,
+        title="Table 2: clip-FID by framerate",
+        caption=_caption(columns, request),
+        blocks=(*(block for block in blocks if block.rows), _paper_block()),
+        definition=_definition(columns, request),
+        notes=_notes(columns),
+        missing=tuple(dict.fromkeys(missing)),
+        provenance={
+            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
+            "run": request.run.name if request.run and fields else None,
+            "samples": {folder.name: folder.fingerprint for folder in folders},
+            "seed": request.seed,
+            "environment": environment(),
+        },
+    )
+
+
+TABLE = Table("nerm", "2", "clip-FID by framerate", build_table2)
+
+
+def _training_motion(store: "Store", real: RealMotion) -> RealMotion:
+    """What the descriptor is fitted on: the training split, or the compared sequences where there is none."""
+    has_training = bool((store.sequences["split"] == "train").any())
+    return real_motion(store, "train") if has_training else real
+
+
+def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion, missing: list[str]) -> list[Fraction]:
+    usable = []
+    for fps in rates:
+        try:
+            real.at(fps)
+        except NoRealMotionError as error:
+            missing.append(f"{fps} fps: {error}")
+        else:
+            usable.append(fps)
+    if not usable:
+        raise NoRealMotionError(missing[-1] if missing else "no framerate was asked for")
+    return usable
+
+
+def _nerm_fields(
+    request: TableRequest, real: RealMotion, rates: list[Fraction], missing: list[str]
+) -> dict[Window, MotionField]:
+    """Motions that the run's model generates for the real sequences of the lowest framerate; empty without a run."""
+    if request.run is None or not request.run.is_dir():
+        where = "no run was given" if request.run is None else f"there is no run {str(request.run)!r}"
+        missing.append(f"NeRM: {where} (motionkit train makes one)")
+        return {}
+    try:
+        model = load_model("nerm", request.run)
+        windows = windows_of(real.at(min(rates)), model.max_duration_seconds)
+        return generate_fields(model, windows, request.seed, request.max_motions)
+    except MotionkitError as error:
+        missing.append(f"NeRM: {error}")
+        return {}
+
+
+def _column(
+    fps: Fraction, real: RealMotion, fields: Mapping[Window, MotionField], folders: list[SampleFolder]
+) -> _Column:
+    reference = real.at(fps)
+    rows = {P1: reference}
+    if fps >= LOW_FPS:
+        low = _same_sequences(real.at(LOW_FPS), reference)
+        rows[SLERP] = upsample_by_slerp(low, fps, SLERP)
+    native = sample_fields(fields, reference.sequence_ids, fps, NERM)
+    if native is not None:
+        rows[NERM] = native
+    coarse = sample_fields(fields, reference.sequence_ids, LOW_FPS, NERM_SLERP)
+    if coarse is not None and fps >= LOW_FPS:
+        rows[NERM_SLERP] = upsample_by_slerp(coarse, fps, NERM_SLERP)
+    rows |= {folder.name: folder.at(fps) for folder in folders}
+    return _Column(fps, reference, rows)
+
+
+def _same_sequences(low: SampleSet, reference: SampleSet) -> SampleSet:
+    place = {sequence_id: index for index, sequence_id in enumerate(low.sequence_ids)}
+    return low.select([place[sequence_id] for sequence_id in reference.sequence_ids])
+
+
+def _block(
+    source: FeatureSource,
+    columns: list[_Column],
+    train: RealMotion,
+    protocol: Protocol,
+    notes: Mapping[str, str],
+    display: "Progress",
+    missing: list[str],
+) -> Block:
+    """All rows in one feature set, a column at a time; numbers that cannot be had are named in `missing`."""
+    cells: dict[str, dict[str, Cell]] = {}
+    fingerprints: dict[str, str] = {}
+    for column in columns:
+        label = _label(column.fps)
+        try:
+            features = source.at(column.fps, train)
+            check_lengths(column.real, protocol)
+        except (ClipError, NoRealMotionError) as error:
+            missing.append(f"{label}, {source.name}: {error}")
+            continue
+        fingerprints[label] = features.fingerprint
+        for name, score in _scores(column, features, source, protocol, display, missing).items():
+            cells.setdefault(name, {})[label] = _cell(score)
+    references = {P1, P2, SLERP, VECTORS}
+    order = [P1, P2, SLERP, VECTORS, *(name for name in cells if name not in references)]
+    rows = tuple(
+        Row(name, "reference" if name in references else "ours", cells[name], notes.get(name, ""))
+        for name in order
+        if name in cells
+    )
+    labels = tuple(_label(column.fps) for column in columns)
+    return Block(source.title, labels, rows, note=source.note, provenance={"fingerprints": fingerprints})
+
+
+def _scores(
+    column: _Column,
+    features: FeatureSet,
+    source: FeatureSource,
+    protocol: Protocol,
+    display: "Progress",
+    missing: list[str],
+) -> dict[str, ClipFid]:
+    label = _label(column.fps)
+    task = display.add_task(f"{source.name}, {label}", total=2 * protocol.replications, note="")
+
+    def advance() -> None:
+        display.advance(task)
+
+    rows = {}
+    for name, samples in column.rows.items():
+        try:
+            check_lengths(samples, protocol)
+            rows[name] = samples
+        except ClipError as error:
+            missing.append(f"{name}, {label}: {error}")
+    scores = score_rows(column.real, rows, features, protocol, source.parts, advance)
+    try:
+        scores[P2] = score_disjoint_halves(column.real, features, protocol, source.parts, advance)
+    except ClipError as error:
+        missing.append(f"{P2}, {label}: {error}")
+    display.remove_task(task)
+    return scores
+
+
+def _cell(score: ClipFid) -> Cell:
+    parts = {f"FID of the {name} block alone": value.mean for name, value in score.parts.items()}
+    details = {DETAIL_NAMES[name]: value.mean for name, value in score.details.items()}
+    return Cell(score.clip_fid.mean, score.clip_fid.ci95, parts | details)
+
+
+def _paper_block() -> Block:
+    cells: dict[str, dict[str, Cell]] = {}
+    figures = reported_figures("nerm", "2")
+    for figure in figures:
+        if figure.value is not None:
+            cells.setdefault(figure.method, {})[_label(figure.setting)] = Cell(figure.value, figure.ci95)
+    return Block(
+        title="Printed in the NeRM paper (HumanML3D)",
+        columns=tuple(dict.fromkeys(_label(figure.setting) for figure in figures)),
+        rows=tuple(Row(f"{method} (paper)", "paper", found) for method, found in cells.items()),
+        note=(
+            "These numbers cannot be compared with ours: they are from another feature extractor on another data set, "
+            "the paper does not say how many clips of which sizes it draws, how the extractor is used away from 20 fps "
+            "or what the real set at a target framerate is, and at 20 fps it prints its Table 1's FID of whole motions "
+            f"for every method. Source: {SOURCES['nerm']}."
+        ),
+    )
+
+
+def _caption(columns: list[_Column], request: TableRequest) -> str:
+    protocol = request.protocol
+    seconds = [column.real.duration_seconds for column in columns]
+    caption = (
+        f"clip-FID ({VERSION}), lower is better: mean ± half the 95 % interval over {protocol.replications} "
+        f"replications of N = {protocol.num_clips:,} random clips on each side, split {request.split!r}."
+    )
+    if min(seconds) < SMALL_SECONDS:
+        caption += (
+            f" A small-scale run: the real sets hold {min(seconds) / 60:.1f} to {max(seconds) / 60:.1f} minutes of "
+            "motion, so rows say how systems rank on this store and no more."
+        )
+    return caption
+
+
+def _definition(columns: list[_Column], request: TableRequest) -> dict[str, Any]:
+    protocol = asdict(request.protocol)
+    kind = type(request.protocol.sizes).__name__
+    return {
+        "version": VERSION,
+        "protocol": protocol | {"sizes": {"kind": kind, **protocol["sizes"]}},
+        "real_sets": {
+            _label(column.fps): {
+                "sequences": column.real.num_sequences,
+                "seconds": round(column.real.duration_seconds, 3),
+            }
+            for column in columns
+        },
+        "sequences": "native framerate at least the column's, brought to it by anti-aliased resampling",
+        "clips": "both sides share sizes and centre quantiles; each draws sequences in proportion to duration",
+        "split": request.split,
+    }
+
+
+def _notes(columns: list[_Column]) -> tuple[str, ...]:
+    sets = "; ".join(
+        f"{_label(column.fps)}: {column.real.num_sequences} sequences, {column.real.duration_seconds / 60:.1f} min"
+        for column in columns
+    )
+    return (
+        f"Real sets: {sets}.",
+        "Columns hold different sequences, so numbers compare down a column, not along a row.",
+        "clip-FID here has nothing to do with the FID of images on CLIP features.",
+    )
+
+
+def _label(fps: Fraction | str) -> str:
+    """`20 fps` for a framerate, or for the paper's `20fps`."""
+    return f"{str(fps).removesuffix('fps').strip()} fps"

@@ -1,0 +1,115 @@
+"""Results survive their file; renderers print what is in them and nothing else."""
+
+import csv
+import json
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from eval.report.render import format_number, to_csv, to_html, to_latex, to_markdown
+from eval.report.results import Block, Cell, Result, ResultError, Row, read_result, read_results, write_result
+
+
+@pytest.fixture
+def result() -> Result:
+    rows = (
+        Row(
+            "real & <true>", "reference", {"20 fps": Cell(0.01234, 0.001, {"KID": 1e-5}), "40 fps": Cell(0.0)}, "a note"
+        ),
+        Row("theirs_x", "paper", {"40 fps": Cell(11.264)}),
+    )
+    return Result(
+        task="nerm-table2",
+        version="clip-fid/1",
+        title="Table 2",
+        caption="A caption.",
+        blocks=(Block("features | one", ("20 fps", "40 fps"), rows, note="Block's note."),),
+        definition={"n": 4},
+        notes=("first",),
+        missing=("NeRM: no run",),
+        provenance={"seed": 1},
+    )
+
+
+def test_a_result_survives_its_file(result: Result, tmp_path: Path) -> None:
+    path = write_result(result, tmp_path)
+    assert read_result(path) == result
+    (tmp_path / "other.json").write_text("[1, 2]")
+    (tmp_path / "else.json").write_text('{"format": "something"}')
+    assert read_results(tmp_path) == [result]
+
+
+def test_files_that_are_no_results_are_refused(result: Result, tmp_path: Path) -> None:
+    path = write_result(result, tmp_path)
+    document = json.loads(path.read_text())
+    path.write_text(json.dumps(document | {"format": "motionkit-result/0"}))
+    with pytest.raises(ResultError, match="motionkit-result/0"):
+        read_result(path)
+    path.write_text("{")
+    with pytest.raises(ResultError, match="cannot be read"):
+        read_result(path)
+    del document["title"]
+    path.write_text(json.dumps(document))
+    with pytest.raises(ResultError, match="title"):
+        read_result(path)
+
+
+def test_nan_is_never_written(result: Result, tmp_path: Path) -> None:
+    row = Row("nan", "ours", {"20 fps": Cell(float("nan"))})
+    with pytest.raises(ValueError, match="JSON compliant"):
+        write_result(replace(result, blocks=(Block("b", ("20 fps",), (row,)),)), tmp_path)
+
+
+def test_markdown(result: Result) -> None:
+    text = to_markdown(result)
+    assert "| real & <true> | 0.0123 ± 0.00100 | 0 |" in text
+    assert "| theirs_x | – | 11.264 |" in text
+    assert "- NeRM: no run" in text
+    assert "nerm-table2, version clip-fid/1." in text
+    assert "\n\n\n" not in text
+
+
+def test_latex_escapes_what_it_must(result: Result) -> None:
+    text = to_latex(result)
+    assert r"real \& <true> & 0.0123 $\pm$ 0.00100 & 0 \\" in text
+    assert r"theirs\_x & -- & 11.264 \\" in text
+
+
+def test_html_is_whole_and_escaped(result: Result) -> None:
+    text = to_html([result])
+    open_tags: list[str] = []
+
+    class Checker(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            if tag not in ("meta", "br"):
+                open_tags.append(tag)
+
+        def handle_endtag(self, tag: str) -> None:
+            assert open_tags.pop() == tag
+
+    Checker().feed(text)
+    assert not open_tags
+    assert "real &amp; &lt;true&gt;" in text
+    assert "src=" not in text
+    assert "http" not in text
+
+
+def test_csv_holds_every_number(result: Result) -> None:
+    lines = list(csv.DictReader(to_csv(result).splitlines()))
+    values = {(line["row"], line["column"], line["metric"]): line["value"] for line in lines}
+    assert values == {
+        ("real & <true>", "20 fps", "value"): "0.01234",
+        ("real & <true>", "20 fps", "KID"): "1e-05",
+        ("real & <true>", "40 fps", "value"): "0.0",
+        ("theirs_x", "40 fps", "value"): "11.264",
+    }
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (0.38912, "0.389"), (123.4, "123"), (-0.0021, "-0.00210"), (1.6e-7, "1.60e-07"), (54321.0, "54321")],
+)
+def test_numbers(value: float, text: str) -> None:
+    assert format_number(value) == text

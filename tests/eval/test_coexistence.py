@@ -1,0 +1,41 @@
+"""A repository with an eval/ folder without __init__.py (as motion-diffusion-model has) works beside motionkit."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+FILES = ("eval_humanml.py", "eval_humanact12_uestc.py", "unconstrained/evaluate.py", "a2m/tools.py", "a2m/gru_eval.py")
+
+
+def test_both_are_importable(tmp_path: Path) -> None:
+    for name in FILES:
+        path = tmp_path / "eval" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"WHERE = {name!r}\n", encoding="utf-8")
+    script = (
+        "import eval.eval_humanml, eval.a2m.tools, eval.unconstrained.evaluate, eval.metrics.frechet, eval.clip_fid\n"
+        "from eval.commands.eval import evaluate\n"
+        "from eval.reported import reported_figures\n"
+        "from eval.report.render import to_html\n"
+        "assert len(reported_figures('nerm', '2')) == 20 and to_html([])\n"
+        "print(eval.eval_humanml.WHERE, eval.a2m.tools.WHERE, eval.metrics.frechet.__name__)\n"
+    )
+    for order in ("", "import eval.eval_humanml\n", "import eval.clip_fid\n"):
+        done = subprocess.run(
+            (sys.executable, "-c", order + script),
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.split() == ["eval_humanml.py", "a2m/tools.py", "eval.metrics.frechet"]
+
+
+def test_no_module_of_ours_hides_one_of_theirs() -> None:
+    import eval
+
+    ours = {path.stem for path in Path(eval.__file__).parent.iterdir()}
+    assert ours.isdisjoint({"eval_humanml", "eval_humanact12_uestc", "unconstrained", "a2m"})

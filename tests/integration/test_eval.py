@@ -1,0 +1,141 @@
+"""`motionkit eval` and `motionkit report`, driven by the command line on a small store."""
+
+import json
+import os
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eval.report.render import format_number
+from motionkit.motion import Caption, Motion
+from motionkit.skeleton import SMPL22
+from motionkit.store.writer import StoreWriter
+from motionkit.timegrid import TimeGrid
+
+
+def walk(seed: int, fps: int, seconds: float) -> np.ndarray:
+    """A body that walks with swinging joints and some noise; not a person, but everything moves."""
+    rng = np.random.default_rng(seed)
+    num_frames = int(seconds * fps)
+    time = np.arange(num_frames)[:, None, None] / fps
+    rest = np.zeros((22, 3))
+    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
+        rest[joint] = rest[parent] + SMPL22.offsets[joint]
+    swing = 0.05 * np.sin(2 * np.pi * rng.uniform(0.5, 2, (22, 3)) * time + rng.uniform(0, 6, (22, 3)))
+    path = np.concatenate((rng.normal(size=1), [0.0], rng.normal(size=1)))
+    noise = 0.001 * rng.normal(size=(num_frames, 22, 3))
+    return (rest + [0, 0.95, 0] + swing + path * time + noise).astype(np.float32)
+
+
+def motion(index: int, fps: int, split: str) -> Motion:
+    positions = walk(index, fps, 5.0)
+    return Motion(
+        joint_positions=positions,
+        skeleton=SMPL22,
+        timegrid=TimeGrid(Fraction(fps), len(positions)),
+        captions=(Caption(f"walk {index}"),),
+        split=split,
+        sequence_id=f"walk-{index}",
+    )
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("eval") / "store"
+    with StoreWriter.create(path) as writer:
+        for index in range(12):
+            writer.add(motion(index, (30, 60, 120)[index % 3], "test" if index % 2 else "train"))
+    return path
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    script = "from motionkit.cli.app import main; main()"
+    command = (sys.executable, "-W", "error", "-c", script, *map(str, arguments))
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+
+
+SMALL = ("--clips", "128", "--replications", "2", "--features", "kinematic")
+
+
+def test_table_2(store: Path, tmp_path: Path) -> None:
+    done = run("eval", "--table", "2", "--store", store, "--results", tmp_path, "--fps", "20,60", *SMALL, "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    block = result["blocks"][0]
+    rows = {row["name"]: row["cells"] for row in block["rows"]}
+    floor = rows["real, independent draws (P1)"]
+    slerp = rows["real kept at 20 fps, SLERP"]
+    assert slerp["60 fps"]["value"] > 5 * floor["60 fps"]["value"]
+    assert slerp["20 fps"] == floor["20 fps"]
+    assert rows["real, disjoint halves of the takes (P2)"]["60 fps"]["value"] > floor["60 fps"]["value"]
+    assert result["definition"]["real_sets"] == {
+        "20 fps": {"sequences": 6, "seconds": 30.0},
+        "60 fps": {"sequences": 4, "seconds": 20.0},
+    }
+    assert set(block["provenance"]["fingerprints"]) == {"20 fps", "60 fps"}
+    assert any(line.startswith("NeRM: ") for line in result["missing"])
+    assert "NeRM" not in rows
+    assert "small-scale" in result["caption"]
+    paper = {row["name"]: row["cells"] for row in result["blocks"][-1]["rows"]}
+    assert paper["NeRM (paper)"]["120 fps"]["value"] == 1.315
+    assert json.loads((tmp_path / "nerm-table2.json").read_text())["version"] == "clip-fid/1"
+
+    value, ci95 = slerp["60 fps"]["value"], slerp["60 fps"]["ci95"]
+    assert f"{format_number(value)} ± {format_number(ci95)}" in (tmp_path / "nerm-table2.md").read_text()
+    page = run("report", "--results", tmp_path)
+    assert page.returncode == 0, page.stderr
+    assert "clip-FID by framerate" in (tmp_path / "report.html").read_text()
+
+
+def test_samples_become_a_row_and_what_cannot_be_computed_is_named(store: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    for index in range(3):
+        np.save(folder / f"{index}.npy", walk(index, 60, 3.0))
+    arguments = ("--fps", "60,120,250", "--samples", f"mine={folder}", "--results", tmp_path, "--json", *SMALL)
+    (folder / "motions.json").write_text('{"fps": 60}')
+    done = run("eval", "--table", "2", "--store", store, *arguments)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    rows = {row["name"]: row for row in result["blocks"][0]["rows"]}
+    assert set(rows["mine"]["cells"]) == {"60 fps", "120 fps"}
+    assert "3 motions at 60 fps" in rows["mine"]["note"]
+    assert result["blocks"][0]["columns"] == ["60 fps", "120 fps"]
+    assert any("250 fps" in line and "0 of 6 sequences" in line for line in result["missing"])
+
+
+def test_calibration(store: Path, tmp_path: Path) -> None:
+    arguments = ("--store", store, "--results", tmp_path, "--fps", "60", "--json", *SMALL)
+    done = run("eval", "--calibrate", *arguments)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    ratios, spearman = result["blocks"]
+    values = {row["name"]: row["cells"]["60 fps"]["value"] for row in ratios["rows"]}
+    assert values["jitter 0.01 m"] > values["jitter 0.005 m"] > 1.0
+    assert values["flat: yaw"] == pytest.approx(1.0, abs=0.05)
+    correlations = {row["name"]: row["cells"]["60 fps"]["value"] for row in spearman["rows"]}
+    assert correlations["jitter"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("eval",), 2, "give --table NUMBER or --calibrate; installed tables: nerm-2"),
+        (("eval", "--table", "77"), 2, "there is no table 77 of 'nerm'"),
+        (("eval", "--table", "2", "--fps", "20,x"), 2, "--fps 20,x"),
+        (("eval", "--table", "2", "--sizes", "64:16"), 2, "--sizes 64:16"),
+        (("eval", "--table", "2", "--samples", "mine"), 2, "give NAME=DIR"),
+        (("eval", "--table", "2", "--store", "nowhere"), 1, "nowhere"),
+        (("report", "--results", "nowhere"), 2, "there is no result in 'nowhere'"),
+    ],
+)
+def test_faults_are_one_line(arguments: tuple[str, ...], code: int, message: str) -> None:
+    done = run(*arguments)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
