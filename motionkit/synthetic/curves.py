@@ -31,86 +31,89 @@ def glide(u: Float64[np.ndarray, "*shape"], ramp: float = 0.35) -> Float64[np.nd
     return np.asarray(np.where(x < 0.5, eased(x), (1.0 - ramp) - eased(1.0 - x)) / (1.0 - ramp))
 
 
-def pulse(start: float, rise: float, hold: float, fall: float, height: float = 1.0) -> Curve:
+@dataclass(frozen=True)
+class Pulse:
     """Rises from 0 at `start` for `rise` seconds, holds `height` for `hold`, falls to 0 within `fall`."""
-    end = start + rise + hold
 
-    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
-        return np.asarray(height * (smoothstep((t - start) / rise) - smoothstep((t - end) / fall)))
+    start: float
+    rise: float
+    hold: float
+    fall: float
+    height: float = 1.0
 
-    return curve
-
-
-def step(start: float, seconds: float, height: float = 1.0) -> Curve:
-    """Rises from 0 at `start` to `height` within `seconds` and stays."""
-
-    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
-        return height * smoothstep((t - start) / seconds)
-
-    return curve
+    def __call__(self, t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        """The pulse at times in seconds."""
+        up = smoothstep((t - self.start) / self.rise)
+        down = smoothstep((t - (self.start + self.rise + self.hold)) / self.fall)
+        return np.asarray(self.height * (up - down))
 
 
-def constant(value: float) -> Curve:
+@dataclass(frozen=True)
+class Constant:
     """The same value at every instant."""
 
-    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
-        return np.full(t.shape, value)
+    value: float
 
-    return curve
+    def __call__(self, t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        """The value at times in seconds."""
+        return np.full(t.shape, self.value)
 
 
-def wave(frequency_hertz: float, zero_seconds: float = 0.0, height: float = 1.0) -> Curve:
+@dataclass(frozen=True)
+class Wave:
     """height · sin 2πf(t − zero_seconds)."""
 
-    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
-        return height * np.sin(2.0 * np.pi * frequency_hertz * (t - zero_seconds))
+    frequency_hertz: float
+    zero_seconds: float = 0.0
+    height: float = 1.0
 
-    return curve
-
-
-def cosine(frequency_hertz: float, peak_seconds: float = 0.0, height: float = 1.0) -> Curve:
-    """height · cos 2πf(t − peak_seconds)."""
-    return wave(frequency_hertz, peak_seconds - 0.25 / frequency_hertz, height)
+    def __call__(self, t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        """The wave at times in seconds."""
+        return np.asarray(self.height * np.sin(2.0 * np.pi * self.frequency_hertz * (t - self.zero_seconds)))
 
 
-def product(*curves: Curve) -> Curve:
+@dataclass(frozen=True)
+class Product:
     """The product of curves."""
 
-    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+    factors: tuple[Curve, ...]
+
+    def __call__(self, t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        """The product at times in seconds."""
         value = np.ones(t.shape)
-        for factor in curves:
+        for factor in self.factors:
             value = value * factor(t)
         return value
 
-    return curve
 
-
-def scaled(factor: float, curve: Curve) -> Curve:
-    """factor · curve."""
-    return product(constant(factor), curve)
-
-
-def total(*curves: Curve) -> Curve:
+@dataclass(frozen=True)
+class Total:
     """The sum of curves."""
 
-    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+    terms: tuple[Curve, ...]
+
+    def __call__(self, t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        """The sum at times in seconds."""
         value = np.zeros(t.shape)
-        for term in curves:
+        for term in self.terms:
             value = value + term(t)
         return value
 
-    return curve
 
-
-def shock(start: float, height: float, frequency_hertz: float = 17.0, decay_seconds: float = 0.05) -> Curve:
+@dataclass(frozen=True)
+class Shock:
     """A damped oscillation that begins at `start`: what a heel strike sends up the body."""
 
-    def curve(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
-        since = np.maximum(t - start, 0.0)
-        onset = smoothstep(since * frequency_hertz)
-        return height * onset * np.exp(-since / decay_seconds) * np.sin(2.0 * np.pi * frequency_hertz * since)
+    start: float
+    height: float
+    frequency_hertz: float = 17.0
+    decay_seconds: float = 0.05
 
-    return curve
+    def __call__(self, t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
+        """The oscillation at times in seconds."""
+        since = np.maximum(t - self.start, 0.0)
+        fading = smoothstep(since * self.frequency_hertz) * np.exp(-since / self.decay_seconds)
+        return np.asarray(self.height * fading * np.sin(2.0 * np.pi * self.frequency_hertz * since))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,3 +137,23 @@ def band_noise(
     weights = rng.uniform(0.5, 1.5, num_waves) / frequencies
     amplitudes = weights * standard_deviation * np.sqrt(2.0 / np.sum(weights**2))
     return BandNoise(amplitudes, frequencies, rng.uniform(0.0, 2.0 * np.pi, num_waves))
+
+
+def cosine(frequency_hertz: float, peak_seconds: float = 0.0, height: float = 1.0) -> Wave:
+    """height · cos 2πf(t − peak_seconds)."""
+    return Wave(frequency_hertz, peak_seconds - 0.25 / frequency_hertz, height)
+
+
+def product(*curves: Curve) -> Product:
+    """The product of curves."""
+    return Product(curves)
+
+
+def total(*curves: Curve) -> Total:
+    """The sum of curves."""
+    return Total(curves)
+
+
+def scaled(factor: float, curve: Curve) -> Product:
+    """factor · curve."""
+    return Product((Constant(factor), curve))

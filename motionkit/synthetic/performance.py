@@ -8,7 +8,7 @@ from motionkit.errors import UsageError
 from motionkit.motion import Caption
 from motionkit.synthetic import gestures, leaps, locomotion
 from motionkit.synthetic.bodies import Body
-from motionkit.synthetic.curves import band_noise, constant, wave
+from motionkit.synthetic.curves import Constant, Wave, band_noise
 from motionkit.synthetic.field import SyntheticMotion
 from motionkit.synthetic.script import SIDES, Layer, Part
 
@@ -43,8 +43,9 @@ ACTIONS: dict[str, ActionBuilder] = {
     "jumping_jacks": leaps.jumping_jacks,
 }
 TRAVELLING = ("walk", "walk_circle", "turn_left", "turn_right", "walk_backwards", "sidestep", "jog", "run", "march")
-SUBJECTS = ("a person", "someone", "a man", "a woman", "the person", "a figure")
+SUBJECTS = ("a person", "someone", "the person", "a figure")
 SHORTEST_ACTION_SECONDS = 2.0
+SHORTEST_PART_SECONDS = 1.5
 
 
 def perform(rng: np.random.Generator, body: Body, actions: Sequence[str], duration_seconds: float) -> SyntheticMotion:
@@ -81,12 +82,15 @@ def _sequence(rng: np.random.Generator, body: Body, actions: Sequence[str], dura
         return [ACTIONS[actions[0]](rng, body, start, end)]
     shares = rng.uniform(0.8, 1.2, len(actions))
     free = duration - SHORTEST_ACTION_SECONDS * len(actions)
-    lengths = SHORTEST_ACTION_SECONDS + free * shares / shares.sum()
-    ends = np.cumsum(lengths)
-    return [
-        ACTIONS[action](rng, body, float(end - length) + 0.05, float(end) - 0.25)
-        for action, length, end in zip(actions, lengths, ends, strict=True)
-    ]
+    planned = np.cumsum(SHORTEST_ACTION_SECONDS + free * shares / shares.sum()) - 0.25
+    parts: list[Part] = []
+    start = 0.05
+    for action, planned_end in zip(actions, planned, strict=True):
+        part = ACTIONS[action](rng, body, start, max(float(planned_end), start + SHORTEST_PART_SECONDS))
+        # A jump or a last step may take longer than planned: the next action waits for it.
+        start = max([part.end, *(swing.touchdown for swing in part.swings)]) + 0.15
+        parts.append(part)
+    return parts
 
 
 def posture(rng: np.random.Generator) -> tuple[Layer, ...]:
@@ -94,16 +98,16 @@ def posture(rng: np.random.Generator) -> tuple[Layer, ...]:
     slouch = float(rng.normal(0.03, 0.03))
     breath = float(rng.uniform(0.2, 0.35))
     layers = [
-        Layer("spine_pitch", constant(slouch)),
-        Layer("spine_pitch", wave(breath, float(rng.uniform(0, 5)), 0.012)),
-        Layer("head_pitch", constant(float(rng.normal(0.05, 0.05)))),
-        Layer("pelvis_pitch", constant(float(rng.normal(0.02, 0.02)))),
+        Layer("spine_pitch", Constant(slouch)),
+        Layer("spine_pitch", Wave(breath, float(rng.uniform(0, 5)), 0.012)),
+        Layer("head_pitch", Constant(float(rng.normal(0.05, 0.05)))),
+        Layer("pelvis_pitch", Constant(float(rng.normal(0.02, 0.02)))),
     ]
     for side in SIDES:
         layers += [
-            Layer(f"{side}_arm_elevation", constant(float(rng.uniform(0.08, 0.20)))),
-            Layer(f"{side}_arm_azimuth", constant(float(rng.uniform(0.8, 1.1)))),
-            Layer(f"{side}_elbow", constant(float(rng.uniform(0.15, 0.35)))),
+            Layer(f"{side}_arm_elevation", Constant(float(rng.uniform(0.08, 0.20)))),
+            Layer(f"{side}_arm_azimuth", Constant(float(rng.uniform(0.8, 1.1)))),
+            Layer(f"{side}_elbow", Constant(float(rng.uniform(0.15, 0.35)))),
             Layer(f"{side}_arm_elevation", band_noise(rng, 0.030, 0.1, 3.0)),
             Layer(f"{side}_elbow", band_noise(rng, 0.040, 0.1, 4.0)),
             Layer(f"{side}_elbow", band_noise(rng, 0.0030, 8.0, 45.0)),
@@ -121,13 +125,14 @@ def posture(rng: np.random.Generator) -> tuple[Layer, ...]:
 def _captions(rng: np.random.Generator, parts: Sequence[Part], duration: float) -> tuple[Caption, ...]:
     """Three sentences about the whole motion; of several actions also one about each, with its seconds."""
     captions = []
+    subjects = (*SUBJECTS, "a man" if rng.random() < 0.5 else "a woman")
     for index in rng.permutation(max(3, len(parts[0].phrases)))[:3]:
         phrases = [part.phrases[int(index) % len(part.phrases)] for part in parts]
-        subject = SUBJECTS[int(rng.integers(len(SUBJECTS)))]
+        subject = subjects[int(rng.integers(len(subjects)))]
         captions.append(Caption(f"{subject} {_joined(rng, phrases)}"))
     if len(parts) > 1:
         for part in parts:
-            subject = SUBJECTS[int(rng.integers(len(SUBJECTS)))]
+            subject = subjects[int(rng.integers(len(subjects)))]
             start, end = max(part.start, 0.0), min(part.end, duration)
             phrase = part.phrases[int(rng.integers(len(part.phrases)))]
             captions.append(Caption(f"{subject} {phrase}", round(start, 2), round(end, 2)))
