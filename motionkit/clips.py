@@ -290,6 +290,12 @@ class WindowPoses:
         )
 
 
+def rows_by_duration(windows: Windows, seconds_per_visit: float) -> Int64[np.ndarray, "visits"]:
+    """Each window as often as it lasts `seconds_per_visit`, once at least: what an epoch goes through."""
+    visits = np.maximum(1, np.round(windows.duration_seconds / seconds_per_visit)).astype(np.int64)
+    return np.repeat(np.arange(len(windows)), visits)
+
+
 def shuffled_batches(count: int, batch: int, step: int, seed: int) -> Int64[torch.Tensor, "batch"]:
     """The rows of batch number `step`, when `count` rows are gone through again and again in a new order each time.
 

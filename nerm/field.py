@@ -87,15 +87,21 @@ class FieldNetwork(nn.Module):
             for _ in range(config.layers - 1)
         ]
         self.layers = nn.ModuleList(layers)
-        self.head = nn.Sequential(
-            nn.LayerNorm(hidden), ACTIVATIONS[config.activation](), nn.Linear(hidden, num_numbers)
-        )
+        self.linear = nn.Linear(latent_width, num_numbers, bias=False) if config.linear_path else None
+        self.finish = nn.Sequential(nn.LayerNorm(hidden), ACTIVATIONS[config.activation]())
+        self.output = nn.Linear(hidden, num_numbers)
+
+    @torch.no_grad()
+    def start_linear_path(self, matrix: Float32[torch.Tensor, "components numbers"]) -> None:
+        """Begin as the linear model that the ridge fit of the latents belongs to; the layers then learn the rest."""
+        assert self.linear is not None
+        self.linear.weight.zero_()
+        self.linear.weight[:, : len(matrix)] = matrix.T
+        self.output.weight.zero_()
 
     @staticmethod
     def knot_layout(config: FieldConfig) -> KnotLayout:
-        """How a local latent lies along time; raises `ValueError` where its numbers do not divide into knots."""
-        if config.latent_dimension % config.num_knots:
-            raise ValueError(f"{config.latent_dimension} latent numbers do not divide into {config.num_knots} knots")
+        """How a local latent lies along time."""
         return KnotLayout(config.num_knots, config.knot_radius, config.knot_modes)
 
     def _time_encoding(
@@ -110,8 +116,6 @@ class FieldNetwork(nn.Module):
             return fourier, None
         if codebook is None:
             raise ValueError("the time encoding 'codebook' needs a trained codebook")
-        if fourier.width != config.query_width:
-            raise ValueError(f"query_width {config.query_width} must equal 2·num_frequencies = {fourier.width}")
         attention = CodebookCoordinateAttention(
             codebook,
             width=config.query_width,
@@ -153,16 +157,17 @@ class FieldNetwork(nn.Module):
         """Standardised pose vectors from latents and encoded coordinates."""
         hidden = self.from_framerate(framerate_number(fps, self.config.framerate_scale)[:, None])[:, None]
         if encoded.basis is None:
-            hidden = hidden + self.from_latent(latents)[:, None]
+            read = latents[:, None]
         else:
             knots = latents.reshape(len(latents), self.config.num_knots, -1)
-            hidden = hidden + self.from_latent(mix(knots, encoded.basis[encoded.which]))
+            read = mix(knots, encoded.basis[encoded.which])
+        hidden = hidden + self.from_latent(read)
         if self.from_coordinate is not None and encoded.features is not None:
             hidden = hidden + self.from_coordinate(encoded.features)[encoded.which]
         for layer in self.layers:
             hidden = layer(hidden)
-        vectors: torch.Tensor = self.head(hidden)
-        return vectors
+        vectors: torch.Tensor = self.output(self.finish(hidden))
+        return vectors if self.linear is None else vectors + self.linear(read)
 
     def forward(
         self,

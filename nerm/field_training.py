@@ -6,7 +6,7 @@ from fractions import Fraction
 import torch
 from jaxtyping import Float, Float32, Int64
 
-from motionkit.clips import PoseBatch, WindowPoses, chunks, shuffled_batches
+from motionkit.clips import PoseBatch, WindowPoses, chunks, rows_by_duration, shuffled_batches
 from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.schedule import rate_factor, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
@@ -14,19 +14,18 @@ from nerm.field import FieldNetwork
 from nerm.knots import ridge_knots
 from nerm.latents import LOG_VARIANCE_RANGE, RowAdam, kl_divergence, sample_posterior
 from nerm.recipes import FieldConfig
-from nerm.scaling import VectorScaling, measure_scaling, principal_components
+from nerm.scaling import PoseComponents, VectorScaling, measure_scaling, principal_components
 
 RIDGE_TIMES = 64
 
 
 def initial_means(
-    poses: WindowPoses, scaling: VectorScaling, config: FieldConfig, seed: int
+    poses: WindowPoses, scaling: VectorScaling, components: PoseComponents | None, config: FieldConfig, seed: int
 ) -> Float32[torch.Tensor, "windows latent"]:
     """μ before training: N(0, 1), or a ridge fit of principal components of the poses on the knots (local layout)."""
     noise = torch.randn(len(poses.windows), config.latent_dimension, generator=step_generator(seed, "latents"))
-    if config.initialisation == "normal" or config.latent_layout == "global":
+    if config.initialisation == "normal" or components is None:
         return noise
-    components = principal_components(poses, scaling, config.latent_dimension // config.num_knots)
     layout = FieldNetwork.knot_layout(config)
     for rows in chunks(len(poses.windows), 512):
         batch = poses.evenly(rows, RIDGE_TIMES)
@@ -49,11 +48,19 @@ class FieldTraining:
     ) -> None:
         self.poses, self.config, self.seed, self.device = poses, config, seed, device
         self.scaling = measure_scaling(poses, config)
-        means = initial_means(poses, self.scaling, config, seed)
+        self.components = None
+        if config.latent_layout == "local":
+            num_components = config.latent_dimension // config.num_knots
+            self.components = principal_components(poses, self.scaling, num_components)
+        means = initial_means(poses, self.scaling, self.components, config, seed)
         num_numbers = len(self.scaling.mean)
         self.scaling = self.scaling.to(device)
         with seeded_initialisation(seed, "field"):
             self.network = FieldNetwork(config, num_numbers, codebook).to(device)
+        if self.network.linear is not None and self.components is not None:
+            self.network.start_linear_path(self.components.inverse())
+        self.visits = torch.from_numpy(rows_by_duration(poses.windows, config.seconds_per_visit))
+        self.steps = config.num_steps(len(self.visits))
         self.optimizer = torch.optim.AdamW(self.network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
         self.mean = RowAdam(means.to(device))
         self.log_variance = RowAdam(torch.full_like(self.mean.table, config.initial_log_variance))
@@ -75,15 +82,15 @@ class FieldTraining:
         kl = kl_divergence(mean, log_variance)
         loss = reconstruction + config.kl_weight * kl if config.variational else reconstruction
         self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        torch.autograd.backward(loss)
         self._update(step, rows, mean, log_variance)
         return {"loss": loss, "reconstruction": reconstruction, "kl": kl}
 
     def _draw(self, step: int, generator: torch.Generator) -> PoseBatch:
         """The clips of a step: at one fixed framerate during warm-up, then at all native ones."""
         config = self.config
-        rows = shuffled_batches(len(self.poses.windows), config.batch, step, self.seed)
-        warming_up = step < config.warmup_fraction * config.steps
+        rows = self.visits[shuffled_batches(len(self.visits), config.batch, step, self.seed)]
+        warming_up = step < config.warmup_fraction * self.steps
         batch = self.poses.draw(
             rows,
             config.num_poses,
@@ -98,7 +105,7 @@ class FieldTraining:
         self, step: int, rows: Int64[torch.Tensor, "rows"], mean: torch.Tensor, log_variance: torch.Tensor
     ) -> None:
         config = self.config
-        factor = rate_factor(step, config.steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction)
+        factor = rate_factor(step, self.steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction)
         set_rate(self.optimizer, config.rate * factor)
         self.optimizer.step()
         assert mean.grad is not None

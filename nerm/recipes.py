@@ -5,6 +5,7 @@ Ablations of the paper are values here, not forks of the code: Table 5 `field.ti
 `field.coordinates`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -15,7 +16,10 @@ Activation = Literal["relu", "silu", "gelu"]
 
 @dataclass(frozen=True)
 class CodebookConfig:
-    """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (spec of Zhang et al. 2023a; appendix B.1)."""
+    """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1).
+
+    `published_weights` names T2M-GPT's own checkpoint, whose codes are then taken instead of trained.
+    """
 
     fps: int = 20
     window_frames: int = 64
@@ -32,6 +36,8 @@ class CodebookConfig:
     rate: float = 2e-4
     rate_drop_at: int = 200_000
     rate_drop: float = 0.05
+    weight_decay: float = 0.0
+    published_weights: str = ""
     where: str = "split = 'train'"
 
 
@@ -70,14 +76,17 @@ class FieldConfig:
     hidden: int = 1024
     layers: int = 9
     activation: Activation = "relu"
+    linear_path: bool = False
     # Data scale.
     scaling: Literal["number", "group"] = "number"
     root_weight: float = 1.0
     # Training.
-    steps: int = 20_000
+    epochs: int | None = 20_000
+    steps: int | None = None
     batch: int = 4096
     num_poses: int = 32
     contiguous: bool = True
+    seconds_per_visit: float = 10.0
     warmup_fps: int = 20
     warmup_fraction: float = 0.5
     lowest_fps: float | None = None
@@ -88,6 +97,21 @@ class FieldConfig:
     rate_warmup_fraction: float = 0.0
     precision: Literal["float32", "bfloat16"] = "float32"
 
+    def __post_init__(self) -> None:
+        if (self.steps is None) == (self.epochs is None):
+            raise ValueError(f"exactly one of steps and epochs must be given, not {self.steps} and {self.epochs}")
+        if self.latent_layout == "local" and self.latent_dimension % self.num_knots:
+            raise ValueError(f"{self.latent_dimension} latent numbers do not divide into {self.num_knots} knots")
+        if self.time_encoding == "codebook" and self.query_width != 2 * self.num_frequencies:
+            raise ValueError(f"query_width {self.query_width} must be 2·num_frequencies, {2 * self.num_frequencies}")
+
+    def num_steps(self, visits: int) -> int:
+        """Training steps where an epoch has this many visits to windows."""
+        if self.steps is not None:
+            return self.steps
+        assert self.epochs is not None
+        return -(-self.epochs * visits // self.batch)
+
 
 @dataclass(frozen=True)
 class NermConfig:
@@ -95,3 +119,53 @@ class NermConfig:
 
     codebook: CodebookConfig = field(default_factory=CodebookConfig)
     field: FieldConfig = field(default_factory=FieldConfig)
+
+
+def paper() -> NermConfig:
+    """The paper's figures (§3, B.1, D), with what ../docs/deviations.md says where it is silent."""
+    return NermConfig()
+
+
+def nano() -> NermConfig:
+    """Two CPU cores and minutes: smaller networks, local latents, the settings that docs/results measured."""
+    codebook = CodebookConfig(
+        width=128, code_dimension=128, num_codes=256, steps=500, batch=48, rate=1e-3, rate_drop_at=400
+    )
+    return NermConfig(codebook=codebook, field=_local_field(steps=6000))
+
+
+def demo() -> NermConfig:
+    """A minute on the embedded corpus: the same field as `nano`, smaller and for fewer steps."""
+    codebook = CodebookConfig(
+        width=64, code_dimension=64, num_codes=128, steps=120, batch=32, rate=1e-3, rate_drop_at=100
+    )
+    return NermConfig(codebook=codebook, field=_local_field(steps=600, stride_seconds=5.0))
+
+
+def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
+    return FieldConfig(
+        stride_seconds=stride_seconds,
+        latent_layout="local",
+        initialisation="ridge",
+        num_queries=64,
+        hidden=256,
+        activation="silu",
+        scaling="group",
+        root_weight=4.0,
+        epochs=None,
+        steps=steps,
+        batch=256,
+        num_poses=8,
+        contiguous=False,
+        seconds_per_visit=2.5,
+        warmup_fraction=0.02,
+        lowest_fps=20.0,
+        rate=8e-3,
+        latent_rate=1e-1,
+        weight_decay=0.0,
+        schedule="cosine",
+        precision="bfloat16",
+    )
+
+
+RECIPES: dict[str, Callable[[], NermConfig]] = {"nano": nano, "demo": demo, "paper": paper}

@@ -66,6 +66,11 @@ class PoseComponents:
         """Standardised vectors → component scores of unit variance."""
         return standardised @ self.directions
 
+    def inverse(self) -> Float32[torch.Tensor, "components numbers"]:
+        """What brings scores back to standardised vectors, as well as so few components can."""
+        matrix: torch.Tensor = torch.linalg.pinv(self.directions)
+        return matrix
+
 
 def principal_components(poses: WindowPoses, scaling: VectorScaling, num_components: int) -> PoseComponents:
     """The first components of the windows' poses; one pass, flat memory."""

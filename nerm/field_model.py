@@ -1,0 +1,195 @@
+"""A trained motion field: what stage 1 leaves behind, and what generation and reconstruction decode with."""
+
+from collections import OrderedDict
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Float64
+
+from motionkit.clips import Windows
+from motionkit.features import field as field_vectors
+from motionkit.motionfield import Poses, check_times
+from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.timegrid import normalise_seconds
+from motionkit.training.config import from_plain, to_plain
+from motionkit.training.device import resolve_device
+from motionkit.training.run import RunFolder, StageFolder
+from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, save_tensors, unprefixed
+from nerm.field import EncodedCoordinates, FieldNetwork
+from nerm.recipes import FieldConfig
+from nerm.scaling import PoseComponents, VectorScaling
+
+STAGE_NAME = "field"
+FORMAT_VERSION = 1
+GRIDS_KEPT = 16
+POSES_AT_ONCE = 65_536
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedField:
+    """f_θ with its scales and the posteriors N(μ_i, Σ_i) of all training windows.
+
+    `network` is in evaluation mode, its gradients off; `components` are the pose components that a local latent's ridge
+    fit starts from (None for the global layout).
+    """
+
+    network: FieldNetwork
+    scaling: VectorScaling
+    components: PoseComponents | None
+    posterior_mean: Float32[torch.Tensor, "windows latent"]
+    posterior_log_variance: Float32[torch.Tensor, "windows latent"]
+    windows: Windows
+    store_fingerprint: str
+    _grids: "OrderedDict[tuple[bytes, Fraction], EncodedCoordinates]" = field(default_factory=OrderedDict, repr=False)
+
+    @property
+    def config(self) -> FieldConfig:
+        """The settings it was trained with."""
+        return self.network.config
+
+    @property
+    def latent_dimension(self) -> int:
+        """d."""
+        return self.config.latent_dimension
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """l_max: the span of [−1, 1]."""
+        return self.config.max_duration_seconds
+
+    @property
+    def max_training_fps(self) -> Fraction:
+        """Highest framerate among the training windows."""
+        fastest = int(np.argmax(self.windows.fps))
+        return self.windows.exact_fps(fastest)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the network is."""
+        return self.scaling.mean.device
+
+    def encode_times(self, times_seconds: Float64[np.ndarray, "batch times"], fps: Fraction) -> EncodedCoordinates:
+        """The coordinate branch at some times; the last few grids are kept, so a grid costs its attention once."""
+        key = (times_seconds.shape[1].to_bytes(4) + np.ascontiguousarray(times_seconds).tobytes(), fps)
+        if key not in self._grids:
+            coordinates = torch.from_numpy(normalise_seconds(times_seconds, self.max_duration_seconds)).to(self.device)
+            rates = torch.full((len(times_seconds),), float(fps), dtype=torch.float64, device=self.device)
+            with torch.no_grad():
+                self._grids[key] = self.network.encode_coordinates(coordinates, rates)
+            while len(self._grids) > GRIDS_KEPT:
+                self._grids.popitem(last=False)
+        self._grids.move_to_end(key)
+        return self._grids[key]
+
+    def decode(
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
+        fps: Fraction,
+    ) -> Float32[np.ndarray, "batch times joints 3"]:
+        """Positions in metres, in the windows' own frames, of each latent's motion.
+
+        Times are seconds from the window's start, shared by all latents or one row each; `fps` is the framerate s the
+        field is told. Only as many poses are decoded at once as bounds the memory of a call.
+        """
+        shared = times_seconds.ndim == 1
+        per_call = max(1, POSES_AT_ONCE // max(1, times_seconds.shape[-1]))
+        num_joints = len(self.scaling.mean) // 3
+        positions = np.empty((len(latents), times_seconds.shape[-1], num_joints, 3), dtype=np.float32)
+        for start in range(0, len(latents), per_call):
+            some = latents[start : start + per_call].float().to(self.device)
+            times = times_seconds[None] if shared else times_seconds[start : start + per_call]
+            vectors = self.decode_vectors(some, self.encode_times(times, fps), fps)
+            positions[start : start + per_call] = field_vectors.decode(vectors.cpu().numpy())
+        return positions
+
+    @torch.no_grad()
+    def decode_vectors(
+        self, latents: Float32[torch.Tensor, "batch latent"], encoded: EncodedCoordinates, fps: Fraction
+    ) -> Float32[torch.Tensor, "batch times numbers"]:
+        """`field` vectors in metres at encoded times (one row of times for each latent, or one for all)."""
+        which = encoded.which.expand(len(latents), -1)
+        rates = torch.full((len(latents),), float(fps), dtype=torch.float64, device=self.device)
+        standardised = self.network.decode(latents, replace(encoded, which=which), rates)
+        vectors: torch.Tensor = self.scaling.invert(standardised.float())
+        return vectors
+
+    def as_motion_field(
+        self, latent: Float[torch.Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None
+    ) -> "LatentMotionField":
+        """One latent's motion on [0, duration], told that it is sampled at `fps` (default: the highest trained at)."""
+        return LatentMotionField(self, latent, duration_seconds, fps or self.max_training_fps)
+
+
+@dataclass(frozen=True, eq=False)
+class LatentMotionField:
+    """A `motionkit.motionfield.MotionField`: f_θ for one fixed z and s."""
+
+    field: TrainedField
+    latent: Float[torch.Tensor, "latent"]
+    end_seconds: float
+    fps: Fraction
+    start_seconds: float = 0.0
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The 22-joint layout."""
+        return SMPL22
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times in [0, end_seconds]; raises `ValueError` outside it."""
+        check_times(self, times_seconds)
+        return Poses(self.field.decode(self.latent[None], times_seconds, self.fps)[0])
+
+
+def save_field(folder: StageFolder, trained: TrainedField) -> None:
+    """Write model.safetensors: network, scales, posteriors and the window table, with the settings in its header."""
+    tensors = (
+        prefixed("network", trained.network.state_dict())
+        | prefixed("scaling", {"mean": trained.scaling.mean, "scale": trained.scaling.scale})
+        | prefixed("posterior", {"mean": trained.posterior_mean, "log_variance": trained.posterior_log_variance})
+        | prefixed("windows", {name: torch.from_numpy(array) for name, array in trained.windows.arrays().items()})
+    )
+    if trained.components is not None:
+        tensors["components.directions"] = trained.components.directions
+    description: dict[str, Any] = {
+        "format": "nerm-field",
+        "version": FORMAT_VERSION,
+        "config": to_plain(trained.config),
+        "layout": SMPL22.name,
+        "store_fingerprint": trained.store_fingerprint,
+    }
+    save_tensors(folder.model_path, tensors, description)
+
+
+def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
+    """Load a run's trained field; raises `CheckpointError` where there is none or it is of another format."""
+    folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
+    if not folder.model_path.is_file():
+        folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    if description.get("format") != "nerm-field" or description.get("version") != FORMAT_VERSION:
+        raise CheckpointError(
+            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
+            f"'nerm-field' version {FORMAT_VERSION}: train it again (motionkit train --stage field --overwrite)"
+        )
+    config = from_plain(FieldConfig, description["config"])
+    where = resolve_device(device)
+    scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
+    network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))
+    network.load_state_dict(unprefixed("network", tensors))
+    arrays = {name: tensor.numpy() for name, tensor in unprefixed("windows", tensors).items()}
+    directions = tensors.get("components.directions")
+    return TrainedField(
+        network=network.to(where).eval().requires_grad_(False),
+        scaling=scaling.to(where),
+        components=None if directions is None else PoseComponents(directions),
+        posterior_mean=tensors["posterior.mean"],
+        posterior_log_variance=tensors["posterior.log_variance"],
+        windows=Windows(config.max_duration_seconds, **arrays),
+        store_fingerprint=str(description["store_fingerprint"]),
+    )

@@ -1,0 +1,66 @@
+"""Stage `field`: from a store to a trained field with the posteriors of all windows."""
+
+import time
+
+import torch
+from jaxtyping import Float32
+
+from motionkit.clips import WindowPoses, cut_windows
+from motionkit.skeleton import SMPL22
+from motionkit.store.cache import open_cache
+from motionkit.store.reader import Store
+from motionkit.training.device import resolve_device
+from motionkit.training.loop import train_loop
+from motionkit.training.run import RunError
+from motionkit.training.stage import StageContext
+from nerm.codebook import load_codes
+from nerm.field_model import TrainedField, save_field
+from nerm.field_training import FieldTraining
+from nerm.recipes import FieldConfig, NermConfig
+
+
+def train_field(context: StageContext, config: NermConfig) -> None:
+    """Train f_θ and the posteriors of all windows; writes both, with the window table, to model.safetensors."""
+    settings, store = config.field, Store.open(context.store)
+    folder = context.begin("field", config, store_fingerprint=store.fingerprint)
+    started = time.perf_counter()
+    source = open_cache(store, layout="smpl22", where=settings.where or None)
+    windows = cut_windows(
+        source,
+        max_duration_seconds=settings.max_duration_seconds,
+        stride_seconds=settings.stride_seconds,
+        min_duration_seconds=settings.min_duration_seconds,
+        mirror_pairs=SMPL22.left_right_pairs if settings.mirrored else None,
+    )
+    training = FieldTraining(
+        WindowPoses(source, windows, SMPL22.left_right_pairs),
+        settings,
+        codebook=_codes(context, settings),
+        seed=context.seed,
+        device=resolve_device(context.device),
+    )
+    figures = train_loop(training, folder, steps=training.steps, seed=context.seed)
+    trained = TrainedField(
+        network=training.network.eval().requires_grad_(False),
+        scaling=training.scaling,
+        components=training.components,
+        posterior_mean=training.mean.table.cpu(),
+        posterior_log_variance=training.log_variance.table.cpu(),
+        windows=windows,
+        store_fingerprint=store.fingerprint,
+    )
+    save_field(folder, trained)
+    hours = float(windows.duration_seconds.sum()) / 3600
+    facts = {"windows": len(windows), "hours": round(hours, 3), "wall_seconds": round(time.perf_counter() - started, 1)}
+    folder.finish({**figures, **facts})
+
+
+def _codes(context: StageContext, settings: FieldConfig) -> Float32[torch.Tensor, "codes dimension"] | None:
+    if settings.time_encoding != "codebook":
+        return None
+    if not context.run.stage("codebook").is_complete:
+        raise RunError(
+            f"the time encoding 'codebook' needs the stage codebook of {context.run.path}: train it first "
+            f"(motionkit train --stage codebook), or use --set field.time_encoding=fourier"
+        )
+    return load_codes(context.run)
