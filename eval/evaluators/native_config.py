@@ -20,8 +20,7 @@ class NativeTrainingConfig:
 
     A step draws one framerate from `framerates` (those that the store reaches) and one m, a multiple of 4 in
     `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are. `bank_seconds` bounds the motion that is
-    held in memory per framerate. `text_encoder` is "" (no text) or a name
-    that `nerm.text_encoders` knows.
+    held in memory per framerate. `text_encoder` is "" (no text) or a name that `nerm.text_encoders` knows.
     """
 
     steps: int = 1500
@@ -34,6 +33,7 @@ class NativeTrainingConfig:
     min_poses: int = 16
     max_poses: int = 64
     clean_fraction: float = 0.2
+    strength_weight: float = 1.0
     text_weight: float = 0.2
     text_temperature: float = 0.1
     text_encoder: str = "minilm"

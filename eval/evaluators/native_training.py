@@ -155,7 +155,7 @@ class NativeTraining:
         targets = torch.from_numpy(batch.targets).to(self.device)
         strength = torch.nn.functional.smooth_l1_loss(self.network.strengths(embeddings), targets, beta=0.5)
         matching = self._matching(embeddings, batch.num_clean, drawn, rng)
-        loss = strength + training.text_weight * matching
+        loss = training.strength_weight * strength + training.text_weight * matching
         factor = rate_factor(step, training.steps, schedule="cosine", warmup_fraction=training.warmup_fraction)
         set_rate(self.optimizer, training.learning_rate * factor)
         self.optimizer.zero_grad()
