@@ -6,7 +6,7 @@ it was trained on are one file; its own fingerprint is part of every result that
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -108,7 +108,7 @@ class NativeEvaluator:
         return encoder
 
     def _each(
-        self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction, head: Any
+        self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction, head: Callable[[Tensor], Tensor]
     ) -> Float64[np.ndarray, "clips numbers"]:
         if clips.shape[2] != NUM_JOINTS:
             raise ValueError(f"clips have {clips.shape[2]} joints; the evaluator knows the {NUM_JOINTS} of SMPL22")
