@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from motionkit.motionfield import MotionField
-from motionkit.skeleton import Skeleton
+from motionkit.motion import Motion
+from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.skeleton_map import map_joints
 
 # Okabe and Ito's palette: distinguishable with any colour vision.
 BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
@@ -46,11 +47,23 @@ class Curve:
     half_widths: tuple[float, ...]
 
 
-def strip_of(field: MotionField, title: str, num_poses: int = 10, seconds: float | None = None) -> Strip:
-    """Poses of a motion field at equal distances of time over its first `seconds` (all of it by default)."""
-    end = field.end_seconds if seconds is None else min(field.start_seconds + seconds, field.end_seconds)
-    times = np.linspace(field.start_seconds, end, num_poses)
-    return Strip(title, field.query(times).joint_positions, times, field.skeleton)
+@dataclass(frozen=True)
+class Panel:
+    """Curves that may be compared with one another, in one pair of axes."""
+
+    title: str
+    y_label: str
+    curves: tuple[Curve, ...]
+
+
+def strip_of(motion: Motion, title: str, num_poses: int = 10, seconds: float | None = None) -> Strip:
+    """Frames of a motion at about equal distances of time over its first `seconds` (all of it by default).
+
+    They are drawn in the 22-joint layout. Raises `SkeletonMapError` where the skeleton has no such joints.
+    """
+    span = motion.timegrid.span_seconds if seconds is None else min(seconds, motion.timegrid.span_seconds)
+    frames = np.round(np.linspace(0.0, span, num_poses) * float(motion.fps)).astype(int)
+    return Strip(title, map_joints(motion, "smpl22")[frames], motion.timegrid.seconds()[frames], SMPL22)
 
 
 def strips_figure(strips: Sequence[Strip], width_inches: float = 9.0) -> Figure:
@@ -73,11 +86,24 @@ def side_by_side_figure(strips: Sequence[Strip], columns: int = 4, width_inches:
     return figure
 
 
-def curves_figure(panels: Sequence[tuple[str, Sequence[Curve]]], y_label: str, width_inches: float = 9.0) -> Figure:
-    """Panels of curves over the framerate, each with its title and its own scale."""
-    figure = Figure(figsize=(width_inches, 3.4), layout="constrained")
-    for axes, (title, curves) in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
-        draw_curves(axes, curves, title, y_label)
+def curves_figure(panels: Sequence[Panel], width_inches: float = 9.0) -> Figure:
+    """Panels of curves over the framerate beside one another, each with its own scale."""
+    figure = Figure(figsize=(width_inches, 4.0), layout="constrained")
+    for axes, panel in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
+        draw_curves(axes, panel)
+    return figure
+
+
+def curves_and_strips_figure(panels: Sequence[Panel], strips: Sequence[Strip], width_inches: float = 10.0) -> Figure:
+    """Curves above, strips of skeletons below them."""
+    heights = (4.0, 1.55 * max(1, len(strips)))
+    figure = Figure(figsize=(width_inches, sum(heights)), layout="constrained")
+    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights).ravel()
+    for axes, panel in zip(np.atleast_1d(above.subplots(1, len(panels))), panels, strict=True):
+        draw_curves(axes, panel)
+    if strips:
+        for axes, strip in zip(np.atleast_1d(below.subplots(len(strips), 1)), strips, strict=True):
+            draw_strip(axes, strip)
     return figure
 
 
@@ -127,8 +153,9 @@ def strip_segments(strip: Strip) -> tuple[Float64[np.ndarray, "lines 2 2"], list
     return ordered.reshape(-1, 2, 2), sides[order].ravel().tolist()
 
 
-def draw_curves(axes: Axes, curves: Sequence[Curve], title: str, y_label: str) -> None:
+def draw_curves(axes: Axes, panel: Panel) -> None:
     """Draw curves with shaded intervals; the axis is logarithmic where the values span more than a decade."""
+    curves = panel.curves
     for index, curve in enumerate(curves):
         fps, values, widths = (np.array(column) for column in (curve.fps, curve.values, curve.half_widths))
         colour, marker = CURVE_COLOURS[index % len(CURVE_COLOURS)], MARKERS[index % len(MARKERS)]
@@ -143,12 +170,12 @@ def draw_curves(axes: Axes, curves: Sequence[Curve], title: str, y_label: str) -
     ticks = sorted({fps for curve in curves for fps in curve.fps})
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_xlabel("framerate (frames per second)", fontsize=9)
-    axes.set_ylabel(y_label, fontsize=9)
-    axes.set_title(title, fontsize=9.5, loc="left")
+    axes.set_ylabel(panel.y_label, fontsize=9)
+    axes.set_title(panel.title, fontsize=9.5, loc="left")
     axes.grid(axis="y", color="#E4E4E4", linewidth=0.7)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)
-    axes.legend(fontsize=7.5, frameon=False)
+    axes.legend(fontsize=7.5, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2)
 
 
 def _heading(pose: Float64[np.ndarray, "joints 3"], skeleton: Skeleton) -> float:

@@ -1,9 +1,11 @@
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from eval.report import figures
+from motionkit.motionfield import to_motion
 from motionkit.skeleton import SMPL22
 from motionkit.synthetic import make_body, perform
 
@@ -43,18 +45,20 @@ def test_bones_keep_their_length_in_the_plane_or_shrink() -> None:
 def test_strips_are_written(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     field = perform(rng, make_body("b"), ["walk", "bow"], 5.0)
-    strip = figures.strip_of(field, "walks, then bows", num_poses=6, seconds=3.0)
+    strip = figures.strip_of(to_motion(field, Fraction(60)), "walks, then bows", num_poses=6, seconds=3.0)
     assert strip.seconds[-1] == pytest.approx(3.0)
     assert strip.joint_positions.shape == (6, 22, 3)
     path = figures.save(figures.strips_figure([strip, strip]), tmp_path / "new" / "strips.png")
     assert path.read_bytes().startswith(b"\x89PNG")
+    panel = figures.Panel("one", "clip-FID", (figures.Curve("a", (20.0,), (1.0,), (0.0,)),))
+    figures.save(figures.curves_and_strips_figure([panel, panel], [strip]), tmp_path / "both.svg")
     figures.save(figures.side_by_side_figure([strip] * 3, columns=2), tmp_path / "grid.png")
 
 
 def test_curves_use_a_logarithmic_axis_where_they_span_a_decade(tmp_path: Path) -> None:
     def scale(values: tuple[float, float]) -> str:
         curve = figures.Curve("a", (20.0, 60.0), values, (0.1, 0.1))
-        figure = figures.curves_figure([("one", [curve])], "clip-FID")
+        figure = figures.curves_figure([figures.Panel("one", "clip-FID", (curve,))])
         figures.save(figure, tmp_path / "curves.png")
         return str(figure.axes[0].get_yscale())
 

@@ -1,0 +1,39 @@
+"""A result whose columns are framerates, as panels of curves."""
+
+from eval.report.figures import Curve, Panel
+from eval.report.results import Block, Result, Row
+
+
+def panels_of(result: Result, y_label: str = "clip-FID (lower is better)") -> tuple[Panel, ...]:
+    """One panel per block, for numbers of different blocks can't be compared; ours first, the paper's after them.
+
+    Raises `ValueError` for a column that is no framerate ("120 fps").
+    """
+    ordered = sorted(result.blocks, key=_is_from_paper)
+    return tuple(Panel(block.title, y_label, _curves(block)) for block in ordered if block.rows)
+
+
+def _is_from_paper(block: Block) -> bool:
+    return all(row.origin == "paper" for row in block.rows)
+
+
+def _curves(block: Block) -> tuple[Curve, ...]:
+    return tuple(_curve(row, block.columns) for row in block.rows if row.cells)
+
+
+def _curve(row: Row, columns: tuple[str, ...]) -> Curve:
+    present = [column for column in columns if column in row.cells]
+    cells = [row.cells[column] for column in present]
+    return Curve(
+        label=row.name.removesuffix(" (paper)"),
+        fps=tuple(_fps(column) for column in present),
+        values=tuple(cell.value for cell in cells),
+        half_widths=tuple(cell.ci95 or 0.0 for cell in cells),
+    )
+
+
+def _fps(column: str) -> float:
+    number, _, unit = column.partition(" ")
+    if unit != "fps":
+        raise ValueError(f"column {column!r} is not a framerate such as '120 fps'")
+    return float(number)

@@ -1,0 +1,27 @@
+import pytest
+
+from eval.report.results import Block, Cell, Result, Row
+from eval.report.table_curves import panels_of
+
+COLUMNS = ("20 fps", "120 fps")
+PAPER = Block("the paper", COLUMNS, (Row("MDM (paper)", "paper", {"20 fps": Cell(0.5), "120 fps": Cell(8.4)}),))
+OURS = Block("kinematic", COLUMNS, (Row("NeRM", "ours", {"120 fps": Cell(7.0, 0.3)}), Row("absent", "ours", {})))
+
+
+def result(*blocks: Block) -> Result:
+    return Result("t", "1", "title", "caption", blocks)
+
+
+def test_blocks_become_panels_with_the_papers_last() -> None:
+    ours, paper = panels_of(result(PAPER, OURS))
+    assert (ours.title, paper.title) == ("kinematic", "the paper")
+    (curve,) = ours.curves
+    assert (curve.label, curve.fps, curve.values, curve.half_widths) == ("NeRM", (120.0,), (7.0,), (0.3,))
+    assert paper.curves[0].label == "MDM"
+    assert paper.curves[0].half_widths == (0.0, 0.0)
+
+
+def test_other_columns_are_refused() -> None:
+    block = Block("actions", ("walk",), (Row("NeRM", "ours", {"walk": Cell(1.0)}),))
+    with pytest.raises(ValueError, match="not a framerate"):
+        panels_of(result(block))
