@@ -1,0 +1,33 @@
+"""docs/store.md: its columns are the files' columns, and its example reads the frames that motionkit reads."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.store import Store
+from motionkit.store.schema import SEGMENTS, SEQUENCES
+
+PAGE = Path(__file__).parents[3] / "docs" / "store.md"
+
+
+@pytest.mark.parametrize(
+    ("heading", "schema"), [("## sequences.parquet", SEQUENCES), ("## segments/part-NNNNN.parquet", SEGMENTS)]
+)
+def test_the_tables_name_every_column(heading, schema):
+    section = PAGE.read_text(encoding="utf-8").split(heading)[1].split("\n## ")[0]
+    first_cells = re.findall(r"^\| (`[^|]*) \|", section, re.MULTILINE)
+    assert re.findall(r"`(\w+)`", " ".join(first_cells)) == schema.names
+
+
+def test_the_example_reads_the_frames(small_store, monkeypatch):
+    (example,) = re.findall(
+        r"## Reading it without motionkit\n\n```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL
+    )
+    assert small_store.name == "store"
+    monkeypatch.chdir(small_store.parent)
+    names: dict[str, object] = {}
+    exec(example.replace("sequence_index = 7", "sequence_index = 3"), names)
+    assert len(names["sequences"]) == 6
+    np.testing.assert_array_equal(names["positions"], Store.open(small_store).read(3).joint_positions)
