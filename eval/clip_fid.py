@@ -234,9 +234,15 @@ def score_disjoint_halves(
 def _run(
     replicate: Callable[[int], dict[str, Scores]], replications: int, on_replication: Callable[[], None]
 ) -> list[dict[str, Scores]]:
-    """Run replications on as many threads as there are processors (numpy releases the interpreter's lock)."""
+    """Run replications on as many threads as there are processors (numpy releases the interpreter's lock).
+
+    The linear algebra library gets one thread in each: its own threads would only get in their way.
+    """
+    from threadpoolctl import threadpool_limits
+
     results = []
-    with ThreadPoolExecutor(max_workers=max(1, min(os.cpu_count() or 1, replications))) as pool:
+    workers = max(1, min(os.cpu_count() or 1, replications))
+    with threadpool_limits(1, "blas"), ThreadPoolExecutor(max_workers=workers) as pool:
         for scores in pool.map(replicate, range(replications)):
             results.append(scores)
             on_replication()

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import numpy as np
 from eval.clip_fid import REAL, Protocol, draw_clips, gather_clips, place_clips
 from eval.evaluators.feature_set import FeatureSet
 from eval.evaluators.kinematic import BLOCKS, VERSION, KinematicDescriptor, fit_kinematic
-from eval.real import RealMotion
 from eval.samples import SampleSet
 from motionkit.errors import MotionkitError, UsageError
 
@@ -22,14 +20,14 @@ FIT_REPLICATION = 1_000_000
 
 @dataclass(frozen=True)
 class FeatureSource:
-    """A kind of features; `at` gives the feature set for one framerate from the real training motion.
+    """A kind of features; `fit` gives the feature set for one framerate from the real training set at it.
 
     `parts` are slices of its features whose own FID is worth printing beside the total.
     """
 
     name: str
     title: str
-    at: Callable[[Fraction, RealMotion], FeatureSet]
+    fit: Callable[[SampleSet], FeatureSet]
     parts: Mapping[str, slice] = field(default_factory=dict)
     note: str = ""
 
@@ -62,7 +60,7 @@ def kinematic_source() -> FeatureSource:
     return FeatureSource(
         name="kinematic",
         title=f"clip-FID on the kinematic descriptor ({VERSION})",
-        at=lambda fps, train: fit_on(train.at(fps)),
+        fit=fit_on,
         parts={"slip": BLOCKS["slip"]},
         note=(
             "Each of the descriptor's 5 blocks has a total variance of 1 on real training clips, so 1 is the variance "
@@ -82,7 +80,7 @@ def native_source(run: Path | None) -> FeatureSource:
     return FeatureSource(
         name="native",
         title="clip-FID on the learned native-rate evaluator",
-        at=lambda fps, train: evaluator,
+        fit=lambda train: evaluator,
     )
 
 

@@ -38,6 +38,9 @@ def evaluate(
     samples: Annotated[
         list[str] | None, typer.Option(metavar="NAME=DIR", help="A folder of another system's motions, as a row.")
     ] = None,
+    low_pass: Annotated[
+        float | None, typer.Option("--low-pass", min=0.1, metavar="HZ", help="Smooth every set, real ones too, first.")
+    ] = None,
     features: Annotated[str | None, typer.Option(help="Feature sets: kinematic,native; all there are.")] = None,
     motions: Annotated[int, typer.Option(min=2, help="Most motions that a model generates.")] = 1024,
     seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
@@ -58,6 +61,7 @@ def evaluate(
         protocol=Protocol(sizes=_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
         samples=_samples(samples or []),
         features=tuple(features.split(",")) if features else None,
+        low_pass_hz=low_pass,
         max_motions=motions,
         seed=seed,
     )

@@ -45,23 +45,29 @@ def to_csv(result: Result) -> str:
 
 def format_number(value: float) -> str:
     """Three significant digits without exponents between 1e-4 and 1e6."""
+    decimals = _decimals(value)
+    return f"{value:.2e}" if decimals is None else f"{value:.{decimals}f}"
+
+
+def _decimals(value: float) -> int | None:
+    """Decimals that show three significant digits; None where an exponent is better."""
     if value == 0:
-        return "0"
+        return 0
     magnitude = math.floor(math.log10(abs(value)))
-    if not -4 <= magnitude < 6:
-        return f"{value:.2e}"
-    return f"{value:.{max(0, SIGNIFICANT_DIGITS - 1 - magnitude)}f}"
+    return max(0, SIGNIFICANT_DIGITS - 1 - magnitude) if -4 <= magnitude < 6 else None
 
 
 def format_cell(cell: Cell | None, as_printed: bool = False) -> str:
-    """`0.123 ± 0.004`, or a dash where there is no number; a paper's figure keeps the digits that it prints."""
+    """`0.123 ± 0.004` with as many decimals on both sides, or a dash; a paper's figure keeps its own digits."""
     if cell is None:
         return "–"
     if as_printed:
         return f"{cell.value:g}" if cell.ci95 is None else f"{cell.value:g} ± {cell.ci95:g}"
     if cell.ci95 is None:
         return format_number(cell.value)
-    return f"{format_number(cell.value)} ± {format_number(cell.ci95)}"
+    decimals = _decimals(cell.value)
+    half_width = f"{cell.ci95:.2e}" if decimals is None else f"{cell.ci95:.{decimals}f}"
+    return f"{format_number(cell.value)} ± {half_width}"
 
 
 def detail_names(block: Block) -> list[str]:

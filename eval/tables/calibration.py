@@ -61,7 +61,7 @@ def _calibrate(
             task = display.add_task(f"{source.name}, {fps} fps", total=request.protocol.replications, note="")
             try:
                 real, shifted = held_out.at(fps), held_out.at(fps, first_frame=1)
-                features = source.at(fps, train)
+                features = source.fit(train.at(fps))
                 advance = partial(display.advance, task)
                 results.append(calibrate(real, shifted, features, request.protocol, advance))
             except (ClipError, NoRealMotionError) as error:

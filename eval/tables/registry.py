@@ -19,7 +19,8 @@ class TableRequest:
     """What a table is built from: a store, a trained run where there is one, folders of other systems' samples.
 
     `fps` None means the table's own columns; `features` None means every feature set that is available; `split` names
-    the real sequences that are compared with.
+    the real sequences that are compared with; `low_pass_hz`, where given, smooths every set alike before clips are
+    drawn.
     """
 
     store: Path
@@ -30,6 +31,7 @@ class TableRequest:
     protocol: Protocol = field(default_factory=Protocol)
     samples: Mapping[str, Path] = field(default_factory=dict)
     features: tuple[str, ...] | None = None
+    low_pass_hz: float | None = None
     max_motions: int = 1024
     seed: int = 0
 

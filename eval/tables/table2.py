@@ -3,8 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eval.baselines.low_pass import low_passed
 from eval.baselines.slerp import upsample_by_slerp
 from eval.clip_fid import (
     VERSION,
@@ -16,6 +18,7 @@ from eval.clip_fid import (
     score_rows,
 )
 from eval.evaluators.feature_set import FeatureSet
+from eval.evaluators.kinematic import KinematicDescriptor
 from eval.feature_sources import FeatureSource, feature_sources
 from eval.generated import Window, generate_fields, sample_fields, windows_of
 from eval.real import NoRealMotionError, RealMotion, real_motion
@@ -62,11 +65,23 @@ SMALL_SECONDS = 3600.0
 
 @dataclass(frozen=True, eq=False)
 class _Column:
-    """Everything that one framerate's numbers are made of."""
+    """Everything that one framerate's numbers are made of; `train` is None where there is no training motion."""
 
     fps: Fraction
     real: SampleSet
     rows: Mapping[str, SampleSet]
+    train: SampleSet | None
+
+    def low_passed(self, cutoff_hz: float | None) -> "_Column":
+        """The same column with every set smoothed alike; itself where no cut-off is given."""
+        if cutoff_hz is None:
+            return self
+        return _Column(
+            self.fps,
+            low_passed(self.real, cutoff_hz),
+            {name: low_passed(samples, cutoff_hz) for name, samples in self.rows.items()},
+            None if self.train is None else low_passed(self.train, cutoff_hz),
+        )
 
 
 def build_table2(request: TableRequest) -> Result:
@@ -88,10 +103,10 @@ def build_table2(request: TableRequest) -> Result:
         rates = _usable_rates(request.fps or COLUMNS, real, missing)
         display.update(task, description="generating", total=1)
         fields = _nerm_fields(request, real, rates, missing)
-        columns = [_column(fps, real, fields, folders) for fps in rates]
+        columns = [_column(fps, real, train, fields, folders).low_passed(request.low_pass_hz) for fps in rates]
         display.remove_task(task)
         blocks = tuple(
-            _block(source, columns, train, request.protocol, notes, display, missing)
+            _block(source, columns, request, notes, display, missing)
             for source in feature_sources(request.run, request.features, missing)
         )
     return Result(
@@ -154,7 +169,11 @@ def _nerm_fields(
 
 
 def _column(
-    fps: Fraction, real: RealMotion, fields: Mapping[Window, MotionField], folders: list[SampleFolder]
+    fps: Fraction,
+    real: RealMotion,
+    train: RealMotion,
+    fields: Mapping[Window, MotionField],
+    folders: list[SampleFolder],
 ) -> _Column:
     reference = real.at(fps)
     rows = {P1: reference}
@@ -168,7 +187,11 @@ def _column(
     if coarse is not None and fps >= LOW_FPS:
         rows[NERM_SLERP] = upsample_by_slerp(coarse, fps, NERM_SLERP)
     rows |= {folder.name: folder.at(fps) for folder in folders}
-    return _Column(fps, reference, rows)
+    try:
+        training = train.at(fps)
+    except NoRealMotionError:
+        training = None
+    return _Column(fps, reference, rows, training)
 
 
 def _same_sequences(low: SampleSet, reference: SampleSet) -> SampleSet:
@@ -179,8 +202,7 @@ def _same_sequences(low: SampleSet, reference: SampleSet) -> SampleSet:
 def _block(
     source: FeatureSource,
     columns: list[_Column],
-    train: RealMotion,
-    protocol: Protocol,
+    request: TableRequest,
     notes: Mapping[str, str],
     display: "Progress",
     missing: list[str],
@@ -190,14 +212,19 @@ def _block(
     fingerprints: dict[str, str] = {}
     for column in columns:
         label = _label(column.fps)
+        if column.train is None:
+            missing.append(f"{label}, {source.name}: the training split has no motion at this framerate")
+            continue
         try:
-            features = source.at(column.fps, train)
-            check_lengths(column.real, protocol)
-        except (ClipError, NoRealMotionError) as error:
+            check_lengths(column.real, request.protocol)
+            features = source.fit(column.train)
+        except ClipError as error:
             missing.append(f"{label}, {source.name}: {error}")
             continue
         fingerprints[label] = features.fingerprint
-        for name, score in _scores(column, features, source, protocol, display, missing).items():
+        if isinstance(features, KinematicDescriptor):
+            features.save(_made(request.results / "features") / f"kinematic-{features.fingerprint}.npz")
+        for name, score in _scores(column, features, source, request.protocol, display, missing).items():
             cells.setdefault(name, {})[label] = _cell(score)
     references = {P1, P2, SLERP, VECTORS}
     order = [P1, P2, SLERP, VECTORS, *(name for name in cells if name not in references)]
@@ -272,6 +299,8 @@ def _caption(columns: list[_Column], request: TableRequest) -> str:
         f"clip-FID ({VERSION}), lower is better: mean ± half the 95 % interval over {protocol.replications} "
         f"replications of N = {protocol.num_clips:,} random clips on each side, split {request.split!r}."
     )
+    if request.low_pass_hz is not None:
+        caption += f" Every set, the real one too, was low-passed at {request.low_pass_hz:g} Hz."
     if min(seconds) < SMALL_SECONDS:
         caption += (
             f" A small-scale run: the real sets hold {min(seconds) / 60:.1f} to {max(seconds) / 60:.1f} minutes of "
@@ -296,6 +325,7 @@ def _definition(columns: list[_Column], request: TableRequest) -> dict[str, Any]
         "sequences": "native framerate at least the column's, brought to it by anti-aliased resampling",
         "clips": "both sides share sizes and centre quantiles; each draws sequences in proportion to duration",
         "split": request.split,
+        "low_pass_hz": request.low_pass_hz,
     }
 
 
@@ -309,6 +339,11 @@ def _notes(columns: list[_Column]) -> tuple[str, ...]:
         "Columns hold different sequences, so numbers compare down a column, not along a row.",
         "clip-FID here has nothing to do with the FID of images on CLIP features.",
     )
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def _label(fps: Fraction | str) -> str:

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.report.render import format_number
+from eval.report.render import format_cell
+from eval.report.results import Cell
 from motionkit.motion import Caption, Motion
 from motionkit.skeleton import SMPL22
 from motionkit.store.writer import StoreWriter
@@ -85,8 +86,8 @@ def test_table_2(store: Path, tmp_path: Path) -> None:
     assert paper["NeRM (paper)"]["120 fps"]["value"] == 1.315
     assert json.loads((tmp_path / "nerm-table2.json").read_text())["version"] == "clip-fid/1"
 
-    value, ci95 = slerp["60 fps"]["value"], slerp["60 fps"]["ci95"]
-    assert f"{format_number(value)} ± {format_number(ci95)}" in (tmp_path / "nerm-table2.md").read_text()
+    cell = format_cell(Cell(slerp["60 fps"]["value"], slerp["60 fps"]["ci95"]))
+    assert f"| {cell} |" in (tmp_path / "nerm-table2.md").read_text()
     page = run("report", "--results", tmp_path)
     assert page.returncode == 0, page.stderr
     assert "clip-FID by framerate" in (tmp_path / "report.html").read_text()

@@ -64,7 +64,7 @@ def test_nan_is_never_written(result: Result, tmp_path: Path) -> None:
 
 def test_markdown(result: Result) -> None:
     text = to_markdown(result)
-    assert "| real & <true> | 0.0123 ± 0.00100 | 0 |" in text
+    assert "| real & <true> | 0.0123 ± 0.0010 | 0 |" in text
     assert "| theirs_x | – | 11.264 |" in text
     assert "- NeRM: no run" in text
     assert "nerm-table2, version clip-fid/1." in text
@@ -73,7 +73,7 @@ def test_markdown(result: Result) -> None:
 
 def test_latex_escapes_what_it_must(result: Result) -> None:
     text = to_latex(result)
-    assert r"real \& <true> & 0.0123 $\pm$ 0.00100 & 0 \\" in text
+    assert r"real \& <true> & 0.0123 $\pm$ 0.0010 & 0 \\" in text
     assert r"theirs\_x & -- & 11.264 \\" in text
 
 
