@@ -140,6 +140,10 @@ class LatentMotionField:
         """The 22-joint layout."""
         return SMPL22
 
+    def at_fps(self, fps: Fraction) -> "LatentMotionField":
+        """The same motion (the same z), told that it is sampled at this framerate."""
+        return replace(self, fps=fps)
+
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times in [0, end_seconds]; raises `ValueError` outside it."""
         check_times(self, times_seconds)

@@ -1,26 +1,26 @@
 """NeRM as a generative model: requests → conditions → latents (§3.2) → motion fields (§3.1)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest
-from motionkit.motionfield import MotionField, Poses, check_times
+from motionkit.motionfield import MotionField
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.training.run import RunError
+from motionkit.training.device import resolve_device
+from motionkit.training.run import RunError, RunFolder
 from nerm.conditions import Conditions, unit_rows
-from nerm.text_encoders import TextEncoder, load_text_encoder
-from nerm.trained_denoiser import TrainedDenoiser
-
-POSES_PER_CALL = 4096
-"""How many poses one call of the field decodes: what bounds the memory of a query."""
+from nerm.field_model import load_field
+from nerm.text_encoders import TextEncoder, file_sha256, load_text_encoder
+from nerm.trained_denoiser import TrainedDenoiser, load_denoiser
 
 
 @runtime_checkable
@@ -37,51 +37,9 @@ class LatentField(Protocol):
         """Highest framerate of its training data."""
         ...
 
-    def decode(
-        self,
-        latents: Float32[torch.Tensor, "batch latent"],
-        times_seconds: Float64[np.ndarray, "batch times"],
-        fps: Fraction,
-    ) -> Float32[np.ndarray, "batch times joints 3"]:
-        """Positions in metres of each latent's motion at its times, sampled at `fps`."""
+    def as_motion_field(self, latent: Float32[torch.Tensor, "latent"], duration_seconds: float) -> MotionField:
+        """One latent's motion on [0, duration]."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class NermField:
-    """One generated motion: f_θ(t, z, s) for a fixed z, on [0, end_seconds].
-
-    `fps` is the framerate s that the field is told (Eq. 2): the highest of its training data until `at_fps` says
-    otherwise. Poses at any instants don't depend on which others are asked for.
-    """
-
-    field: LatentField
-    latent: Float32[torch.Tensor, "latent"]
-    end_seconds: float
-    fps: Fraction
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """The 22-joint layout that the field was trained on."""
-        return SMPL22
-
-    @property
-    def start_seconds(self) -> float:
-        """0."""
-        return 0.0
-
-    def at_fps(self, fps: Fraction) -> "NermField":
-        """The same motion (the same z), told that it is sampled at this framerate."""
-        return replace(self, fps=fps)
-
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times in [0, end_seconds], in any order; raises `ValueError` outside it."""
-        check_times(self, times_seconds)
-        parts = [np.zeros((0, self.skeleton.num_joints, 3), dtype=np.float32)]
-        for first in range(0, len(times_seconds), POSES_PER_CALL):
-            times = times_seconds[None, first : first + POSES_PER_CALL]
-            parts.append(self.field.decode(self.latent[None], times, self.fps)[0])
-        return Poses(np.concatenate(parts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +105,7 @@ class NermModel:
         )
         latents = self.denoiser.sample(conditions, seed=seed, guidance_scale=guidance_scale)
         return [
-            NermField(self.field, latent, duration, self.max_training_fps)
-            for latent, duration in zip(latents, durations, strict=True)
+            self.field.as_motion_field(latent, duration) for latent, duration in zip(latents, durations, strict=True)
         ]
 
     def _durations(self, requests: Sequence[GenerationRequest], seed: int) -> list[float]:
@@ -179,3 +136,20 @@ class NermModel:
                 if text:
                     rows[row] = embedded[text]
         return rows
+
+
+def load(run: Path) -> NermModel:
+    """Load a run's field and denoiser (entry point `nerm` of `motionkit.models`), onto a GPU where there is one.
+
+    Raises `RunError` where a stage is missing, or where the field was trained again after the denoiser.
+    """
+    folder = RunFolder(run)
+    device = resolve_device("auto")
+    denoiser = load_denoiser(folder, device)
+    field_path = folder.stage("field").model_path
+    if not field_path.is_file() or file_sha256(field_path) != denoiser.field_sha256:
+        raise RunError(
+            f"{field_path} is not the field whose latents the denoiser of {run} generates: train the denoiser again "
+            f"(motionkit train --stage denoiser --run {run.name} --overwrite)"
+        )
+    return NermModel(load_field(folder, str(device)), denoiser)

@@ -5,9 +5,12 @@ Ablations of the paper are values here, not forks of the code: Table 5 `field.ti
 `field.coordinates`.
 """
 
+import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
+
+from nerm.denoiser_config import DenoiserConfig, TransformerConfig
 
 TimeEncoding = Literal["none", "fourier", "codebook"]
 LatentLayout = Literal["global", "local"]
@@ -117,13 +120,14 @@ class FieldConfig:
 class NermConfig:
     """All stages of NeRM."""
 
-    codebook: CodebookConfig = field(default_factory=CodebookConfig)
-    field: FieldConfig = field(default_factory=FieldConfig)
+    codebook: CodebookConfig = dataclasses.field(default_factory=CodebookConfig)
+    field: FieldConfig = dataclasses.field(default_factory=FieldConfig)
+    denoiser: DenoiserConfig = dataclasses.field(default_factory=DenoiserConfig)
 
 
 def paper() -> NermConfig:
     """The paper's figures (§3, B.1, D), with what ../docs/deviations.md says where it is silent."""
-    return NermConfig()
+    return NermConfig(denoiser=DenoiserConfig(text_encoder="clip"))
 
 
 def nano() -> NermConfig:
@@ -131,7 +135,7 @@ def nano() -> NermConfig:
     codebook = CodebookConfig(
         width=128, code_dimension=128, num_codes=256, steps=500, batch=48, rate=1e-3, rate_drop_at=400
     )
-    return NermConfig(codebook=codebook, field=_local_field(steps=6000))
+    return NermConfig(codebook=codebook, field=_local_field(steps=6000), denoiser=_knot_denoiser(steps=2500))
 
 
 def demo() -> NermConfig:
@@ -139,7 +143,11 @@ def demo() -> NermConfig:
     codebook = CodebookConfig(
         width=64, code_dimension=64, num_codes=128, steps=120, batch=32, rate=1e-3, rate_drop_at=100
     )
-    return NermConfig(codebook=codebook, field=_local_field(steps=600, stride_seconds=5.0))
+    return NermConfig(
+        codebook=codebook,
+        field=_local_field(steps=600, stride_seconds=5.0),
+        denoiser=_knot_denoiser(steps=500),
+    )
 
 
 def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
@@ -165,6 +173,20 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
         weight_decay=0.0,
         schedule="cosine",
         precision="bfloat16",
+    )
+
+
+def _knot_denoiser(*, steps: int) -> DenoiserConfig:
+    return DenoiserConfig(
+        network=TransformerConfig(num_layers=5, width=128, ffn_width=256, dropout=0.0, latent_tokens=16),
+        guidance_scale=2.5,
+        batch=64,
+        steps=steps,
+        epochs=None,
+        rate=1e-3,
+        schedule="cosine",
+        rate_warmup_fraction=0.02,
+        ema_decay=0.995,
     )
 
 

@@ -1,4 +1,4 @@
-"""NeRM's first stage as a trainable stage, registered under `motionkit.stages`."""
+"""NeRM's stages as trainable stages, registered under `motionkit.stages`."""
 
 from motionkit.training.stage import Stage, StageContext
 from nerm.recipes import RECIPES, NermConfig
@@ -10,10 +10,23 @@ def _train_field(context: StageContext, config: NermConfig) -> None:
     train_field(context, config)
 
 
+def _train_denoiser(context: StageContext, config: NermConfig) -> None:
+    from nerm.denoiser_stage import train_denoiser
+
+    train_denoiser(context, config)
+
+
 FIELD = Stage(
     name="field",
     order=20,
     description="variational implicit motion field with one latent per window (NeRM, stage 1)",
     recipes=RECIPES,
     train=_train_field,
+)
+DENOISER = Stage(
+    name="denoiser",
+    order=30,
+    description="latent diffusion under a text, an action or no condition (NeRM, stage 2)",
+    recipes=RECIPES,
+    train=_train_denoiser,
 )

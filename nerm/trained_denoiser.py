@@ -110,8 +110,8 @@ def save_denoiser(run: RunFolder, trained: TrainedDenoiser) -> None:
     save_tensors(run.stage(STAGE_NAME).model_path, tensors, description)
 
 
-def load_denoiser(run: RunFolder) -> TrainedDenoiser:
-    """Read RUN/denoiser/model.safetensors.
+def load_denoiser(run: RunFolder, device: torch.device | None = None) -> TrainedDenoiser:
+    """Read RUN/denoiser/model.safetensors; the network goes to `device` (default: the CPU).
 
     Raises `RunError` where the stage was not trained to its end, `CheckpointError` for a damaged file.
     """
@@ -119,9 +119,12 @@ def load_denoiser(run: RunFolder) -> TrainedDenoiser:
     folder.read_summary()
     tensors, description = load_tensors(folder.model_path)
     try:
-        return _rebuild(tensors, description)
+        trained = _rebuild(tensors, description)
     except (KeyError, RuntimeError) as error:
         raise CheckpointError(f"{folder.model_path}: not a denoiser of this version ({error})") from None
+    if device is not None:
+        trained.denoiser.to(device)
+    return trained
 
 
 def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> TrainedDenoiser:

@@ -9,7 +9,8 @@ import torch
 
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest, GenerativeModel
-from motionkit.motionfield import to_motion
+from motionkit.motionfield import Poses, check_times, to_motion
+from motionkit.skeleton import SMPL22
 from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.run import RunError
 from nerm.conditions import ConditionLayout
@@ -23,19 +24,35 @@ NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, d
 
 
 @dataclass(frozen=True, eq=False)
-class KnownField:
+class KnownMotion:
     """Every joint at (z₀ + t, z₁, fps): what was asked for can be read off the positions."""
 
+    latent: torch.Tensor
+    end_seconds: float
+    fps: Fraction = Fraction(120)
+    start_seconds = 0.0
+    skeleton = SMPL22
+
+    def at_fps(self, fps):
+        return replace(self, fps=fps)
+
+    def query(self, times_seconds):
+        check_times(self, times_seconds)
+        positions = np.empty((len(times_seconds), 22, 3), dtype=np.float32)
+        positions[..., 0] = float(self.latent[0]) + times_seconds[:, None]
+        positions[..., 1] = float(self.latent[1])
+        positions[..., 2] = float(self.fps)
+        return Poses(positions)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownField:
     latent_dimension: int = 4
     max_duration_seconds: float = 8.0
     max_training_fps: Fraction = Fraction(120)
 
-    def decode(self, latents, times_seconds, fps):
-        positions = np.zeros((*times_seconds.shape, 22, 3), dtype=np.float32)
-        positions[..., 0] = latents[:, :1].numpy()[..., None] + times_seconds[..., None]
-        positions[..., 1] = latents[:, 1:2].numpy()[..., None]
-        positions[..., 2] = float(fps)
-        return positions
+    def as_motion_field(self, latent, duration_seconds):
+        return KnownMotion(latent, duration_seconds)
 
 
 def known_model(text_fingerprint: str = "") -> NermModel:
@@ -97,18 +114,6 @@ def test_the_field_is_told_its_framerate():
     [field] = known_model().generate([GenerationRequest(2.0)], seed=7)
     assert np.all(to_motion(field, Fraction(20)).joint_positions[..., 2] == 20.0)
     assert np.all(field.query(np.array([0.0, 1.9])).joint_positions[..., 2] == 120.0)
-
-
-def test_arbitrary_instants_in_any_order(monkeypatch):
-    monkeypatch.setattr("nerm.model.POSES_PER_CALL", 3)
-    [field] = known_model().generate([GenerationRequest(2.0)], seed=7)
-    times = np.array([1.25, 0.5, 2.0, 0.0, 0.125, 0.3, 1.0])
-    together = field.query(times).joint_positions
-    for index, time in enumerate(times):
-        np.testing.assert_array_equal(together[index], field.query(np.array([time])).joint_positions[0])
-    assert field.query(np.array([])).joint_positions.shape == (0, 22, 3)
-    with pytest.raises(ValueError, match="outside the motion"):
-        field.query(np.array([2.5]))
 
 
 def test_seeds_and_requests_decide(encoder):

