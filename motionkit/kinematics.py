@@ -1,5 +1,6 @@
 """Rotations, forward and inverse kinematics, vectorised over frames. Quaternions are (w, x, y, z)."""
 
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -158,9 +159,17 @@ def forward_kinematics(
 
     `offsets` replaces the skeleton's, and may differ per frame (sources whose bones have translation channels).
     """
-    components = np.ascontiguousarray(np.moveaxis(quaternion_to_matrix(local_rotations), (0, 1), (3, 2)))
-    positions, _ = _propagate(components, root_translation, skeleton, offsets)
-    return np.ascontiguousarray(positions.transpose(2, 1, 0))
+    w, x, y, z = np.ascontiguousarray(local_rotations.transpose(2, 1, 0))
+    num_frames, num_joints = local_rotations.shape[:2]
+    frames = np.empty((3, 4, num_joints, num_frames), dtype=local_rotations.dtype)
+    frames[0, 0], frames[1, 1], frames[2, 2] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z), 1 - 2 * (x * x + y * y)
+    for row, column, product, scalar in ((0, 1, x * y, w * z), (2, 0, x * z, w * y), (1, 2, y * z, w * x)):
+        product *= 2
+        scalar *= 2
+        np.subtract(product, scalar, out=frames[row, column])
+        np.add(product, scalar, out=frames[column, row])
+    _propagate(frames, root_translation, skeleton, offsets)
+    return np.ascontiguousarray(frames[:, 3].transpose(2, 1, 0))
 
 
 def forward_kinematics_matrices(
@@ -170,41 +179,38 @@ def forward_kinematics_matrices(
     offsets: Float[np.ndarray, "*frames joints 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "frames joints 3"], Float[np.ndarray, "frames joints 3 3"]]:
     """Joint positions and global rotation matrices from local rotation matrices."""
-    components = np.ascontiguousarray(local_matrices.transpose(2, 3, 1, 0))
-    positions, rotations = _propagate(components, root_translation, skeleton, offsets)
-    return np.ascontiguousarray(positions.transpose(2, 1, 0)), np.ascontiguousarray(rotations.transpose(3, 2, 0, 1))
+    frames = np.empty((3, 4, *local_matrices.shape[1::-1]), dtype=local_matrices.dtype)
+    frames[:, :3] = local_matrices.transpose(2, 3, 1, 0)
+    _propagate(frames, root_translation, skeleton, offsets)
+    return (
+        np.ascontiguousarray(frames[:, 3].transpose(2, 1, 0)),
+        np.ascontiguousarray(frames[:, :3].transpose(3, 2, 0, 1)),
+    )
 
 
 def _propagate(
-    local: Float[np.ndarray, "3 3 joints frames"],
+    frames: Float[np.ndarray, "3 4 joints frames"],
     root_translation: Float[np.ndarray, "frames 3"],
     skeleton: Skeleton,
     offsets: Float[np.ndarray, "*frames joints 3"] | None,
-) -> tuple[Float[np.ndarray, "3 joints frames"], Float[np.ndarray, "3 3 joints frames"]]:
+) -> None:
+    # Local rotations in the first three columns become global ones, and positions come into the fourth, in place.
     # Frames are the last, contiguous axis and joints of equal depth are multiplied together: a handful of array
     # operations for each level of the tree, however many frames there are.
     bones = skeleton.offsets if offsets is None else offsets
-    bones = np.ascontiguousarray(bones.T if bones.ndim == 3 else bones.T[:, :, None]).astype(local.dtype, copy=False)
-    positions = np.empty((3, *local.shape[2:]), dtype=local.dtype)
-    rotations = np.empty_like(local)
-    positions[:, 0] = root_translation.T
-    rotations[:, :, 0] = local[:, :, 0]
+    frames[:, 3] = bones.T if bones.ndim == 3 else bones.T[:, :, None]
+    frames[:, 3, 0] = root_translation.T
     for joints, parents in _levels(skeleton.parents):
-        above = rotations[:, :, parents]
-        below = local[:, :, joints]
+        above = frames[:, :, parents]
+        below = frames[:, :, joints]
         product = above[:, 0, None] * below[None, 0]
         product += above[:, 1, None] * below[None, 1]
         product += above[:, 2, None] * below[None, 2]
-        rotations[:, :, joints] = product
-        bone = bones[:, joints]
-        reached = positions[:, parents]
-        reached += above[:, 0] * bone[0]
-        reached += above[:, 1] * bone[1]
-        reached += above[:, 2] * bone[2]
-        positions[:, joints] = reached
-    return positions, rotations
+        product[:, 3] += above[:, 3]
+        frames[:, :, joints] = product
 
 
+@lru_cache(maxsize=256)
 def _levels(parents: tuple[int, ...]) -> list[tuple[list[int], list[int]]]:
     # Joints by depth below the root, with their parents.
     depth = [0]

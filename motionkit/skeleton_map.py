@@ -27,6 +27,9 @@ TOE_AHEAD, TOE_BELOW = 0.33, 0.14
 TOES = {"left_foot": ("left_ankle", "left_knee"), "right_foot": ("right_ankle", "right_knee")}
 
 
+EndSites = tuple[tuple[int, tuple[float, float, float]], ...]
+
+
 class SkeletonMapError(MotionkitError):
     """A skeleton that cannot be brought into a layout; `missing` names the layout's joints that found no source."""
 
@@ -81,6 +84,8 @@ def map_joints(motion: Motion, layout: str) -> Float32[np.ndarray, "frames layou
     if layout == "native":
         return motion.joint_positions
     mapping = joint_map(motion.skeleton, layout)
+    if mapping.family == layout:
+        return motion.joint_positions
     mapped = _weighted(motion.joint_positions, mapping.weights)
     if mapping.tip_weights.any():
         mapped += _weighted(_tips(motion), mapping.tip_weights)
@@ -100,7 +105,6 @@ def rest_positions(skeleton: Skeleton) -> Float32[np.ndarray, "joints 3"]:
     return positions
 
 
-@lru_cache(maxsize=4096)
 def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
     """The table that takes a skeleton to a layout; raises `SkeletonMapError` where a joint has no source."""
     if layout not in STANDARD_SKELETONS:
@@ -108,39 +112,43 @@ def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
     target = STANDARD_SKELETONS[layout]
     if skeleton.joint_names == target.joint_names:
         eye = np.eye(target.num_joints, dtype=np.float32)
-        return JointMap(layout, layout, eye, _no_tips(target, skeleton), (), ())
-    if layout == KIT21.name:
-        body = joint_map(skeleton, SMPL22.name)
-        via = _kit21_from_smpl22()
-        return JointMap(layout, body.family, via @ body.weights, via @ body.tip_weights, body.made_up, body.unmapped)
-    return _map_to_smpl22(skeleton)
+        return JointMap(layout, layout, eye, np.zeros((len(eye), len(skeleton.end_sites)), np.float32), (), ())
+    body = _map_to_smpl22(skeleton.joint_names, skeleton.end_sites)
+    if isinstance(body, tuple):
+        raise SkeletonMapError(skeleton, layout, body)
+    if layout == SMPL22.name:
+        return body
+    via = _kit21_from_smpl22()
+    return JointMap(layout, body.family, via @ body.weights, via @ body.tip_weights, body.made_up, body.unmapped)
 
 
 def skeleton_family(skeleton: Skeleton) -> str:
     """Name of the family in `motionkit/skeletons` that a skeleton belongs to, empty where it is unknown."""
-    family = _find_family(_canonical_names(skeleton))
+    family = _find_family(_canonical_names(skeleton.joint_names))
     return family.name if family else ""
 
 
 def family_unit_metres(skeleton: Skeleton) -> float | None:
     """Metres per unit that files of the skeleton's family use, where the family has one (the CMU database's)."""
-    family = _find_family(_canonical_names(skeleton))
+    family = _find_family(_canonical_names(skeleton.joint_names))
     return family.metres_per_unit if family else None
 
 
-def _map_to_smpl22(skeleton: Skeleton) -> JointMap:
-    names = _canonical_names(skeleton)
+@lru_cache(maxsize=1024)
+def _map_to_smpl22(joint_names: tuple[str, ...], end_sites: EndSites) -> JointMap | tuple[str, ...]:
+    # The map, or the layout's joints that found no source.
+    names = _canonical_names(joint_names)
     family = _find_family(names)
     if family is None:
-        raise SkeletonMapError(skeleton, SMPL22.name, SMPL22.joint_names)
+        return SMPL22.joint_names
     columns = {family.aliases.get(name, name): joint for joint, name in reversed(list(enumerate(names)))}
-    tips = {f"{names[joint]}.tip": column for column, (joint, _) in enumerate(skeleton.end_sites)}
-    weights = np.zeros((SMPL22.num_joints, skeleton.num_joints), np.float32)
-    tip_weights = _no_tips(SMPL22, skeleton)
+    tips = {f"{names[joint]}.tip": column for column, (joint, _) in enumerate(end_sites)}
+    weights = np.zeros((SMPL22.num_joints, len(names)), np.float32)
+    tip_weights = np.zeros((SMPL22.num_joints, len(end_sites)), np.float32)
     missing: list[str] = []
     made_up: list[str] = []
     for row, joint_name in enumerate(SMPL22.joint_names):
-        terms = next((way for way in family.rows[joint_name] if _possible(way, columns, tips, skeleton)), None)
+        terms = next((way for way in family.rows[joint_name] if _possible(way, columns, tips, end_sites)), None)
         if terms is None:
             (made_up if joint_name in TOES else missing).append(joint_name)
             continue
@@ -150,25 +158,18 @@ def _map_to_smpl22(skeleton: Skeleton) -> JointMap:
             else:
                 tip_weights[row, tips[source]] += weight
     if missing:
-        raise SkeletonMapError(skeleton, SMPL22.name, tuple(missing))
-    unmapped = tuple(
-        name for name, used in zip(skeleton.joint_names, np.any(weights, axis=0).tolist(), strict=True) if not used
-    )
+        return tuple(missing)
+    unmapped = tuple(name for name, used in zip(joint_names, np.any(weights, axis=0).tolist(), strict=True) if not used)
     return JointMap(SMPL22.name, family.name, weights, tip_weights, tuple(made_up), unmapped)
 
 
 def _possible(
-    way: Mapping[str, float], columns: Mapping[str, int], tips: Mapping[str, int], skeleton: Skeleton
+    way: Mapping[str, float], columns: Mapping[str, int], tips: Mapping[str, int], end_sites: EndSites
 ) -> bool:
     # A tip of no length says nothing about a toe.
     return all(
-        source in columns or (source in tips and np.linalg.norm(skeleton.end_sites[tips[source]][1]) > 0.02)
-        for source in way
+        source in columns or (source in tips and np.linalg.norm(end_sites[tips[source]][1]) > 0.02) for source in way
     )
-
-
-def _no_tips(target: Skeleton, skeleton: Skeleton) -> Float32[np.ndarray, "layout_joints tips"]:
-    return np.zeros((target.num_joints, len(skeleton.end_sites)), np.float32)
 
 
 def _weighted(
@@ -222,9 +223,10 @@ def _with_toes(
     return body
 
 
-def _canonical_names(skeleton: Skeleton) -> tuple[str, ...]:
+@lru_cache(maxsize=1024)
+def _canonical_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
     # "mixamorig:LeftArm", "Character1_LeftArm" and "left arm" are the same joint.
-    plain = [name.rsplit(":", 1)[-1] for name in skeleton.joint_names]
+    plain = [name.rsplit(":", 1)[-1] for name in joint_names]
     prefix, count = (
         Counter(name.split("_", 1)[0] for name in plain if "_" in name).most_common(1)[0]
         if any("_" in name for name in plain)
@@ -240,6 +242,7 @@ def _canonical(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", stem.lower()) + (dot + tip if dot else "")
 
 
+@lru_cache(maxsize=1024)
 def _find_family(names: tuple[str, ...]) -> _Family | None:
     present = set(names)
     for family in _families():

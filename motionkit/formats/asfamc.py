@@ -18,11 +18,9 @@ from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
 from motionkit.formats.asf import ROTATIONS, AsfSkeleton, read_asf
 from motionkit.formats.items import ReadOptions
-from motionkit.formats.number_table import LARGEST_VALUE, SEPARATORS_TO_NEWLINES, parse_column, parse_number
+from motionkit.formats.number_table import INLINE_BYTES, Words, blocks, find_words, parse_number, to_numbers
 from motionkit.motion import Motion, Provenance
 from motionkit.timegrid import TimeGrid
-
-NEWLINE = 10
 
 
 @dataclass(frozen=True)
@@ -95,8 +93,8 @@ def find_skeleton(path: Path) -> Path:
 def parse_amc(data: bytes, path: Path) -> AmcTable:
     """The channel values of all frames; raises `FormatError` naming the line and the frame.
 
-    Files whose frames all look like the first one, which is every file that a program wrote, are parsed in one go: the
-    bone names are overwritten with NaN and the numbers read as one column.
+    Files whose frames all look like the first one, which is every file that a program wrote, are parsed by array
+    operations.
     """
     start = re.search(rb"(?m)^[ \t]*\d+[ \t]*\r?$", data)
     if start is None or b":FULLY-SPECIFIED" not in data[: start.start()].upper():
@@ -107,12 +105,11 @@ def parse_amc(data: bytes, path: Path) -> AmcTable:
         )
     if b":RADIANS" in data[: start.start()].upper():
         raise FormatError("angles in radians, expected :DEGREES", path=path, reason="radians")
-    body = data[start.start() :].replace(b"\r", b"").strip() + b"\n"
-    second = re.search(rb"\n[ \t]*\d+[ \t]*\n", body)
+    body = data[start.start() :].strip() + b"\n"
+    second = re.search(rb"\n[ \t]*\d+[ \t\r]*\n", body)
     first = body if second is None else body[: second.start() + 1]
-    bones = tuple(
-        (line.split()[0].decode("utf-8", "replace"), len(line.split()) - 1) for line in first.splitlines()[1:]
-    )
+    words = [line.split() for line in first.splitlines()[1:] if line.strip()]
+    bones = tuple((name.decode("utf-8", "replace"), len(numbers)) for name, *numbers in words)
     values = _parse_regular(body, first)
     if values is None:
         return _parse_slowly(data, bones, path)
@@ -121,37 +118,45 @@ def parse_amc(data: bytes, path: Path) -> AmcTable:
 
 
 def _parse_regular(body: bytes, first: bytes) -> Float64[np.ndarray, "frames values"] | None:
-    # Frame numbers and channel values, or None where a frame deviates from the first one's layout.
-    lines = first.split(b"\n")[:-1]
-    names = [line.split(b" ", 1)[0] for line in lines[1:]]
-    if not names or any(
-        len(name) < 3 or not line.startswith(name) for name, line in zip(names, lines[1:], strict=True)
-    ):
+    # Frame numbers and channel values, or None where a frame deviates from the first one's layout: the same names at
+    # the same places of the same lines, and numbers everywhere else.
+    pattern = find_words(first)
+    width = len(pattern.starts)
+    is_name = pattern.opens_line.copy()
+    is_name[0] = False
+    names = pattern.take(np.flatnonzero(is_name))
+    if names.lengths.max(initial=0) > INLINE_BYTES:
         return None
-    text = np.frombuffer(body, np.uint8).copy()
-    starts = np.concatenate(([0], np.flatnonzero(text == NEWLINE)[:-1] + 1))
-    if len(starts) % len(lines):
-        return None
-    starts = starts.reshape(-1, len(lines))
-    for column, name in enumerate(names, start=1):
-        letters = starts[:, column, None] + np.arange(len(name))
-        if letters[-1, -1] >= len(text) or (text[letters] != np.frombuffer(name, np.uint8)).any():
+    frames = []
+    rest = b""
+    for block in blocks(body):
+        words = find_words(rest + block)
+        whole = len(words.starts) // width * width
+        if not whole:
             return None
-        text[letters] = np.frombuffer(b"nan".ljust(len(name), b"\n"), np.uint8)
-    values = parse_column(text.tobytes().translate(SEPARATORS_TO_NEWLINES))
-    counts = [1 + len(line.split()[1:]) for line in lines]
-    width = sum(counts)
-    if values is None or values.size != len(starts) * width:
-        return None
-    table = values.reshape(-1, width)
-    is_name = np.zeros(width, bool)
-    is_name[np.cumsum(counts)[:-1]] = True
-    numbers = table[:, ~is_name]
-    if not np.isnan(table[:, is_name]).all() or not (np.abs(numbers) < LARGEST_VALUE).all():
-        return None
-    if (np.diff(numbers[:, 0]) != 1).any() or numbers[0, 0] % 1:
+        rest = words.padded[words.starts[whole] :].rstrip() + b"\n" if whole < len(words.starts) else b""
+        places = np.arange(whole).reshape(-1, width)
+        opens_line = words.opens_line[places]
+        if (opens_line != pattern.opens_line).any() or not _same_words(words.take(places[:, is_name]), names):
+            return None
+        values = to_numbers(words.take(places[:, ~is_name]))
+        if values is None:
+            return None
+        frames.append(values.reshape(len(places), -1))
+    numbers = np.concatenate(frames)
+    if rest or (np.diff(numbers[:, 0]) != 1).any() or numbers[0, 0] % 1:
         return None
     return numbers
+
+
+def _same_words(words: Words, expected: Words) -> bool:
+    # Whether the words are the expected ones, over and over; at most 12 letters count.
+    repeats = len(words.starts) // max(1, len(expected.starts))
+    if (words.lengths.reshape(repeats, -1) != expected.lengths).any():
+        return False
+    counts = np.arange(INLINE_BYTES) < expected.lengths[:, None]
+    letters = words.inline().view(np.uint8).reshape(repeats, -1, INLINE_BYTES)
+    return bool(((letters == expected.inline().view(np.uint8).reshape(-1, INLINE_BYTES)) | ~counts).all())
 
 
 def _parse_slowly(data: bytes, bones: Sequence[tuple[str, int]], path: Path) -> AmcTable:

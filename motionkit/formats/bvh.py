@@ -83,11 +83,10 @@ def _to_motion(pose: ChannelPose, fps: Fraction, options: ReadOptions, path: Pat
     )
     operations = [*pose.operations, f"lengths × {unit:.6g} to metres ({reason})"]
     offsets = None
-    if pose.moving_offsets:
+    if pose.placed_joints:
         offsets = np.repeat(skeleton.offsets[None], len(pose.root), axis=0)
-        for joint, place in pose.moving_offsets.items():
-            offsets[:, joint] = place * unit
-        names = ", ".join(skeleton.joint_names[joint] for joint in pose.moving_offsets)
+        offsets[:, list(pose.placed_joints)] = pose.places * unit
+        names = ", ".join(skeleton.joint_names[joint] for joint in pose.placed_joints)
         operations.append(f"positions only: these bones change their length or place ({names})")
     rotations, root = pose.rotations, (pose.root * unit).astype(np.float32)
     positions = kinematics.forward_kinematics(rotations, root, skeleton, offsets)
@@ -98,8 +97,8 @@ def _to_motion(pose: ChannelPose, fps: Fraction, options: ReadOptions, path: Pat
         joint_positions=positions,
         skeleton=skeleton,
         timegrid=TimeGrid(fps, len(positions)),
-        local_rotations=None if pose.moving_offsets else np.ascontiguousarray(rotations),
-        root_translation=None if pose.moving_offsets else root,
+        local_rotations=None if pose.placed_joints else np.ascontiguousarray(rotations),
+        root_translation=None if pose.placed_joints else root,
         sequence_id=path.stem,
         provenance=Provenance(operations=tuple(operations)),
     )
@@ -108,8 +107,7 @@ def _to_motion(pose: ChannelPose, fps: Fraction, options: ReadOptions, path: Pat
 def _unit(pose: ChannelPose, options: ReadOptions, path: Path) -> tuple[float, str]:
     if options.unit_metres is not None:
         return options.unit_metres, "given"
-    # Bones whose OFFSET is overridden by position channels have the length that those say.
-    unit = body_frame.infer_unit(bvh_channels.settle_offsets(pose, 0.0).skeleton)
+    unit = body_frame.infer_unit(bvh_channels.first_skeleton(pose))
     if unit is None:
         raise FormatError(
             "in none of m, cm, mm, inch and the CMU database's unit is this skeleton the size of a human body; "
@@ -149,7 +147,7 @@ def _split(data: bytes, path: Path) -> _File:
         words = sourcefile.decode(data[position:end], path).strip()
         key, colon, value = words.partition(":")
         if words:
-            match key.strip().lower() if colon else "":
+            match " ".join(key.lower().split()) if colon else "":
                 case "frames":
                     frames = value.strip()
                 case "frame time":

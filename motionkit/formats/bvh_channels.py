@@ -1,6 +1,5 @@
 """From a BVH file's channel table to local rotations, a root path and bones, still in file units."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,13 +14,14 @@ from motionkit.skeleton import Skeleton
 class ChannelPose:
     """What the channels say, lengths in file units.
 
-    `moving_offsets` are the offsets that position channels give to joints below the root, by joint index.
+    `places` are the offsets that position channels give to `placed_joints`, which are below the root.
     """
 
     skeleton: Skeleton
     rotations: Float32[np.ndarray, "frames joints 4"]
     root: Float64[np.ndarray, "frames 3"]
-    moving_offsets: Mapping[int, Float64[np.ndarray, "frames 3"]]
+    placed_joints: tuple[int, ...]
+    places: Float64[np.ndarray, "frames placed 3"]
     operations: tuple[str, ...] = ()
 
 
@@ -39,15 +39,17 @@ def read_channels(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhH
             (index, joint.end_site) for index, joint in enumerate(joints) if joint.end_site and any(joint.end_site)
         ),
     )
-    root = np.repeat(offsets[:1], len(table), axis=0)
-    moving: dict[int, Float64[np.ndarray, "frames 3"]] = {}
-    for index, joint in enumerate(joints):
-        if joint.position_columns:
-            place = root if index == 0 else np.repeat(offsets[index : index + 1], len(table), axis=0)
-            place[:, list(joint.position_columns)] = table[:, list(joint.position_columns.values())]
-            if index:
-                moving[index] = place
-    return ChannelPose(skeleton, _rotations(table, hierarchy), root, moving, operations)
+    placed = tuple(index for index, joint in enumerate(joints) if index and joint.position_columns)
+    places = np.repeat(offsets[None, [0, *placed]], len(table), axis=0)
+    cells = [
+        (place, axis, column)
+        for place, index in enumerate((0, *placed))
+        for axis, column in joints[index].position_columns.items()
+    ]
+    if cells:
+        rows, axes, columns = (list(part) for part in zip(*cells, strict=True))
+        places[:, rows, axes] = table[:, columns]
+    return ChannelPose(skeleton, _rotations(table, hierarchy), places[:, 0], placed, places[:, 1:], operations)
 
 
 def starts_with_t_pose(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy) -> bool:
@@ -78,7 +80,7 @@ def fold_reference(pose: ChannelPose) -> ChannelPose:
     """Let a root that only carries one moving joint go: that joint becomes the root (Bandai-Namco's `joint_Root`)."""
     skeleton = pose.skeleton
     if (
-        1 not in pose.moving_offsets
+        1 not in pose.placed_joints
         or skeleton.children(0) != (1,)
         or any(joint == 0 for joint, _ in skeleton.end_sites)
     ):
@@ -98,8 +100,9 @@ def fold_reference(pose: ChannelPose) -> ChannelPose:
     return ChannelPose(
         folded,
         rotations,
-        pose.root + kinematics.quaternion_rotate(turn, pose.moving_offsets[1]),
-        {joint - 1: place for joint, place in pose.moving_offsets.items() if joint > 1},
+        pose.root + kinematics.quaternion_rotate(turn, pose.places[:, 0]),
+        tuple(joint - 1 for joint in pose.placed_joints[1:]),
+        pose.places[:, 1:],
         (
             *pose.operations,
             f"joint {skeleton.joint_names[0]!r} folded into {skeleton.joint_names[1]!r}, which moves in it",
@@ -107,21 +110,32 @@ def fold_reference(pose: ChannelPose) -> ChannelPose:
     )
 
 
+def first_skeleton(pose: ChannelPose) -> Skeleton:
+    """The skeleton with the bones that it has in the first frame: position channels overrule an OFFSET."""
+    offsets = pose.skeleton.offsets.copy()
+    offsets[list(pose.placed_joints)] = pose.places[0]
+    return replace(pose.skeleton, offsets=offsets)
+
+
 def settle_offsets(pose: ChannelPose, tolerance: float) -> ChannelPose:
     """Where position channels stay within `tolerance` file units, make them plain offsets; keep the rest moving.
 
     A constant that agrees with the file's OFFSET leaves the OFFSET as it is, so that takes share their skeleton.
     """
+    if not pose.placed_joints:
+        return pose
+    joints = np.array(pose.placed_joints)
     offsets = pose.skeleton.offsets.copy()
-    moving: dict[int, Float64[np.ndarray, "frames 3"]] = {}
-    for joint, place in pose.moving_offsets.items():
-        if np.abs(place - offsets[joint]).max() <= tolerance:
-            continue
-        middle = np.median(place, axis=0)
-        offsets[joint] = middle
-        if np.abs(place - middle).max() > tolerance:
-            moving[joint] = place
-    return replace(pose, skeleton=replace(pose.skeleton, offsets=offsets), moving_offsets=moving)
+    astray = np.flatnonzero(np.abs(pose.places - offsets[joints]).max(axis=(0, 2)) > tolerance)
+    middle = np.median(pose.places[:, astray], axis=0)
+    offsets[joints[astray]] = middle
+    moving = astray[np.abs(pose.places[:, astray] - middle).max(axis=(0, 2)) > tolerance]
+    return replace(
+        pose,
+        skeleton=replace(pose.skeleton, offsets=offsets),
+        placed_joints=tuple(joints[moving].tolist()),
+        places=pose.places[:, moving],
+    )
 
 
 def unique_names(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -63,7 +63,7 @@ class _Parser:
 
     def feed(self, line: str) -> None:
         """One line, which may hold braces as well."""
-        for part in re.split(r"([{}])", line):
+        for part in re.split(r"([{}])", line) if "{" in line or "}" in line else (line,):
             match part.strip():
                 case "":
                     continue

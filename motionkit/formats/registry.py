@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from motionkit.errors import FormatError, UsageError
-from motionkit.formats import annotations, asfamc, bvh, humanact12, humanml3d, joints_npy, kit
+from motionkit.formats import annotations, asfamc, bvh, humanact12, humanml3d, joints_npy, kit, npy
 from motionkit.formats.annotations import Annotation, AnnotationTable
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.motion import Motion
@@ -21,7 +21,8 @@ __all__ = ["FORMATS", "Format", "ReadOptions", "ScanResult", "SourceItem", "read
 class Format:
     """One format: how its sequences are found and read, and what people are told about it.
 
-    A file format has `suffixes`, and `accepts` where the suffix alone does not tell. A folder format has `claims`,
+    A file format has `suffixes`, and `accepts` where the suffix alone does not tell; a single file of another name is
+    known by a word that it `begins` with, comments aside. A folder format has `claims`,
     which says whether a folder is one, and `find`, which lists its sequences; a claimed folder is not searched further.
     """
 
@@ -32,6 +33,7 @@ class Format:
     read: Callable[[SourceItem, ReadOptions], Motion]
     suffixes: tuple[str, ...] = ()
     accepts: Callable[[Path], bool] | None = None
+    begins: bytes = b""
     claims: Callable[[Path], bool] | None = None
     find: Callable[[Path, Path], ScanResult] | None = None
     writes: bool = False
@@ -47,6 +49,7 @@ FORMATS: Mapping[str, Format] = {
             rotations=True,
             read=lambda item, options: bvh.read_bvh(item.path, options),
             suffixes=(".bvh",),
+            begins=b"HIERARCHY",
             writes=True,
         ),
         Format(
@@ -56,6 +59,7 @@ FORMATS: Mapping[str, Format] = {
             rotations=True,
             read=lambda item, options: asfamc.read_asfamc(item.path, options),
             suffixes=(".amc",),
+            begins=b":FULLY-SPECIFIED",
         ),
         Format(
             name="humanml3d",
@@ -94,6 +98,7 @@ FORMATS: Mapping[str, Format] = {
             read=lambda item, options: joints_npy.read_joints_npy(item.path, options),
             suffixes=(".npy",),
             accepts=joints_npy.accepts,
+            begins=npy.MAGIC,
             writes=True,
         ),
     )
@@ -160,6 +165,8 @@ def _scan_source(source: Path, options: ReadOptions) -> ScanResult:
             tables += tables_here
             found.append(ScanResult((), broken))
         found.append(_scan_folder(folder, files, root, licences[folder], options))
+        if source.is_file() and not found[-1].items and not found[-1].problems:
+            found.append(_recognise(source.resolve(), licences[folder], options))
     items = [_annotate(item, tables) for result in found for item in result.items]
     problems = [problem for result in found for problem in result.problems]
     warnings = [warning for result in found for warning in result.warnings]
@@ -184,22 +191,32 @@ def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, 
         if entry.claims is not None and entry.find is not None and entry.claims(folder):
             found = entry.find(folder, root)
             return replace(found, items=tuple(replace(item, licence=item.licence or licence) for item in found.items))
-    items = []
-    for path in files:
-        kind = next((entry for entry in candidates if _takes(entry, path)), None)
-        if kind is not None:
-            relative = path.relative_to(root)
-            item = SourceItem(
-                format=kind.name,
-                path=path,
-                root=root,
-                sequence_id=f"{root.name}/{relative.with_suffix('').as_posix()}",
-                source=root.name,
-                subset=relative.parts[0] if len(relative.parts) > 1 else "",
-                licence=licence,
-            )
-            items.append(item)
-    return ScanResult(tuple(items))
+    kinds = ((path, next((entry for entry in candidates if _takes(entry, path)), None)) for path in files)
+    return ScanResult(tuple(_file_item(kind, path, root, licence) for path, kind in kinds if kind is not None))
+
+
+def _recognise(path: Path, licence: str, options: ReadOptions) -> ScanResult:
+    # A single file whose name says nothing is known by how it begins.
+    with path.open("rb") as file:
+        head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
+    words = next((line.strip() for line in head.splitlines() if line.strip() and not line.startswith(b"#")), b"")
+    for entry in FORMATS.values():
+        if options.format in ("auto", entry.name) and entry.begins and words.upper().startswith(entry.begins):
+            return ScanResult((_file_item(entry, path, path.parent, licence),))
+    return ScanResult(())
+
+
+def _file_item(kind: Format, path: Path, root: Path, licence: str) -> SourceItem:
+    relative = path.relative_to(root)
+    return SourceItem(
+        format=kind.name,
+        path=path,
+        root=root,
+        sequence_id=f"{root.name}/{relative.with_suffix('').as_posix()}",
+        source=root.name,
+        subset=relative.parts[0] if len(relative.parts) > 1 else "",
+        licence=licence,
+    )
 
 
 def _takes(entry: Format, path: Path) -> bool:

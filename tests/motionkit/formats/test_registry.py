@@ -1,8 +1,11 @@
+import concurrent.futures
+import multiprocessing
 from fractions import Fraction
 from pathlib import Path
 
 import pytest
 
+from motionkit.errors import FormatError, UsageError
 from motionkit.formats.registry import ReadOptions, read, scan
 from tests.motionkit.formats.samples import bvh_text, write_asfamc
 
@@ -49,3 +52,61 @@ def test_the_real_pack_is_found_whole(captures: Path) -> None:
     result = scan([captures / "cmu", captures / "bandai-namco", captures / "mixed-bvh"])
     assert len(result.items) == 159 + 3064 + 14
     assert not result.problems
+
+
+def test_a_single_file_is_known_by_its_content(tmp_path: Path) -> None:
+    (tmp_path / "take").write_text(bvh_text())
+    (tmp_path / "readme").write_text("nothing")
+    (item,) = scan([tmp_path / "take"]).items
+    assert item.format == "bvh" and read(item).num_frames == 4
+    assert [problem.reason for problem in scan([tmp_path / "readme"]).problems] == ["unknown-format"]
+    assert [problem.reason for problem in scan([tmp_path]).problems] == ["empty-folder"]
+
+
+def test_a_file_that_is_not_what_its_name_says(tmp_path: Path) -> None:
+    (tmp_path / "walk.bvh").write_text(":FULLY-SPECIFIED\n:DEGREES\n1\nroot 0 0 0\n")
+    (item,) = scan([tmp_path]).items
+    with pytest.raises(FormatError, match="looks like an AMC file") as caught:
+        read(item)
+    assert caught.value.reason == "not-what-it-says"
+
+
+def test_an_explicit_format_and_requests_that_make_no_sense(source: Path) -> None:
+    assert [item.format for item in scan([source], ReadOptions(format="asfamc")).items] == ["asfamc"]
+    with pytest.raises(UsageError, match="expected auto or one of"):
+        scan([source], ReadOptions(format="fbx"))
+    with pytest.raises(UsageError, match="does not exist"):
+        scan([source / "gone"])
+
+
+def test_given_captions_replace_those_found_and_paths_stay_inside(source: Path, tmp_path: Path) -> None:
+    table = tmp_path / "mine.csv"
+    table.write_text(
+        "file,caption,fps\nwalk.bvh,mine,24\n../takes/walk.bvh,again,\n../../etc/passwd,no,\n/etc/passwd,no,\n"
+        "07/07_01.amc,bends,x\n"
+    )
+    result = scan([source], ReadOptions(captions=table))
+    assert [(problem.reason, problem.line) for problem in result.problems] == [
+        ("duplicate-annotation", 3),
+        ("path", 4),
+        ("path", 5),
+        ("frame-time", 6),
+    ]
+    walk = next(item for item in result.items if item.format == "bvh")
+    motion = read(walk)
+    assert (motion.captions[0].text, motion.fps) == ("mine", 24)
+    assert motion.provenance.operations[0] == "framerate set to 24; the file says 30"
+
+
+def test_licences_are_found(source: Path) -> None:
+    (source / "LICENSE").write_text("\n  MIT License\n\nCopyright\n")
+    (source / "07" / "LICENSE-data").write_text("CC BY-NC 4.0\n")
+    licences = {item.sequence_id: read(item).provenance.licence for item in scan([source]).items}
+    assert licences == {"takes/walk": "MIT License", "takes/07/07_01": "CC BY-NC 4.0"}
+
+
+def test_scan_results_travel_between_processes(source: Path) -> None:
+    with concurrent.futures.ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        result = pool.submit(scan, [source]).result()
+    assert result.items == scan([source]).items
+    assert str(result.problems[0]) == str(scan([source]).problems[0])
