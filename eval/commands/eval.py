@@ -41,7 +41,9 @@ def evaluate(
     low_pass: Annotated[
         float | None, typer.Option("--low-pass", min=0.1, metavar="HZ", help="Smooth every set, real ones too, first.")
     ] = None,
-    features: Annotated[str | None, typer.Option(help="Feature sets: kinematic,native; all there are.")] = None,
+    evaluator: Annotated[
+        str | None, typer.Option("--evaluator", "--features", help="Feature sets: kinematic,native; all there are.")
+    ] = None,
     motions: Annotated[int, typer.Option(min=2, help="Most motions that a model generates.")] = 1024,
     seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
@@ -60,7 +62,7 @@ def evaluate(
         fps=_framerates(fps),
         protocol=Protocol(sizes=_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
         samples=_samples(samples or []),
-        features=tuple(features.split(",")) if features else None,
+        features=tuple(evaluator.split(",")) if evaluator else None,
         low_pass_hz=low_pass,
         max_motions=motions,
         seed=seed,
