@@ -110,7 +110,14 @@ def test_long_sequences_become_windows_of_equal_length() -> None:
         ("take1", 2),
     ]
     assert [window.request.duration_seconds for window in windows] == pytest.approx([1.5, 10 / 3, 10 / 3, 10 / 3])
-    assert windows[3].request.text == "caption 1"
+    assert (windows[3].request.text, windows[3].request.action) == ("caption 1", "")
+
+
+def test_an_action_stands_in_for_a_missing_caption() -> None:
+    parts = [np.zeros((31, 22, 3), dtype=np.float32)] * 2
+    real = sample_set("real", Fraction(20), parts, ["a", "b"], ["", "waves"], ["wave", "wave"])
+    requests = [window.request for window in windows_of(real, 4.0)]
+    assert [(request.text, request.action) for request in requests] == [("", "wave"), ("waves", "")]
 
 
 def test_fields_are_asked_for_every_instant_of_the_framerate() -> None:
