@@ -1,3 +1,5 @@
+from typing import Literal
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -60,3 +62,30 @@ def test_bone_lengths_are_kept() -> None:
     positions = kinematics.forward_kinematics(rotations, np.zeros((5, 3), np.float32), SMPL22)
     lengths = np.linalg.norm(positions[:, 1:] - positions[:, list(SMPL22.parents[1:])], axis=-1)
     assert np.allclose(lengths, np.linalg.norm(SMPL22.offsets[1:], axis=-1), atol=1e-6)
+
+
+def test_forward_kinematics_with_offsets_that_move_agrees_with_the_plain_recursion() -> None:
+    rng = np.random.default_rng(5)
+    rotations = random_quaternions(rng, 6, SMPL22.num_joints)
+    offsets = rng.normal(size=(6, SMPL22.num_joints, 3))
+    root = rng.normal(size=(6, 3))
+    expected, turns = np.empty_like(offsets), []
+    for joint, parent in enumerate(SMPL22.parents):
+        local = Rotation.from_quat(rotations[:, joint], scalar_first=True)
+        turns.append(local if parent < 0 else turns[parent] * local)
+        expected[:, joint] = root if parent < 0 else expected[:, parent] + turns[parent].apply(offsets[:, joint])
+    positions = kinematics.forward_kinematics(rotations, root, SMPL22, offsets)
+    assert np.allclose(positions, expected)
+    again, world = kinematics.forward_kinematics_matrices(
+        kinematics.quaternion_to_matrix(rotations), root, SMPL22, offsets
+    )
+    assert np.allclose(again, expected)
+    assert np.allclose(world, np.stack([turn.as_matrix() for turn in turns], axis=1))
+
+
+@pytest.mark.parametrize("order", ["XYZ", "ZYX", "YXZ", "ZX", "Y", "XYX"])
+@pytest.mark.parametrize("kind", ["intrinsic", "extrinsic"])
+def test_euler_angles_as_quaternions_and_as_matrices_agree(order: str, kind: Literal["intrinsic", "extrinsic"]) -> None:
+    angles = np.random.default_rng(6).uniform(-4, 4, size=(3, 5, len(order)))
+    q = kinematics.euler_to_quaternion(angles, order, kind=kind)
+    assert np.allclose(kinematics.quaternion_to_matrix(q), kinematics.euler_to_matrix(angles, order, kind=kind))
