@@ -20,6 +20,7 @@ from motionkit.skeleton import Skeleton
 class GenerationRequest:
     """One motion wanted: a duration, and a text, an action or neither as its condition.
 
+    Where both are given, a model uses the text if it was trained with texts, and the action otherwise.
     Where the duration is None, the model draws one from those of its training data.
     """
 

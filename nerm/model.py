@@ -90,23 +90,26 @@ class NermModel:
     ) -> list[MotionField]:
         """One field per request, in order; request i follows from (seed, i) and itself alone.
 
-        `guidance_scale` is r of Eq. 6 (default: the recipe's). Raises `UsageError` for a duration outside (0, l_max], a
-        request with both a text and an action, an unknown action, or a text where it was trained without texts.
+        `guidance_scale` is r of Eq. 6 (default: the recipe's). Raises `UsageError` for a duration outside (0, l_max], an
+        unknown action, or a text alone where it was trained without texts.
         """
         if not requests:
             return []
-        if any(request.text and request.action for request in requests):
-            raise UsageError("a motion is conditioned on a text or on an action, not both")
         durations = self._durations(requests, seed)
+        texts = [request.text if self._uses_text(request) else "" for request in requests]
+        actions = ["" if text else request.action for text, request in zip(texts, requests, strict=True)]
         conditions = Conditions(
-            text=torch.from_numpy(self._embed([request.text for request in requests])),
-            action=torch.tensor([self.denoiser.layout.action_index(request.action) for request in requests]),
+            text=torch.from_numpy(self._embed(texts)),
+            action=torch.tensor([self.denoiser.layout.action_index(action) for action in actions]),
             duration=torch.tensor(durations, dtype=torch.float32) / self.max_duration_seconds,
         )
         latents = self.denoiser.sample(conditions, seed=seed, guidance_scale=guidance_scale)
         return [
             self.field.as_motion_field(latent, duration) for latent, duration in zip(latents, durations, strict=True)
         ]
+
+    def _uses_text(self, request: GenerationRequest) -> bool:
+        return bool(request.text) and (bool(self.denoiser.text_fingerprint) or not request.action)
 
     def _durations(self, requests: Sequence[GenerationRequest], seed: int) -> list[float]:
         """Seconds of each request, drawn from the training windows' where none are asked for."""

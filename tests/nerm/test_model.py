@@ -150,8 +150,17 @@ def test_conditions_that_make_no_sense_are_refused(encoder):
         known_model().generate([GenerationRequest(1.0, action="swim")], seed=0)
     with pytest.raises(UsageError, match="trained without texts"):
         known_model().generate([GenerationRequest(1.0, text="a walk")], seed=0)
-    with pytest.raises(UsageError, match="not both"):
-        known_model("ab" * 32).generate([GenerationRequest(1.0, text="a walk", action="walk")], seed=0)
+
+
+def test_of_a_text_and_an_action_the_text_counts(encoder):
+    def latent(model, **condition):
+        return model.generate([GenerationRequest(1.0, **condition)], seed=0)[0].latent
+
+    with_texts, without = known_model(LetterEncoder.fingerprint), known_model()
+    both, text, action = {"text": "a jump", "action": "walk"}, {"text": "a jump"}, {"action": "walk"}
+    assert torch.equal(latent(with_texts, **both), latent(with_texts, **text))
+    assert torch.equal(latent(without, **both), latent(without, **action))
+    assert not torch.equal(latent(with_texts, **both), latent(with_texts, **action))
 
 
 def test_another_encoder_than_the_trained_one_is_refused(encoder):
