@@ -45,7 +45,8 @@ def ingest(
         bool, typer.Option("--overwrite", help="Replace the store instead of adding to it, once all is read.")
     ] = False,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes that read; all cores by default.", show_default=False)
+        int | None,
+        typer.Option(min=1, help="Processes that read; by default all cores, one for few files.", show_default=False),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
@@ -56,7 +57,6 @@ def ingest(
     """
     from motionkit.store.ingest import Listener
     from motionkit.store.ingest import ingest as ingest_sources
-    from motionkit.store.parallel import usable_cores
 
     options = _options(format, captions, fps, unit_metres)
     with progress() as display:
@@ -67,11 +67,11 @@ def ingest(
             options=options,
             on_error=on_error.value,
             overwrite=overwrite,
-            num_workers=workers or usable_cores(),
+            num_workers=workers,
             listener=Listener(
                 on_start=lambda num_items: display.update(task, description="ingest", total=num_items),
                 on_item=lambda: display.advance(task),
-                on_problem=lambda problem: stderr.print(str(problem), markup=False),
+                on_problem=lambda problem: stderr.print(_printable(str(problem)), markup=False),
             ),
         )
     if as_json:
@@ -122,5 +122,10 @@ def _as_json(report: "IngestReport") -> dict[str, Any]:
         "sequences_in_store": report.num_in_store,
         "failed": report.problems_by_reason,
         "warnings": report.warnings_by_reason,
-        "problems": [{"reason": problem.reason, "message": str(problem)} for problem in report.problems],
+        "problems": [{"reason": problem.reason, "message": _printable(str(problem))} for problem in report.problems],
     }
+
+
+def _printable(text: str) -> str:
+    """Bytes of a file's name that are no characters as `\\udcff`, which UTF-8 can hold."""
+    return text.encode("utf-8", "backslashreplace").decode()

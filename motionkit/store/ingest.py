@@ -8,15 +8,18 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from motionkit.errors import FormatError
+from motionkit.errors import FormatError, StoreError
 from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, read, scan
 from motionkit.motion import Motion
 from motionkit.store.manifest import read_manifest
-from motionkit.store.parallel import map_in_order
+from motionkit.store.parallel import map_in_order, usable_cores
 from motionkit.store.schema import MANIFEST_FILE
 from motionkit.store.writer import RefusedMotion, StoreWriter
 
 OnError = Literal["skip", "stop"]
+
+# One process reads this much in the time that it takes to start others.
+MUCH_BYTES = 20 * 2**20
 
 
 @dataclass(frozen=True)
@@ -63,15 +66,16 @@ def ingest(
     options: ReadOptions | None = None,
     on_error: OnError = "skip",
     overwrite: bool = False,
-    num_workers: int = 1,
+    num_workers: int | None = None,
     listener: Listener | None = None,
 ) -> IngestReport:
     """Read every sequence of the sources into a store, which is made, added to, or (`overwrite`) replaced.
 
-    The store is the same, byte for byte, whatever the number of workers. Under `skip` the good sequences are stored;
-    under `stop` the first problem ends the ingest and the store stays as it was. A sequence that the store holds from
-    an equal file is counted and left alone; one with the same id from another file is a problem. Raises `UsageError`
-    for sources or options that make no sense and `StoreError` for a store that cannot be written.
+    The store is the same, byte for byte, whatever the number of workers; without one given, all cores read, or one
+    where the sources are so small that starting processes would take longer. Under `skip` the good sequences are
+    stored; under `stop` the first problem ends the ingest and the store stays as it was. A sequence that the store
+    holds from an equal file is counted and left alone; one with the same id from another file is a problem. Raises
+    `UsageError` for sources or options that make no sense and `StoreError` for a store that cannot be written.
     """
     run = _Run(store, options or ReadOptions(), on_error, num_workers, listener or Listener())
     return run.ingest(sources, overwrite)
@@ -85,7 +89,7 @@ class _Run:
     """One ingest: owns its counts and the problems met."""
 
     def __init__(
-        self, store: Path, options: ReadOptions, on_error: OnError, num_workers: int, listener: Listener
+        self, store: Path, options: ReadOptions, on_error: OnError, num_workers: int | None, listener: Listener
     ) -> None:
         self._store = store
         self._options = options
@@ -112,6 +116,9 @@ class _Run:
                 raise _Stopped
         except _Stopped:
             committed = False
+        except OSError as error:
+            # What readers meet is a problem of the file; this is the store's disk: full, or not ours to write.
+            raise StoreError(f"the store {self._store} cannot be written ({error}); it is as it was") from None
         exists = (self._store / MANIFEST_FILE).exists()
         return IngestReport(
             store=self._store,
@@ -138,8 +145,8 @@ class _Run:
                 raise _Stopped
 
     def _read(self, items: Sequence[SourceItem]) -> Generator[tuple[SourceItem, Motion | FormatError]]:
-        num_workers = min(self._num_workers, len(items))
-        return map_in_order(partial(read_or_fault, options=self._options), items, num_workers)
+        num_workers = self._num_workers or (usable_cores() if _is_much(items) else 1)
+        return map_in_order(partial(read_or_fault, options=self._options), items, min(num_workers, len(items)))
 
     def _add(self, writer: StoreWriter, item: SourceItem, motion: Motion) -> None:
         held = writer.source_sha256(motion.sequence_id)
@@ -160,6 +167,15 @@ class _Run:
         self._listener.on_problem(problem)
         if self._on_error == "stop":
             raise _Stopped
+
+
+def _is_much(items: Sequence[SourceItem]) -> bool:
+    num_bytes = 0
+    for item in items:
+        num_bytes += item.path.stat().st_size if item.path.exists() else 0
+        if num_bytes > MUCH_BYTES:
+            return True
+    return False
 
 
 def read_or_fault(item: SourceItem, options: ReadOptions) -> Motion | FormatError:

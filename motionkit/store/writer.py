@@ -38,7 +38,10 @@ EMPTY = Manifest(num_sequences=0, num_segments=0, num_frames=0, num_skeletons=0,
 
 
 class RefusedMotion(StoreError):
-    """A motion that may not enter a store; `reason` is a fixed slug: `duplicate-id`, `nan`, `no-id`, `frame-time`."""
+    """A motion that may not enter a store; `reason` is a fixed slug.
+
+    `duplicate-id`, `nan`, `no-id`, `frame-time`, `not-unicode`.
+    """
 
     def __init__(self, message: str, *, reason: str) -> None:
         super().__init__(message)
@@ -246,6 +249,12 @@ def _check_target(path: Path, *, must_exist: bool, must_not_exist: bool) -> None
 def _check_motion(motion: Motion) -> None:
     if not motion.sequence_id:
         raise RefusedMotion("a motion needs a sequence_id to be stored", reason="no-id")
+    try:
+        "".join(_texts_of(motion)).encode()
+    except UnicodeEncodeError:
+        raise RefusedMotion(
+            f"{motion.sequence_id!a}: a name or a text is not valid Unicode: rename the file", reason="not-unicode"
+        ) from None
     if max(motion.fps.numerator, motion.fps.denominator) >= 2**63:
         raise RefusedMotion(f"the framerate {float(motion.fps):g} has too long a fraction", reason="frame-time")
     arrays = {
@@ -260,3 +269,11 @@ def _check_motion(motion: Motion) -> None:
         raise RefusedMotion(
             f"{motion.sequence_id}: {name} are not finite from frame {frame} on: mend or cut the take", reason="nan"
         )
+
+
+def _texts_of(motion: Motion) -> list[str]:
+    """Every text that goes into the tables: file names may hold bytes that are no characters."""
+    provenance = motion.provenance
+    captions = [text for caption in motion.captions for text in (caption.text, caption.tokens)]
+    named = [value for value in vars(provenance).values() if isinstance(value, str)]
+    return [motion.sequence_id, motion.action, motion.split, *named, *provenance.operations, *captions]

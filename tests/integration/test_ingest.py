@@ -15,7 +15,7 @@ import pytest
 from small_bvh import bvh_text
 
 from motionkit.motion import Motion
-from motionkit.store import Store, StoreWriter, ingest
+from motionkit.store import Store, StoreWriter, files, ingest
 
 
 def ids(store: Path) -> list[str]:
@@ -186,6 +186,17 @@ def test_two_skeletons_in_one_folder(motionkit, takes, tmp_path):
     assert store.read("takes/child").skeleton != store.read("takes/alpha").skeleton
 
 
+def test_a_file_name_that_is_no_text(motionkit, takes, tmp_path):
+    """A name in bytes that are not UTF-8 costs that file alone, and can be printed."""
+    odd = os.fsencode(takes) + b"/caf\xe9.bvh"
+    Path(os.fsdecode(odd)).write_text(bvh_text(4))
+    outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--json")
+    assert outcome.code == 0
+    assert json.loads(outcome.stdout)["failed"] == {"not-unicode": 1}
+    assert len(outcome.error_lines) == 1
+    assert ids(tmp_path / "store") == ["takes/alpha", "takes/beta", "takes/gamma"]
+
+
 def test_a_reader_that_fails_in_a_way_that_nobody_foresaw(motionkit, takes, tmp_path, monkeypatch):
     def read(item, options) -> Motion:
         if item.path.stem == "beta":
@@ -218,6 +229,23 @@ def test_the_store_does_not_depend_on_the_number_of_workers(motionkit, takes, tm
         outcome = motionkit("ingest", takes, "--store", tmp_path / f"by-{workers}", "--workers", workers)
         assert outcome.code == 0
     assert files_of(tmp_path / "by-1") == files_of(tmp_path / "by-3")
+
+
+def test_a_disk_that_cannot_be_written(motionkit, takes, tmp_path, monkeypatch):
+    store = tmp_path / "store"
+    motionkit("ingest", takes / "alpha.bvh", "--store", store)
+    before = files_of(store)
+
+    def full(source: Path, target: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files, "replace", full)
+    outcome = motionkit("ingest", takes, "--store", store)
+    assert outcome.code == 1
+    assert re.search(
+        r"^motionkit: the store .* cannot be written \(.*No space left.*\); it is as it was$", outcome.stderr
+    )
+    assert files_of(store) == before
 
 
 SLOW_INGEST = textwrap.dedent(
