@@ -1,7 +1,7 @@
 """The feature sets that can be had: the kinematic descriptor always, the learned evaluator where a run holds one."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from eval.samples import SampleSet
 from motionkit.errors import MotionkitError, UsageError
 
 FIT_CLIPS = 8192
+NATIVE_REPLICATIONS = 5
 FIT_REPLICATION = 1_000_000
 """The descriptor's fit draws from a stream that no replication of an evaluation uses."""
 
@@ -22,7 +23,8 @@ FIT_REPLICATION = 1_000_000
 class FeatureSource:
     """A kind of features; `fit` gives the feature set for one framerate from the real training set at it.
 
-    `parts` are slices of its features whose own FID is worth printing beside the total.
+    `parts` are slices of its features whose own FID is worth printing beside the total; `max_replications` bounds what
+    slow features cost.
     """
 
     name: str
@@ -30,6 +32,13 @@ class FeatureSource:
     fit: Callable[[SampleSet], FeatureSet]
     parts: Mapping[str, slice] = field(default_factory=dict)
     note: str = ""
+    max_replications: int | None = None
+
+    def protocol(self, asked: Protocol) -> Protocol:
+        """The protocol as asked for, with no more replications than these features can afford."""
+        if self.max_replications is None or asked.replications <= self.max_replications:
+            return asked
+        return replace(asked, replications=self.max_replications)
 
 
 def feature_sources(run: Path | None, wanted: Sequence[str] | None, missing: list[str]) -> list[FeatureSource]:
@@ -81,6 +90,12 @@ def native_source(run: Path | None) -> FeatureSource:
         name="native",
         title="clip-FID on the learned native-rate evaluator",
         fit=lambda train: evaluator,
+        note=(
+            f"Features of the run's evaluator, a network trained on this store; at most {NATIVE_REPLICATIONS} "
+            "replications, for it costs several times the descriptor. Its numbers are its own: they compare with no "
+            "other evaluator's."
+        ),
+        max_replications=NATIVE_REPLICATIONS,
     )
 
 

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 SIGNIFICANT_DIGITS = 3
+MAX_DECIMALS = 6
 
 
 def to_markdown(result: Result) -> str:
@@ -66,8 +67,12 @@ def format_cell(cell: Cell | None, as_printed: bool = False) -> str:
     if cell.ci95 is None:
         return format_number(cell.value)
     decimals = _decimals(cell.value)
-    half_width = f"{cell.ci95:.2e}" if decimals is None else f"{cell.ci95:.{decimals}f}"
-    return f"{format_number(cell.value)} ± {half_width}"
+    if decimals is None:
+        return f"{cell.value:.2e} ± {cell.ci95:.2e}"
+    # One significant digit of the half width at least, so that it never reads as 0 when it is not.
+    leading = -math.floor(math.log10(cell.ci95)) if cell.ci95 > 0 else 0
+    decimals = max(decimals, min(leading, MAX_DECIMALS))
+    return f"{cell.value:.{decimals}f} ± {cell.ci95:.{decimals}f}"
 
 
 def detail_names(block: Block) -> list[str]:

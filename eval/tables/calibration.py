@@ -56,14 +56,15 @@ def _calibrate(
     source: FeatureSource, request: TableRequest, held_out: RealMotion, train: RealMotion, missing: list[str]
 ) -> list[Calibration]:
     results = []
+    protocol = source.protocol(request.protocol)
     with progress() as display:
         for fps in request.fps or COLUMNS:
-            task = display.add_task(f"{source.name}, {fps} fps", total=request.protocol.replications, note="")
+            task = display.add_task(f"{source.name}, {fps} fps", total=protocol.replications, note="")
             try:
                 real, shifted = held_out.at(fps), held_out.at(fps, first_frame=1)
                 features = source.fit(train.at(fps))
                 advance = partial(display.advance, task)
-                results.append(calibrate(real, shifted, features, request.protocol, advance))
+                results.append(calibrate(real, shifted, features, protocol, advance))
             except (ClipError, NoRealMotionError) as error:
                 missing.append(f"{source.name}, {fps} fps: {error}")
             display.remove_task(task)

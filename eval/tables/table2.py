@@ -208,6 +208,7 @@ def _block(
     missing: list[str],
 ) -> Block:
     """All rows in one feature set, a column at a time; numbers that cannot be had are named in `missing`."""
+    protocol = source.protocol(request.protocol)
     cells: dict[str, dict[str, Cell]] = {}
     fingerprints: dict[str, str] = {}
     for column in columns:
@@ -216,7 +217,7 @@ def _block(
             missing.append(f"{label}, {source.name}: the training split has no motion at this framerate")
             continue
         try:
-            check_lengths(column.real, request.protocol)
+            check_lengths(column.real, protocol)
             features = source.fit(column.train)
         except ClipError as error:
             missing.append(f"{label}, {source.name}: {error}")
@@ -224,7 +225,7 @@ def _block(
         fingerprints[label] = features.fingerprint
         if isinstance(features, KinematicDescriptor):
             features.save(_made(request.results / "features") / f"kinematic-{features.fingerprint}.npz")
-        for name, score in _scores(column, features, source, request.protocol, display, missing).items():
+        for name, score in _scores(column, features, source, protocol, display, missing).items():
             cells.setdefault(name, {})[label] = _cell(score)
     references = {P1, P2, SLERP, VECTORS}
     order = [P1, P2, SLERP, VECTORS, *(name for name in cells if name not in references)]
@@ -234,7 +235,13 @@ def _block(
         if name in cells
     )
     labels = tuple(_label(column.fps) for column in columns)
-    return Block(source.title, labels, rows, note=source.note, provenance={"fingerprints": fingerprints})
+    return Block(
+        source.title,
+        labels,
+        rows,
+        note=source.note,
+        provenance={"fingerprints": fingerprints, "replications": protocol.replications},
+    )
 
 
 def _scores(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from eval.report.render import format_number, to_csv, to_html, to_latex, to_markdown
+from eval.report.render import format_cell, format_number, to_csv, to_html, to_latex, to_markdown
 from eval.report.results import Block, Cell, Result, ResultError, Row, read_result, read_results, write_result
 
 
@@ -105,6 +105,20 @@ def test_csv_holds_every_number(result: Result) -> None:
         ("real & <true>", "40 fps", "value"): "0.0",
         ("theirs_x", "40 fps", "value"): "11.264",
     }
+
+
+@pytest.mark.parametrize(
+    ("value", "ci95", "text"),
+    [
+        (135.2, 0.4, "135.2 ± 0.4"),
+        (0.0344, 0.0091, "0.0344 ± 0.0091"),
+        (4.31, 1.7, "4.31 ± 1.70"),
+        (18.8, 0.0, "18.8 ± 0.0"),
+        (3e-7, 1e-8, "3.00e-07 ± 1.00e-08"),
+    ],
+)
+def test_intervals(value: float, ci95: float, text: str) -> None:
+    assert format_cell(Cell(value, ci95)) == text
 
 
 @pytest.mark.parametrize(
