@@ -12,7 +12,7 @@ from nerm.field import FieldNetwork
 from nerm.field_model import TrainedField
 from nerm.knots import ridge_knots
 
-ITERATIONS = 40
+ITERATIONS = 25
 
 
 def starting_latents(trained: TrainedField, batch: PoseBatch) -> Float32[torch.Tensor, "batch latent"]:

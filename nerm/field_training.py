@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from fractions import Fraction
+from typing import Any
 
 import torch
 from jaxtyping import Float, Float32, Int64
 
 from motionkit.clips import PoseBatch, WindowPoses, chunks, rows_by_duration, shuffled_batches
 from motionkit.training.randomness import seeded_initialisation, step_generator
-from motionkit.training.schedule import rate_factor, set_rate
+from motionkit.training.schedule import rate_factor, scale_rates
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from nerm.field import FieldNetwork
 from nerm.knots import ridge_knots
@@ -61,9 +62,20 @@ class FieldTraining:
             self.network.start_linear_path(self.components.inverse())
         self.visits = torch.from_numpy(rows_by_duration(poses.windows, config.seconds_per_visit))
         self.steps = config.num_steps(len(self.visits))
-        self.optimizer = torch.optim.AdamW(self.network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
+        self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.weight_decay)
         self.mean = RowAdam(means.to(device))
         self.log_variance = RowAdam(torch.full_like(self.mean.table, config.initial_log_variance))
+
+    def _parameter_groups(self) -> list[dict[str, Any]]:
+        """θ in two groups: attention diverges at rates that suit the decoder."""
+        attention = [] if self.network.attention is None else list(self.network.attention.parameters())
+        ours = {id(parameter) for parameter in attention}
+        decoder = [parameter for parameter in self.network.parameters() if id(parameter) not in ours]
+        groups: list[dict[str, Any]] = [{"params": decoder, "lr": self.config.rate, "base_lr": self.config.rate}]
+        if attention:
+            rate = self.config.attention_rate
+            groups.append({"params": attention, "lr": rate, "base_lr": rate})
+        return groups
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
         """One step on θ and on the latents of the batch."""
@@ -106,7 +118,7 @@ class FieldTraining:
     ) -> None:
         config = self.config
         factor = rate_factor(step, self.steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction)
-        set_rate(self.optimizer, config.rate * factor)
+        scale_rates(self.optimizer, factor)
         self.optimizer.step()
         assert mean.grad is not None
         self.mean.update(rows, mean.grad, config.latent_rate * factor)

@@ -71,7 +71,6 @@ class FieldConfig:
     frequency_scale: float = 4.0
     framerate_scale: float = 0.2
     num_queries: int = 256
-    query_width: int = 128
     attention_heads: int = 4
     attention_layers: int = 3
     # Decoder.
@@ -94,6 +93,7 @@ class FieldConfig:
     warmup_fraction: float = 0.5
     lowest_fps: float | None = None
     rate: float = 1e-4
+    attention_rate: float = 1e-4
     latent_rate: float = 1e-4
     weight_decay: float = 0.01
     schedule: Literal["constant", "cosine"] = "constant"
@@ -105,8 +105,11 @@ class FieldConfig:
             raise ValueError(f"exactly one of steps and epochs must be given, not {self.steps} and {self.epochs}")
         if self.latent_layout == "local" and self.latent_dimension % self.num_knots:
             raise ValueError(f"{self.latent_dimension} latent numbers do not divide into {self.num_knots} knots")
-        if self.time_encoding == "codebook" and self.query_width != 2 * self.num_frequencies:
-            raise ValueError(f"query_width {self.query_width} must be 2·num_frequencies, {2 * self.num_frequencies}")
+
+    @property
+    def query_width(self) -> int:
+        """Width of CCA's queries: that of γ(t), which its output joins by addition (the paper's 128 for R = 64)."""
+        return 2 * self.num_frequencies
 
     def num_steps(self, visits: int) -> int:
         """Training steps where an epoch has this many visits to windows."""
@@ -158,6 +161,8 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
         num_queries=64,
         hidden=256,
         activation="silu",
+        linear_path=True,
+        framerate_scale=0.05,
         scaling="group",
         root_weight=4.0,
         epochs=None,
@@ -169,6 +174,7 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
         warmup_fraction=0.02,
         lowest_fps=20.0,
         rate=8e-3,
+        attention_rate=1e-3,
         latent_rate=1e-1,
         weight_decay=0.0,
         schedule="cosine",

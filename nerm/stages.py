@@ -4,6 +4,12 @@ from motionkit.training.stage import Stage, StageContext
 from nerm.recipes import RECIPES, NermConfig
 
 
+def _train_codebook(context: StageContext, config: NermConfig) -> None:
+    from nerm.codebook_stage import train_codebook
+
+    train_codebook(context, config)
+
+
 def _train_field(context: StageContext, config: NermConfig) -> None:
     from nerm.field_stage import train_field
 
@@ -16,6 +22,13 @@ def _train_denoiser(context: StageContext, config: NermConfig) -> None:
     train_denoiser(context, config)
 
 
+CODEBOOK = Stage(
+    name="codebook",
+    order=10,
+    description="VQ-VAE codebook of poses at 20 fps (NeRM's prior for coordinates)",
+    recipes=RECIPES,
+    train=_train_codebook,
+)
 FIELD = Stage(
     name="field",
     order=20,

@@ -59,8 +59,10 @@ def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str])
         key, _ = parse_override(override)
         if key not in known:
             raise UsageError(f"no setting is called {key!r}; recipe {recipe!r} has: {', '.join(known)}")
-        configs = [apply_overrides(config, [override]) if key in flatten(config) else config for config in configs]
-    return configs
+    return [
+        apply_overrides(config, [override for override in overrides if parse_override(override)[0] in flatten(config)])
+        for config in configs
+    ]
 
 
 def _train_stage(stage: Stage[Any], config: Any, context: StageContext) -> dict[str, Any]:

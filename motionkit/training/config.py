@@ -6,7 +6,7 @@ Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]`
 import dataclasses
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
 from motionkit.errors import UsageError
@@ -61,28 +61,32 @@ def parse_override(override: str) -> tuple[str, str]:
 
 
 def apply_overrides(config: ConfigT, overrides: Sequence[str]) -> ConfigT:
-    """The configuration with each `a.b=c` applied in order.
+    """The configuration with all of `a.b=c` applied at once, so that settings which must agree can change together.
 
-    Raises `UsageError` for a key that doesn't exist (naming those that do) or a value that its type can't be read from.
+    The last one wins where a key comes twice. Raises `UsageError` for a key that doesn't exist (naming those that do),
+    a value that its type can't be read from, or settings that the dataclass refuses together.
     """
-    for override in overrides:
-        key, text = parse_override(override)
+    changes = dict(parse_override(override) for override in overrides)
+    for key in changes:
         if key not in flatten(config):
             raise UsageError(f"no setting is called {key!r}; there are: {', '.join(flatten(config))}")
-        config = _replace_leaf(config, key.split("."), text, key)
-    return config
+    return _replaced(config, changes, "")
 
 
-def _replace_leaf(config: ConfigT, path: Sequence[str], text: str, key: str) -> ConfigT:
-    name = path[0]
-    if len(path) > 1:
-        value: Any = _replace_leaf(getattr(config, name), path[1:], text, key)
-    else:
-        value = _parse_text(text, typing.get_type_hints(type(config))[name], key)
+def _replaced(config: ConfigT, changes: Mapping[str, str], prefix: str) -> ConfigT:
+    hints = typing.get_type_hints(type(config))
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(config):
+        key, value = prefix + field.name, getattr(config, field.name)
+        if key in changes:
+            values[field.name] = _parse_text(changes[key], hints[field.name], key)
+        elif any(changed.startswith(key + ".") for changed in changes):
+            values[field.name] = _replaced(value, changes, key + ".")
     try:
-        return dataclasses.replace(config, **{name: value})
+        return dataclasses.replace(config, **values)
     except ValueError as error:
-        raise UsageError(f"{key}={text}: {error}") from None
+        told = ", ".join(f"{key}={text}" for key, text in changes.items() if key.startswith(prefix))
+        raise UsageError(f"{told}: {error}") from None
 
 
 def _plain_value(value: Any) -> Any:

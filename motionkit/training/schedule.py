@@ -25,6 +25,12 @@ def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
         group["lr"] = rate
 
 
+def scale_rates(optimizer: torch.optim.Optimizer, factor: float) -> None:
+    """Set every parameter group's learning rate to its own `base_lr` times a factor."""
+    for group in optimizer.param_groups:
+        group["lr"] = group["base_lr"] * factor
+
+
 class WeightAverage:
     """Exponential moving average of a module's parameters; buffers are copied.
 

@@ -14,7 +14,6 @@ TINY = FieldConfig(
     num_knots=8,
     num_queries=8,
     num_frequencies=8,
-    query_width=16,
     hidden=24,
     layers=3,
     epochs=None,

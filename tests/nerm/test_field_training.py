@@ -33,7 +33,6 @@ SMALL = FieldConfig(
     num_knots=16,
     time_encoding="fourier",
     num_frequencies=8,
-    query_width=16,
     hidden=64,
     layers=4,
     activation="silu",

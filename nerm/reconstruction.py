@@ -1,0 +1,120 @@
+"""How well the field holds motions: MPJPE by framerate, from μ for training windows, by encoding for others (Table 4).
+
+The truth at s fps is the capture itself, brought down band-limited where its own framerate is higher; a take slower
+than s has no truth there and is left out. Errors are in the window's frame: root-aligned (both roots at the origin) and
+global (as decoded).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from motionkit.clips import PositionSource, WindowPoses, Windows, mirror_positions
+from motionkit.features import field as field_vectors
+from motionkit.resample import resample_positions
+from motionkit.skeleton import SMPL22
+from motionkit.timegrid import TimeGrid
+from nerm.encoding import encode_by_optimisation
+from nerm.field_model import TrainedField
+
+POSES_TO_ENCODE_FROM = 100
+WINDOWS_AT_ONCE = 64
+
+
+@dataclass(frozen=True, eq=False)
+class WindowErrors:
+    """Mean per-joint position errors of some windows at one framerate, millimetres; `seconds` are their durations."""
+
+    fps: Fraction
+    aligned_mm: Float64[np.ndarray, "windows"]
+    global_mm: Float64[np.ndarray, "windows"]
+    seconds: Float64[np.ndarray, "windows"]
+
+    def mean(self) -> tuple[float, float]:
+        """Root-aligned and global MPJPE over all windows, each weighing by its duration."""
+        weights = self.seconds / self.seconds.sum()
+        return float(weights @ self.aligned_mm), float(weights @ self.global_mm)
+
+
+def mpjpe_mm(
+    found: Float32[np.ndarray, "poses joints 3"], truth: Float32[np.ndarray, "poses joints 3"]
+) -> tuple[float, float]:
+    """Mean distance over poses and joints in millimetres, root-aligned and global, of positions in metres.
+
+    The root counts as one of the joints in both, as is usual for MPJPE over 22 joints; root-aligned its error is 0.
+    """
+    difference = found.astype(np.float64) - truth
+    aligned = difference - difference[:, :1]
+    lengths = [np.linalg.norm(each, axis=-1).mean() * 1000.0 for each in (aligned, difference)]
+    return float(lengths[0]), float(lengths[1])
+
+
+def window_truth(
+    source: PositionSource, windows: Windows, row: int, fps: Fraction
+) -> Float32[np.ndarray, "poses joints 3"]:
+    """A window's own capture at `fps` (not above its native framerate), in the window's frame; metres."""
+    start, count = int(windows.start_row[row]), int(windows.num_frames[row])
+    positions = np.asarray(source.positions[start : start + count])
+    if windows.mirrored[row]:
+        positions = mirror_positions(positions, SMPL22.left_right_pairs)
+    sampled = resample_positions(positions, windows.exact_fps(row), fps)
+    chosen = slice(row, row + 1)
+    return np.asarray(field_vectors.to_window(sampled[None], windows.yaw[chosen], windows.origin[chosen])[0])
+
+
+def reconstruction_errors(
+    trained: TrainedField,
+    source: PositionSource,
+    windows: Windows,
+    latents: Float32[torch.Tensor, "windows latent"],
+    fps: Fraction,
+) -> WindowErrors:
+    """Errors of the windows that have a truth at `fps`, each decoded from its latent at that framerate."""
+    rows = np.flatnonzero(windows.fps >= float(fps) - 1e-6)
+    errors = np.zeros((len(rows), 2))
+    for place, row in enumerate(rows.tolist()):
+        truth = window_truth(source, windows, row, fps)
+        times = TimeGrid(fps, len(truth)).seconds()
+        found = trained.decode(latents[row : row + 1], times, fps)[0]
+        errors[place] = mpjpe_mm(found, truth)
+    return WindowErrors(fps, errors[:, 0], errors[:, 1], windows.duration_seconds[rows])
+
+
+def encode_windows(
+    trained: TrainedField, source: PositionSource, windows: Windows, *, num_poses: int = POSES_TO_ENCODE_FROM
+) -> Float32[torch.Tensor, "windows latent"]:
+    """The latents of windows that were not in training, by optimisation on `num_poses` native poses of each."""
+    poses = WindowPoses(source, windows, SMPL22.left_right_pairs)
+    parts = [
+        encode_by_optimisation(
+            trained, poses.evenly(np.arange(start, min(start + WINDOWS_AT_ONCE, len(windows))), num_poses)
+        )
+        for start in range(0, len(windows), WINDOWS_AT_ONCE)
+    ]
+    return torch.cat(parts)
+
+
+def separate_windows(windows: Windows) -> Int64[np.ndarray, "chosen"]:
+    """Rows of windows that do not overlap and are not mirrored: each sequence's first, then the next free one, …"""
+    originals = np.flatnonzero(~windows.mirrored)
+    order = originals[np.lexsort((windows.start_frame[originals], windows.sequence_index[originals]))]
+    chosen: list[int] = []
+    sequence, free_from = -1, 0
+    for row in order.tolist():
+        start = int(windows.start_frame[row])
+        if windows.sequence_index[row] != sequence:
+            sequence, free_from = int(windows.sequence_index[row]), 0
+        # Neighbours share the frame at which one ends and the next begins.
+        if start >= free_from:
+            chosen.append(row)
+            free_from = start + int(windows.num_frames[row]) - 1
+    return np.array(chosen, dtype=np.int64)
+
+
+def comparable(windows: Windows, rates: Sequence[Fraction]) -> Bool[np.ndarray, "windows"]:
+    """Which windows have a truth at every one of the framerates."""
+    return np.asarray(windows.fps >= float(max(rates)) - 1e-6)
