@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -186,10 +187,7 @@ def _num_frames(stated: str, path: Path, body_line: int) -> int:
 
 def _framerate(file: _File, options: ReadOptions, path: Path) -> tuple[Fraction, list[str]]:
     try:
-        seconds = float(file.frame_time)
-        if not seconds > 0:
-            raise ValueError("it must be positive")
-        stated = parse_fps(1.0 / seconds)
+        stated = _fps_of(file.frame_time)
     except (ValueError, OverflowError) as error:
         if options.fps is not None:
             return options.fps, [f"framerate set to {options.fps}; the file's Frame Time is unusable"]
@@ -203,6 +201,15 @@ def _framerate(file: _File, options: ReadOptions, path: Path) -> tuple[Fraction,
     if options.fps is None or options.fps == stated:
         return stated, []
     return options.fps, [f"framerate set to {options.fps}; the file says {stated}"]
+
+
+@lru_cache(maxsize=256)
+def _fps_of(frame_time: str) -> Fraction:
+    # The few frame times of a corpus come back in all of its files.
+    seconds = float(frame_time)
+    if not seconds > 0:
+        raise ValueError("it must be positive")
+    return parse_fps(1.0 / seconds)
 
 
 def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:

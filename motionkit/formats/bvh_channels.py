@@ -86,7 +86,7 @@ def fold_reference(pose: ChannelPose) -> ChannelPose:
     ):
         return pose
     turn = pose.rotations[:, 0].astype(np.float64)
-    rotations = pose.rotations[:, 1:].copy()
+    rotations = pose.rotations[:, 1:].copy(order="K")
     rotations[:, 0] = kinematics.quaternion_multiply(pose.rotations[:, 0], pose.rotations[:, 1])
     offsets = skeleton.offsets[1:].copy()
     offsets[0] = 0.0
@@ -126,10 +126,11 @@ def settle_offsets(pose: ChannelPose, tolerance: float) -> ChannelPose:
         return pose
     joints = np.array(pose.placed_joints)
     offsets = pose.skeleton.offsets.copy()
-    astray = np.flatnonzero(np.abs(pose.places - offsets[joints]).max(axis=(0, 2)) > tolerance)
+    lowest, highest = pose.places.min(axis=0), pose.places.max(axis=0)
+    astray = np.flatnonzero(np.maximum(offsets[joints] - lowest, highest - offsets[joints]).max(axis=1) > tolerance)
     middle = np.median(pose.places[:, astray], axis=0)
     offsets[joints[astray]] = middle
-    moving = astray[np.abs(pose.places[:, astray] - middle).max(axis=(0, 2)) > tolerance]
+    moving = astray[np.maximum(middle - lowest[astray], highest[astray] - middle).max(axis=1, initial=0.0) > tolerance]
     return replace(
         pose,
         skeleton=replace(pose.skeleton, offsets=offsets),

@@ -146,7 +146,7 @@ class _Parser:
         if not words or not words[0].isdecimal() or int(words[0]) != len(words) - 1:
             raise self.fault(f"CHANNELS {' '.join(words)[:60]!r}: expected a count and that many names", "channels")
         for word in words[1:]:
-            axis, kind = CHANNELS.get(word[:1].upper() + word[1:].lower(), ("", ""))
+            axis, kind = CHANNELS.get(word) or CHANNELS.get(word[:1].upper() + word[1:].lower(), ("", ""))
             if not axis or (kind == "position" and "XYZ".index(axis) in joint.position_columns):
                 raise self.fault(f"channel {word!r}: expected each of {', '.join(CHANNELS)} at most once", "channels")
             if kind == "position":
