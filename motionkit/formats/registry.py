@@ -116,15 +116,19 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     items: list[SourceItem] = []
     problems: list[FormatError] = []
     warnings: list[FormatError] = []
+    given: list[AnnotationTable] = []
     for source in sources:
         if not source.exists():
             raise UsageError(f"{source} does not exist")
-        found = _scan_source(source, options)
+        table = annotations.read_annotations(options.captions, _root(source)) if options.captions else None
+        given += [table] if table else []
+        found = _scan_source(source, options, table)
         if not found.items and not found.problems:
             found = replace(found, problems=(_nothing(source, options),))
         items += found.items
         problems += found.problems
         warnings += found.warnings
+    problems += _problems_of_given(given, {item.path for item in items})
     kept, duplicates = _unique(items)
     return ScanResult(kept, (*problems, *duplicates), tuple(warnings))
 
@@ -153,26 +157,50 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
     )
 
 
-def _scan_source(source: Path, options: ReadOptions) -> ScanResult:
-    root = (source if source.is_dir() else source.parent).resolve()
-    tables = [annotations.read_annotations(options.captions, root)] if options.captions else []
+def _root(source: Path) -> Path:
+    return (source if source.is_dir() else source.parent).resolve()
+
+
+def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | None) -> ScanResult:
+    root = _root(source)
+    beside: list[AnnotationTable] = []
     found: list[ScanResult] = []
     licences: dict[Path, str] = {}
     for folder, files in [(root, [source.resolve()])] if source.is_file() else _walk(root):
         licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
-        if not options.captions:
+        if given is None:
             tables_here, broken = _tables(folder)
-            tables += tables_here
+            beside += tables_here
             found.append(ScanResult((), broken))
         found.append(_scan_folder(folder, files, root, licences[folder], options))
         if source.is_file() and not found[-1].items and not found[-1].problems:
             found.append(_recognise(source.resolve(), licences[folder], options))
+    tables = beside if given is None else [given]
     items = [_annotate(item, tables) for result in found for item in result.items]
     problems = [problem for result in found for problem in result.problems]
     warnings = [warning for result in found for warning in result.warnings]
-    problems += [problem for table in tables for problem in table.problems]
-    problems += _captions_without_motion(tables, {item.path for item in items}, root if source.is_dir() else None)
-    return ScanResult(tuple(items), tuple(problems), (*warnings, *_motions_without_caption(items, tables)))
+    problems += [problem for table in beside for problem in table.problems]
+    if source.is_dir():  # of a single file, the other rows of its folder's table are not missing
+        known = {item.path for item in items}
+        rows = [(table, path, row) for table in beside for path, row in table.rows.items()]
+        problems += [_no_motion(table, path, row) for table, path, row in rows if path not in known]
+    captioned = [root] if given is not None and given.has_captions else []
+    captioned += [table.path.parent.resolve() for table in beside if table.has_captions]
+    return ScanResult(tuple(items), tuple(problems), (*warnings, *_motions_without_caption(items, captioned)))
+
+
+def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> list[FormatError]:
+    # One table was read once for each source; a row is missing where no source has its motion.
+    if not tables:
+        return []
+    found = {row.line for table in tables for path, row in table.rows.items() if path in known}
+    rows = [(path, row) for path, row in tables[0].rows.items() if row.line not in found]
+    return [*tables[0].problems, *(_no_motion(tables[0], path, row) for path, row in rows)]
+
+
+def _no_motion(table: AnnotationTable, path: Path, row: Annotation) -> FormatError:
+    message = f"describes {path.name}, but there is no such motion in the source"
+    return FormatError(message, path=table.path, reason="caption-without-motion", line=row.line)
 
 
 def _walk(root: Path) -> Iterator[tuple[Path, list[Path]]]:
@@ -258,29 +286,10 @@ def _stated(item: SourceItem, row: Annotation) -> SourceItem:
     )
 
 
-def _captions_without_motion(
-    tables: Iterable[AnnotationTable], known: set[Path], root: Path | None
-) -> list[FormatError]:
-    # Of a source that is a single file, the other rows of its table are not missing.
+def _motions_without_caption(items: Iterable[SourceItem], folders: Sequence[Path]) -> list[FormatError]:
+    message = "has no caption in a source that has captions; kept without one"
     return [
-        FormatError(
-            f"describes {path.name}, but there is no such motion in the source",
-            path=table.path,
-            reason="caption-without-motion",
-            line=row.line,
-        )
-        for table in tables
-        for path, row in table.rows.items()
-        if root is not None and path.is_relative_to(root) and path not in known
-    ]
-
-
-def _motions_without_caption(items: Iterable[SourceItem], tables: Sequence[AnnotationTable]) -> list[FormatError]:
-    folders = [table.path.parent.resolve() for table in tables if table.has_captions]
-    return [
-        FormatError(
-            "has no caption in a source that has captions; kept without one", path=item.path, reason="no-caption"
-        )
+        FormatError(message, path=item.path, reason="no-caption")
         for item in items
         if not item.captions and any(item.path.is_relative_to(folder) for folder in folders)
     ]

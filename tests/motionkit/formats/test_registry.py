@@ -110,3 +110,20 @@ def test_scan_results_travel_between_processes(source: Path) -> None:
         result = pool.submit(scan, [source]).result()
     assert result.items == scan([source]).items
     assert str(result.problems[0]) == str(scan([source]).problems[0])
+
+
+def test_given_captions_may_describe_several_sources(source: Path, tmp_path: Path) -> None:
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "run.bvh").write_text(bvh_text())
+    table = tmp_path / "mine.csv"
+    table.write_text("file,caption\nwalk.bvh,walks\nrun.bvh,runs\n07/07_01.amc,bends\ngone.bvh,nobody\n")
+    result = scan([source, tmp_path / "more"], ReadOptions(captions=table))
+    assert sorted(item.captions[0].text for item in result.items) == ["bends", "runs", "walks"]
+    assert [(problem.reason, problem.line) for problem in result.problems] == [("caption-without-motion", 5)]
+    assert not result.warnings
+
+
+def test_a_single_file_finds_its_row_and_misses_no_other(source: Path) -> None:
+    result = scan([source / "walk.bvh"])
+    assert [item.captions[0].text for item in result.items] == ["a person walks"]
+    assert not result.problems and result.items[0].sequence_id == "takes/walk"
