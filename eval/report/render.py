@@ -54,7 +54,8 @@ def _decimals(value: float) -> int | None:
     """Decimals that show three significant digits; None where an exponent is better."""
     if value == 0:
         return 0
-    magnitude = math.floor(math.log10(abs(value)))
+    # The magnitude after rounding: 0.9999 shows as 1.00.
+    magnitude = math.floor(math.log10(abs(float(f"{value:.{SIGNIFICANT_DIGITS - 1}e}"))))
     return max(0, SIGNIFICANT_DIGITS - 1 - magnitude) if -4 <= magnitude < 6 else None
 
 

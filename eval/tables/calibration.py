@@ -5,6 +5,7 @@ from functools import partial
 
 from eval.calibration import MAX_FLAT_RATIO, MIN_SPEARMAN, VERSION, Calibration, calibrate
 from eval.clip_fid import ClipError
+from eval.corruptions import families
 from eval.feature_sources import FeatureSource, feature_sources
 from eval.real import NoRealMotionError, RealMotion, real_motion
 from eval.report.results import Block, Cell, Result, Row, environment
@@ -88,6 +89,7 @@ def _blocks(source: FeatureSource, calibrations: list[Calibration]) -> list[Bloc
             for strength, score in zip(family.strengths, family.scores[1:], strict=True):
                 row = f"{family.family} {strength:g} {family.unit}"
                 ratios.setdefault(row, {})[column] = Cell(score.mean / each.floor.mean)
+    ratios = {name: ratios[name] for name in _row_order(list(ratios))}
     provenance = {
         "fingerprints": {column: each.fingerprint for column, each in zip(columns, calibrations, strict=True)},
         "passes": {column: each.passes for column, each in zip(columns, calibrations, strict=True)},
@@ -119,3 +121,9 @@ def _blocks(source: FeatureSource, calibrations: list[Calibration]) -> list[Bloc
             provenance=provenance,
         ),
     ]
+
+
+def _row_order(names: list[str]) -> list[str]:
+    """Clean, harmless, then family by family from mild to severe, whichever framerates the levels exist at."""
+    levels = [f"{family.name} {level:g} {family.unit}" for family in families() for level in family.levels]
+    return [name for name in names if name not in levels] + [name for name in levels if name in names]

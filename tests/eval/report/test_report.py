@@ -123,7 +123,15 @@ def test_intervals(value: float, ci95: float, text: str) -> None:
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.0, "0"), (0.38912, "0.389"), (123.4, "123"), (-0.0021, "-0.00210"), (1.6e-7, "1.60e-07"), (54321.0, "54321")],
+    [
+        (0.0, "0"),
+        (0.38912, "0.389"),
+        (123.4, "123"),
+        (-0.0021, "-0.00210"),
+        (1.6e-7, "1.60e-07"),
+        (54321.0, "54321"),
+        (0.99995, "1.00"),
+    ],
 )
 def test_numbers(value: float, text: str) -> None:
     assert format_number(value) == text
