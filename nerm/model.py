@@ -90,8 +90,8 @@ class NermModel:
     ) -> list[MotionField]:
         """One field per request, in order; request i follows from (seed, i) and itself alone.
 
-        `guidance_scale` is r of Eq. 6 (default: the recipe's). Raises `UsageError` for a duration outside (0, l_max], an
-        unknown action, or a text alone where it was trained without texts.
+        `guidance_scale` is r of Eq. 6 (default: the recipe's). Raises `UsageError` for a duration outside (0, l_max],
+        an unknown action, or a text alone where it was trained without texts.
         """
         if not requests:
             return []

@@ -149,7 +149,7 @@ def demo() -> NermConfig:
     return NermConfig(
         codebook=codebook,
         field=_local_field(steps=600, stride_seconds=5.0),
-        denoiser=_knot_denoiser(steps=500),
+        denoiser=_knot_denoiser(steps=400),
     )
 
 

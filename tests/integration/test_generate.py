@@ -124,3 +124,13 @@ def test_a_field_that_was_trained_again_is_noticed(trained: Path, tmp_path: Path
         load_model("nerm", tmp_path / "nano")
     with pytest.raises(RunError, match="not trained"):
         load_model("nerm", tmp_path / "nothing")
+
+
+def test_a_store_that_has_changed_since_the_field_is_noticed(trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained, tmp_path / "project")
+    store, runs = tmp_path / "project" / "store", tmp_path / "project" / "runs"
+    performance = perform(np.random.default_rng(1), make_body("late"), ["jump"], 2.5)
+    with StoreWriter.append(store) as writer:
+        writer.add(replace(to_motion(performance, Fraction(30)), sequence_id="late", split="train"))
+    with pytest.raises(RunError, match="train the field again"):
+        command("train", "--stage", "denoiser", "--store", str(store), "--runs", str(runs), "--overwrite")
