@@ -1,0 +1,113 @@
+"""`humanml3d` pose vectors: the published convention, its quirks included, for interchange.
+
+T poses give T − 1 rows of 12·J − 1 numbers (263 for 22 joints at 20 fps, 251 for 21 joints at 12.5 fps); velocities are
+per frame, so the numbers mean what they mean at that framerate alone. Two quirks are kept because every published file
+has them: facing swaps the hips (HumanML3D issues #107, #119, #131), and the first frame's heading is the identity.
+Smoothing (σ = 20 frames) looks 80 frames ahead, so rows of the last 80 frames depend on where the clip was cut.
+Source: HumanML3D, motion_representation.ipynb and common/skeleton.py.
+"""
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from motionkit.features.bones import BoneTree, bone_tree, rotations_6d
+from motionkit.features.facing import smooth, to_z_half_angle
+from motionkit.features.layout import PoseLayout, pose_layout
+from motionkit.formats.humanml3d import recover_positions
+
+CONVENTION = "humanml3d"
+SMOOTHING_FRAMES = 20.0
+SMOOTHING_REACH = 80
+_FRAMES_AT_ONCE = 256
+
+
+def vectors(joint_positions: Float[np.ndarray, "frames joints 3"], layout: str) -> Float32[np.ndarray, "rows numbers"]:
+    """Pose vectors of processed joint positions, T − 1 rows for T poses.
+
+    `joint_positions` in the file's unit and at its framerate, already on the floor, at the origin and facing Z+
+    (`humanml3d_processing.process`); `layout` is `smpl22` or `kit21`. Raises `ValueError` for another number of joints
+    or fewer than two poses.
+    """
+    body = pose_layout(layout)
+    num_frames, num_joints = joint_positions.shape[:2]
+    if num_joints != body.num_joints or num_frames < 2:
+        raise ValueError(
+            f"{layout} vectors need at least 2 poses of {body.num_joints} joints, not {num_frames} of {num_joints}"
+        )
+    positions = joint_positions.astype(np.float32, copy=False)
+    half_angle = _half_angles(positions, body)
+    tree = bone_tree(layout)
+    result = np.empty((num_frames - 1, body.vector.size), dtype=np.float32)
+    for start in range(0, num_frames - 1, _FRAMES_AT_ONCE):
+        stop = min(start + _FRAMES_AT_ONCE, num_frames - 1)
+        joints = positions[start : stop + 1].transpose(2, 1, 0).copy()
+        result[start:stop] = _block(joints, half_angle[start : stop + 1], body, tree).T
+    return result
+
+
+def positions(vectors: Float[np.ndarray, "rows numbers"], layout: str) -> Float32[np.ndarray, "rows joints 3"]:
+    """Joint positions from pose vectors, one per row: frame 0 is at the origin and faces Z+.
+
+    Rates and displacements are summed, so rounding adds up along the clip. Raises `ValueError` for vectors of another
+    length than the layout's.
+    """
+    body = pose_layout(layout)
+    if vectors.shape[1] != body.vector.size:
+        raise ValueError(f"{layout} vectors have {body.vector.size} numbers, these have {vectors.shape[1]}")
+    return recover_positions(vectors, body.num_joints)
+
+
+def _half_angles(positions: Float32[np.ndarray, "frames joints 3"], body: PoseLayout) -> Float64[np.ndarray, "frames"]:
+    """Half the turn about Y that brings each smoothed facing to Z+; the hips are swapped, frame 0 is not turned."""
+    facing = body.facing
+    across = positions[:, facing.left_hip] - positions[:, facing.right_hip]
+    across += positions[:, facing.right_shoulder] - positions[:, facing.left_shoulder]
+    length = np.sqrt(np.einsum("tc,tc->t", across, across))
+    forward = np.stack((across[:, 2], -across[:, 0]), axis=-1) / np.where(length > 0, length, 1.0)[:, None]
+    half_angle = to_z_half_angle(smooth(forward, SMOOTHING_FRAMES))
+    half_angle[0] = 0.0
+    return half_angle
+
+
+def _block(
+    joints: Float32[np.ndarray, "3 joints poses"],
+    half_angle: Float64[np.ndarray, "poses"],
+    body: PoseLayout,
+    tree: BoneTree,
+) -> Float32[np.ndarray, "numbers rows"]:
+    """The rows of consecutive poses, the last of which only ends the displacements."""
+    part, num_joints, num_rows = body.vector, body.num_joints, joints.shape[2] - 1
+    result = np.empty((part.size, num_rows), dtype=np.float32)
+    cosine, sine = np.cos(2 * half_angle).astype(np.float32), np.sin(2 * half_angle).astype(np.float32)
+    change, now = joints[:, :, 1:] - joints[:, :, :-1], joints[:, :, :-1]
+
+    # The published rate comes from quaternions: a heading that passes ±π folds back through the arcsine.
+    result[0] = np.arcsin(np.sin(np.diff(half_angle)))
+    _turn(change[:, 0], cosine[1:], sine[1:], out=result[part.root_velocity])
+    result[3] = now[1, 0]
+
+    relative = result[part.joint_positions].reshape(num_joints - 1, 3, num_rows)
+    _turn(now[:, 1:] - now[:, :1], cosine[:-1], sine[:-1], out=relative[:, ::2].transpose(1, 0, 2))
+    relative[:, 1] = now[1, 1:]
+
+    rotations = result[part.joint_rotations].reshape(num_joints - 1, 2, 3, num_rows)
+    rotations[:] = rotations_6d(now, half_angle[:-1].astype(np.float32), tree)
+
+    velocities = result[part.joint_velocities].reshape(num_joints, 3, num_rows)
+    _turn(change, cosine[:-1], sine[:-1], out=velocities[:, ::2].transpose(1, 0, 2))
+    velocities[:, 1] = change[1]
+
+    x, y, z = change.take(body.contact_joints, axis=1)
+    result[part.contacts] = x * x + y * y + z * z < body.contact_threshold
+    return result
+
+
+def _turn(
+    vectors: Float32[np.ndarray, "3 *rest"],
+    cosine: Float32[np.ndarray, "rows"],
+    sine: Float32[np.ndarray, "rows"],
+    out: Float32[np.ndarray, "2 *rest"],
+) -> None:
+    """The x and z of vectors [x, y, z] turned about Y."""
+    np.add(cosine * vectors[0], sine * vectors[2], out=out[0])
+    np.subtract(cosine * vectors[2], sine * vectors[0], out=out[1])

@@ -1,0 +1,102 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reference import plain_vectors
+
+from motionkit.errors import UsageError
+from motionkit.features import field, humanml3d
+from motionkit.features import humanml3d_processing as processing
+from motionkit.features.layout import LAYOUTS, PoseLayout, vector_layout
+from motionkit.kinematics import forward_kinematics
+
+
+def wandering_body(body: PoseLayout, num_frames: int, seed: int) -> np.ndarray:
+    """Joints that sway about the rest pose while the body turns and walks."""
+    rng = np.random.default_rng(seed)
+    seconds = np.arange(num_frames) / 20
+    rest = forward_kinematics(
+        np.tile(np.array([1.0, 0, 0, 0]), (1, body.num_joints, 1)), np.array([[0, 0.9, 0]]), body.skeleton
+    )
+    phase = rng.uniform(0, 6, (body.num_joints, 3))
+    joints = rest + 0.03 * np.sin(seconds[:, None, None] * rng.uniform(1, 6, (body.num_joints, 3)) + phase)
+    yaw = 2.0 * np.sin(0.5 * seconds)[:, None]
+    x, z = joints[..., 0].copy(), joints[..., 2].copy()
+    joints[..., 0] = np.cos(yaw) * x + np.sin(yaw) * z + seconds[:, None]
+    joints[..., 2] = np.cos(yaw) * z - np.sin(yaw) * x
+    return joints.astype(np.float32)
+
+
+@pytest.mark.parametrize(("num_joints", "size"), [(22, 263), (21, 251)])
+def test_the_slices_are_the_published_ones(num_joints: int, size: int) -> None:
+    layout = vector_layout(num_joints)
+    assert layout.size == size
+    covered = np.concatenate([np.arange(size)[block] for block in layout.blocks])
+    assert np.array_equal(covered, np.arange(size))
+    if num_joints == 22:
+        assert (layout.joint_rotations, layout.contacts) == (slice(67, 193), slice(259, 263))
+
+
+@pytest.mark.parametrize("name", list(LAYOUTS))
+@pytest.mark.parametrize("num_frames", [2, 3, 40])
+def test_agrees_with_the_plain_reference(name: str, num_frames: int) -> None:
+    joints = wandering_body(LAYOUTS[name], num_frames, seed=num_frames)
+    found = humanml3d.vectors(joints, name)
+    assert found.shape == (num_frames - 1, LAYOUTS[name].vector.size)
+    assert np.allclose(found, plain_vectors(joints, LAYOUTS[name]), atol=2e-5)
+
+
+def test_a_long_take_is_seamless_where_blocks_of_frames_meet() -> None:
+    joints = wandering_body(LAYOUTS["smpl22"], 600, seed=1)
+    rows = slice(240, 275)
+    assert np.allclose(
+        humanml3d.vectors(joints, "smpl22")[rows], plain_vectors(joints, LAYOUTS["smpl22"])[rows], atol=2e-5
+    )
+
+
+def test_published_clip(golden_humanml3d: Path) -> None:
+    published = np.load(golden_humanml3d / "new_joint_vecs" / "012314.npy")
+    joints = np.load(golden_humanml3d / "new_joints" / "012314.npy")
+    found = humanml3d.vectors(joints, "smpl22")
+    # The published vectors came from one more pose than the published joints hold, and smoothing looks 80 frames ahead.
+    whole = len(found) - humanml3d.SMOOTHING_REACH
+    assert np.abs(found - published[: len(found)])[:whole].max() <= 1e-5
+    assert np.array_equal(found[:, 259:], published[: len(found), 259:])
+    assert np.abs(humanml3d.positions(published, "smpl22") - joints).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", list(LAYOUTS))
+def test_positions_come_back(name: str) -> None:
+    joints = processing.process(wandering_body(LAYOUTS[name], 120, seed=2), name)
+    assert np.allclose(humanml3d.positions(humanml3d.vectors(joints, name), name), joints[:-1], atol=2e-5)
+
+
+@pytest.mark.parametrize("name", list(LAYOUTS))
+def test_processing_leaves_one_skeleton_on_the_floor_at_the_origin_facing_z(name: str) -> None:
+    raw = wandering_body(LAYOUTS[name], 30, seed=3)
+    target = 1.3 * processing.standard_bone_lengths(name)
+    joints = processing.process(raw, name, target)
+    for pose in joints[[0, 17]]:
+        assert np.allclose(processing.bone_lengths(pose, name), target, atol=1e-5)
+    assert joints[..., 1].min() == pytest.approx(0, abs=1e-6)
+    assert np.allclose(joints[0, 0, [0, 2]], 0, atol=1e-6)
+    assert field.heading(joints[0]) == pytest.approx(0, abs=1e-5)
+
+
+def test_degenerate_bones_give_finite_rotations() -> None:
+    joints = wandering_body(LAYOUTS["smpl22"], 5, seed=4)
+    joints[:, 15] = joints[:, 12]
+    joints[:, 6] = joints[:, 3] - np.array([0, 0.1, 0], np.float32)
+    found = humanml3d.vectors(joints, "smpl22")
+    columns = found[:, 67:193].reshape(4, 21, 2, 3)
+    assert np.allclose(np.linalg.norm(columns, axis=-1), 1, atol=1e-4)
+    assert np.allclose(np.sum(columns[:, :, 0] * columns[:, :, 1], axis=-1), 0, atol=1e-4)
+
+
+def test_wrong_shapes_and_names_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least 2 poses of 22 joints, not 9 of 21"):
+        humanml3d.vectors(np.zeros((9, 21, 3), np.float32), "smpl22")
+    with pytest.raises(UsageError, match="smpl22, kit21, not for 'smplx'"):
+        humanml3d.vectors(np.zeros((9, 21, 3), np.float32), "smplx")
+    with pytest.raises(ValueError, match="smpl22 vectors have 263 numbers, these have 251"):
+        humanml3d.positions(np.zeros((9, 251), np.float32), "smpl22")
