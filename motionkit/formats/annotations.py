@@ -5,6 +5,7 @@ caption), `action`, `style`, `subject`, `split`, `fps`, `licence`, `source`, `su
 """
 
 import csv
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -116,9 +117,9 @@ def _first_line(path: Path) -> Iterator[str]:
 
 
 def _inside(name: str | None, folder: Path, path: Path, line: int) -> Path:
-    # A path from a file's content is used only where it stays inside the folder.
-    relative = PurePosixPath((name or "").replace("\\", "/").replace("\0", "/.."))
-    target = (folder / relative).resolve()
+    # A path from a file's content is used only where it stays inside the folder; links in there are the user's own.
+    relative = PurePosixPath((name or "").replace("\\", "/"))
+    target = Path(os.path.normpath(folder / relative))
     if not name or "\0" in name or relative.is_absolute() or not target.is_relative_to(folder):
         raise FormatError(
             f"file {name!r} is empty or leaves the folder; expected a path inside it",

@@ -166,7 +166,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     beside: list[AnnotationTable] = []
     found: list[ScanResult] = []
     licences: dict[Path, str] = {}
-    for folder, files in [(root, [source.resolve()])] if source.is_file() else _walk(root):
+    for folder, files in [(root, [root / source.name])] if source.is_file() else _walk(root):
         licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
         if given is None:
             tables_here, broken = _tables(folder)
@@ -174,7 +174,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
             found.append(ScanResult((), broken))
         found.append(_scan_folder(folder, files, root, licences[folder], options))
         if source.is_file() and not found[-1].items and not found[-1].problems:
-            found.append(_recognise(source.resolve(), licences[folder], options))
+            found.append(_recognise(root / source.name, licences[folder], options))
     tables = beside if given is None else [given]
     items = [_annotate(item, tables) for result in found for item in result.items]
     problems = [problem for result in found for problem in result.problems]

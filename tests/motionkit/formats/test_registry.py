@@ -127,3 +127,12 @@ def test_a_single_file_finds_its_row_and_misses_no_other(source: Path) -> None:
     result = scan([source / "walk.bvh"])
     assert [item.captions[0].text for item in result.items] == ["a person walks"]
     assert not result.problems and result.items[0].sequence_id == "takes/walk"
+
+
+def test_a_linked_take_keeps_its_annotation(source: Path, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere.bvh").write_text(bvh_text())
+    (source / "walk.bvh").unlink()
+    (source / "walk.bvh").symlink_to(tmp_path / "elsewhere.bvh")
+    walk = next(item for item in scan([source]).items if item.format == "bvh")
+    assert walk.captions and read(walk).num_frames == 4
+    assert scan([source / "walk.bvh"]).items == (walk,)
