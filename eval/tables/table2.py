@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from eval.baselines.low_pass import low_passed
 from eval.baselines.slerp import upsample_by_slerp
+from eval.baselines.vectors import upsample_as_vectors
 from eval.clip_fid import (
     VERSION,
     ClipError,
@@ -180,6 +181,7 @@ def _column(
     if fps >= LOW_FPS:
         low = _same_sequences(real.at(LOW_FPS), reference)
         rows[SLERP] = upsample_by_slerp(low, fps, SLERP)
+        rows[VECTORS] = upsample_as_vectors(low, fps, VECTORS)
     native = sample_fields(fields, reference.sequence_ids, fps, NERM)
     if native is not None:
         rows[NERM] = native

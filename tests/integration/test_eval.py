@@ -73,6 +73,8 @@ def test_table_2(store: Path, tmp_path: Path) -> None:
     slerp = rows["real kept at 20 fps, SLERP"]
     assert slerp["60 fps"]["value"] > 5 * floor["60 fps"]["value"]
     assert slerp["20 fps"] == floor["20 fps"]
+    handicapped = rows["real kept at 20 fps, as vectors (handicapped)"]
+    assert handicapped["60 fps"]["value"] > slerp["60 fps"]["value"]
     assert rows["real, disjoint halves of the takes (P2)"]["60 fps"]["value"] > floor["60 fps"]["value"]
     assert result["definition"]["real_sets"] == {
         "20 fps": {"sequences": 6, "seconds": 30.0},

@@ -7,6 +7,7 @@ import pytest
 
 from eval.baselines.low_pass import low_passed
 from eval.baselines.slerp import upsample_by_slerp
+from eval.baselines.vectors import upsample_as_vectors
 from eval.samples import SampleSet, sample_set
 from motionkit.skeleton import SMPL22
 
@@ -58,9 +59,8 @@ def test_low_pass_removes_what_is_above_the_cutoff_and_nothing_else() -> None:
 
 @pytest.mark.parametrize("factor", [2, 3, 6])
 def test_unscaled_vectors_multiply_the_path(factor: int) -> None:
-    vectors = pytest.importorskip("eval.baselines.vectors")
     low = walkers(20)
-    high = vectors.upsample_as_vectors(low, Fraction(20 * factor), "handicapped")
+    high = upsample_as_vectors(low, Fraction(20 * factor), "handicapped")
     for before, after in zip(low.sequences(), high.sequences(), strict=True):
         length = np.linalg.norm(before[-2, 0] - before[0, 0])
         grown = np.linalg.norm(after[-1, 0] - after[0, 0])
@@ -69,8 +69,7 @@ def test_unscaled_vectors_multiply_the_path(factor: int) -> None:
 
 
 def test_vectors_at_the_same_framerate_restore_the_motion() -> None:
-    vectors = pytest.importorskip("eval.baselines.vectors")
     low = walkers(20)
-    same = vectors.upsample_as_vectors(low, Fraction(20), "same")
+    same = upsample_as_vectors(low, Fraction(20), "same")
     before, after = low.sequence(0), same.sequence(0)
     np.testing.assert_allclose(after - after[:, :1], before[: len(after)] - before[: len(after), :1], atol=1e-4)
