@@ -1,0 +1,88 @@
+"""A stage-1 step with the coordinate branch once per distinct coordinate, beside the same step with it per clip.
+
+    python benchmarks/nerm/field_step.py [--clips 256] [--poses 32] [--hidden 256] [--repeats 3] [--json]
+
+Both sides compute the same loss and gradients (checked before timing); clips are contiguous, at 20, 30, 60 and 120 fps.
+CPU seconds of a whole step (forward, backward), one thread; the best of the repeats.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+
+import torch
+
+from nerm.field import EncodedCoordinates, FieldNetwork
+from nerm.recipes import FieldConfig
+
+RATES = (20.0, 30.0, 60.0, 120.0)
+
+
+def draw_clips(clips: int, poses: int, seconds: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Coordinates and framerates of random contiguous clips in windows of `seconds`."""
+    generator = torch.Generator().manual_seed(0)
+    fps = torch.tensor(RATES, dtype=torch.float64)[torch.randint(len(RATES), (clips,), generator=generator)]
+    room = torch.floor(fps * seconds) + 1 - poses
+    first = torch.floor(torch.rand(clips, generator=generator, dtype=torch.float64) * room)
+    frames = first[:, None] + torch.arange(poses)
+    return -1.0 + 2.0 * frames / fps[:, None] / seconds, fps
+
+
+def per_clip(network: FieldNetwork, coordinates: torch.Tensor) -> EncodedCoordinates:
+    """The coordinate branch without sharing: every clip's features on their own."""
+    assert network.fourier is not None
+    assert network.attention is not None
+    features = torch.cat([network.attention(network.fourier(clip)) for clip in coordinates])
+    return EncodedCoordinates(features, None, torch.arange(coordinates.numel()).reshape(coordinates.shape))
+
+
+def cpu_seconds(step: Callable[[], None], repeats: int) -> float:
+    """The quickest of some repeats."""
+    found = []
+    for _ in range(repeats):
+        started = time.process_time()
+        step()
+        found.append(time.process_time() - started)
+    return min(found)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clips", type=int, default=256)
+    parser.add_argument("--poses", type=int, default=32)
+    parser.add_argument("--hidden", type=int, default=256)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    network = FieldNetwork(FieldConfig(hidden=arguments.hidden), 66, torch.randn(512, 512))
+    coordinates, fps = draw_clips(arguments.clips, arguments.poses, network.config.max_duration_seconds)
+    latents = torch.randn(arguments.clips, network.config.latent_dimension)
+
+    def loss_of(encode: Callable[[], EncodedCoordinates]) -> torch.Tensor:
+        network.zero_grad()
+        loss = network.decode(latents, encode(), fps).square().mean()
+        loss.backward()
+        return loss.detach()
+
+    sides: dict[str, Callable[[], EncodedCoordinates]] = {
+        "per distinct coordinate": lambda: network.encode_coordinates(coordinates, fps),
+        "per clip": lambda: per_clip(network, coordinates),
+    }
+    losses = [loss_of(encode) for encode in sides.values()]
+    torch.testing.assert_close(losses[0], losses[1])
+    distinct = len(torch.unique(torch.round(coordinates * 2.0**40)))
+    figures = {name: cpu_seconds(lambda e=encode: loss_of(e), arguments.repeats) for name, encode in sides.items()}
+    if arguments.json:
+        print(json.dumps({"poses": coordinates.numel(), "distinct": distinct, "cpu_seconds_a_step": figures}, indent=2))
+        return
+    print(f"{coordinates.numel()} poses, {distinct} distinct coordinates")
+    for name, seconds in figures.items():
+        print(f"{name:26} {seconds:8.3f} CPU s a step")
+    print(f"{'ratio':26} {figures['per clip'] / figures['per distinct coordinate']:8.1f}")
+
+
+if __name__ == "__main__":
+    main()
