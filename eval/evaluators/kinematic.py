@@ -40,6 +40,11 @@ ACCELERATION_FLOOR = 0.05
 SPEED_FLOOR = 0.01
 SLIP_FLOOR = 0.005
 
+# Least standard deviations that numbers are divided by. Real captures lie above them (logarithms 0.5 … 2, pose means
+# 0.06 … 0.6 m); without them a corpus of perfectly planted feet would blow any slip up to hundreds of deviations.
+LEAST_LOG_SPREAD = 0.25
+LEAST_POSE_SPREAD = 0.02
+
 CHUNK_CLIPS = 256
 """Clips handled at once: their accelerations then stay in a processor's cache."""
 
@@ -69,7 +74,8 @@ class KinematicDescriptor:
     """The descriptor with the principal components and the standardisation fitted at one framerate.
 
     `pose_mean` [63] and `pose_components` [10, 63] span joint positions relative to root and heading; `centre` and
-    `scale` [65] standardise each number and give every block a total variance of 1 on the clips it was fitted on.
+    `scale` [65] standardise each number and give every block a total variance of 1 on the clips it was fitted on (less
+    where a number hardly varies).
     """
 
     fps: Fraction
@@ -143,8 +149,9 @@ def fit_kinematic(clips: Iterable[Float[np.ndarray, "_clips _poses joints 3"]], 
     largest = np.take_along_axis(components, np.abs(components).argmax(axis=1)[:, None], axis=1)
     components = np.ascontiguousarray(components * np.sign(largest))
     raw = np.concatenate([_raw_features(group, fps, pose_mean, components) for group in groups])
-    spread = raw.std(axis=0)
-    scale = np.where(spread > 1e-9, 1.0 / np.maximum(spread, 1e-9), 0.0)
+    least = np.full(NUM_FEATURES, LEAST_LOG_SPREAD)
+    least[:NUM_POSE_COMPONENTS] = LEAST_POSE_SPREAD
+    scale = 1.0 / np.maximum(raw.std(axis=0), least)
     for block in BLOCKS.values():
         scale[block] /= np.sqrt(block.stop - block.start)
     return KinematicDescriptor(fps, pose_mean, components, raw.mean(axis=0), scale)
