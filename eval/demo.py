@@ -1,0 +1,181 @@
+"""The whole job on the embedded corpus by the commands' own functions: store, model, motions, table, picture."""
+
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from eval.commands.eval import evaluate
+from eval.report.figures import Strip, curves_and_strips_figure, save, strip_of
+from eval.report.results import read_result
+from eval.report.table_curves import panels_of
+from motionkit.cli.ingest import ingest
+from motionkit.cli.train import train
+from motionkit.console import stderr
+from motionkit.demo_corpus import write_demo_corpus
+from motionkit.errors import UsageError
+from motionkit.formats.bvh import read_bvh
+from motionkit.formats.items import ReadOptions
+from motionkit.motion import Motion
+from motionkit.store.reader import Store
+from nerm.commands.generate import generate
+
+RECIPE = "demo"
+PICTURED_ACTIONS = ("walk", "jump", "wave_both", "squat")
+PICTURED_SECONDS = 4.0
+PICTURED_FPS = "60"
+
+
+@dataclass(frozen=True)
+class DemoSize:
+    """How much of everything: sequences, settings on top of the recipe, clips behind a number, motions generated."""
+
+    num_sequences: int
+    overrides: tuple[str, ...]
+    num_clips: int
+    replications: int
+    max_motions: int
+    num_pictured: int
+
+
+# What `--smallest` leaves is enough to see that every step works, in half a minute; its numbers mean nothing.
+FULL = DemoSize(num_sequences=320, overrides=(), num_clips=1024, replications=5, max_motions=256, num_pictured=3)
+SMALLEST = DemoSize(
+    num_sequences=64,
+    overrides=("codebook.steps=8", "field.steps=40", "denoiser.steps=40"),
+    num_clips=128,
+    replications=2,
+    max_motions=16,
+    num_pictured=1,
+)
+
+
+@dataclass(frozen=True)
+class DemoFolder:
+    """Where everything of a demo lies."""
+
+    path: Path
+
+    @property
+    def corpus(self) -> Path:
+        """The motions on disk, as BVH files and as a HumanML3D folder."""
+        return self.path / "corpus"
+
+    @property
+    def store(self) -> Path:
+        """What ingest made of them."""
+        return self.path / "store"
+
+    @property
+    def runs(self) -> Path:
+        """The trained model."""
+        return self.path / "runs"
+
+    @property
+    def generated(self) -> Path:
+        """Motions that the model generated from captions."""
+        return self.path / "generated"
+
+    @property
+    def results(self) -> Path:
+        """Table 2 as JSON and Markdown."""
+        return self.path / "results"
+
+    @property
+    def picture(self) -> Path:
+        """Table 2 as curves, and strips of skeletons."""
+        return self.path / "demo.png"
+
+
+@dataclass(frozen=True)
+class DemoOutcome:
+    """What a demo left behind, and how many seconds each step took."""
+
+    folder: DemoFolder
+    seconds: dict[str, float]
+
+
+def run_demo(folder: DemoFolder, size: DemoSize, seed: int) -> DemoOutcome:
+    """Run the whole chain into a folder, in place of what an earlier demo left there.
+
+    The steps print what their commands print. Raises `UsageError` for a folder with something else in it.
+    """
+    _prepare(folder)
+    seconds: dict[str, float] = {}
+    with _step("corpus", seconds):
+        write_demo_corpus(folder.corpus, size.num_sequences, seed)
+    with _step("ingest", seconds):
+        ingest([folder.corpus], store=folder.store)
+    with _step("train", seconds):
+        train(recipe=RECIPE, store=folder.store, runs=folder.runs, overrides=list(size.overrides), seed=seed)
+    with _step("generate", seconds):
+        real = pictured_motions(Store.open(folder.store), size.num_pictured)
+        generate(
+            [motion.captions[0].text for motion in real],
+            fps=PICTURED_FPS,
+            seconds=PICTURED_SECONDS,
+            out=folder.generated,
+            file_format="bvh",
+            run=RECIPE,
+            runs=folder.runs,
+            seed=seed,
+        )
+    with _step("eval", seconds):
+        evaluate(
+            table="2",
+            store=folder.store,
+            runs=folder.runs,
+            run=RECIPE,
+            results=folder.results,
+            clips=size.num_clips,
+            replications=size.replications,
+            motions=size.max_motions,
+            evaluator="kinematic",
+            seed=seed,
+        )
+    with _step("picture", seconds):
+        # A model that has barely begun to learn makes bodies of no human size: the unit can't be told from them.
+        options = ReadOptions(unit_metres=0.01)
+        generated = [read_bvh(path, options) for path in sorted(folder.generated.glob("*.bvh"))]
+        draw_picture(folder, real, generated)
+    return DemoOutcome(folder, seconds)
+
+
+def pictured_motions(store: Store, count: int) -> list[Motion]:
+    """Motions of the training split to set beside generated ones: one per pictured action, the longest first."""
+    found = store.sequences
+    known = found[(found["split"] == "train") & (found["duration_seconds"] >= 0.75 * PICTURED_SECONDS)]
+    chosen = []
+    for action in PICTURED_ACTIONS:
+        of_action = known[known["action"] == action].sort_values("duration_seconds", ascending=False)
+        chosen += of_action["sequence_id"].tolist()[:1]
+    return [store.read(sequence_id) for sequence_id in chosen[:count]]
+
+
+def draw_picture(folder: DemoFolder, real: list[Motion], generated: list[Motion]) -> Path:
+    """Table 2 as curves, and below them each caption's motion of the corpus above the generated one."""
+    strips: list[Strip] = []
+    for truth, made in zip(real, generated, strict=True):
+        caption = truth.captions[0].text
+        strips.append(strip_of(truth, f"corpus: “{caption}”", seconds=PICTURED_SECONDS))
+        strips.append(strip_of(made, f"NeRM, asked for “{caption}”", seconds=PICTURED_SECONDS))
+    result = read_result(folder.results / "nerm-table2.json")
+    return save(curves_and_strips_figure(panels_of(result), strips), folder.picture)
+
+
+def _prepare(folder: DemoFolder) -> None:
+    """Clear away an earlier demo; anything else is somebody's and stays."""
+    if folder.path.is_dir() and any(folder.path.iterdir()) and not (folder.corpus / "LICENSE").is_file():
+        raise UsageError(f"{folder.path} holds something else than an earlier demo; name another with --folder")
+    for part in (folder.corpus, folder.store, folder.runs, folder.generated, folder.results):
+        shutil.rmtree(part, ignore_errors=True)
+
+
+@contextmanager
+def _step(name: str, seconds: dict[str, float]) -> Iterator[None]:
+    stderr.print(f"demo: {name} …", markup=False)
+    started = time.monotonic()
+    yield
+    seconds[name] = round(time.monotonic() - started, 1)
