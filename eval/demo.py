@@ -40,8 +40,8 @@ class DemoSize:
     num_pictured: int
 
 
-# What `--smallest` leaves is enough to see that every step works, in half a minute; its numbers mean nothing.
 FULL = DemoSize(num_sequences=320, overrides=(), num_clips=1024, replications=5, max_motions=256, num_pictured=3)
+# Enough to see that every step works; its numbers mean nothing.
 SMALLEST = DemoSize(
     num_sequences=64,
     overrides=("codebook.steps=8", "field.steps=40", "denoiser.steps=40"),
