@@ -139,14 +139,20 @@ class FieldNetwork(nn.Module):
             read = frame_numbers(coordinates, fps, self.config.max_duration_seconds)
         values, which = distinct(read)
         basis = None if self.knots is None else self.knots.basis(values)
-        features = None
-        if self.fourier is not None:
-            features = self.fourier(values)
-            if self.attention is not None:
-                features = self.attention(features)
-        elif self.knots is None:
-            features = values[:, None].float()
-        return EncodedCoordinates(features, basis, which)
+        return EncodedCoordinates(self._features(values), basis, which)
+
+    def _features(self, values: Float64[torch.Tensor, "distinct"]) -> Float[torch.Tensor, "distinct width"] | None:
+        """γ(t), enriched by CCA; with local latents of the phase between two knots, of which there are far fewer."""
+        if self.fourier is None:
+            return values[:, None].float() if self.knots is None else None
+        if self.knots is None:
+            read, which = values, torch.arange(len(values), device=values.device)
+        else:
+            read, which = distinct(torch.remainder(values + 1.0, self.knots.spacing))
+        features: torch.Tensor = self.fourier(read)
+        if self.attention is not None:
+            features = self.attention(features)
+        return features[which]
 
     def decode(
         self,
