@@ -186,11 +186,11 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
 def _knot_denoiser(*, steps: int) -> DenoiserConfig:
     return DenoiserConfig(
         network=TransformerConfig(num_layers=5, width=128, ffn_width=256, dropout=0.0, latent_tokens=16),
-        guidance_scale=2.5,
+        guidance_scale=1.5,
         batch=64,
         steps=steps,
         epochs=None,
-        rate=1e-3,
+        rate=2e-3,
         schedule="cosine",
         rate_warmup_fraction=0.02,
         ema_decay=0.995,
