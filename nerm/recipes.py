@@ -185,7 +185,7 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
 
 def _knot_denoiser(*, steps: int) -> DenoiserConfig:
     return DenoiserConfig(
-        network=TransformerConfig(num_layers=5, width=128, ffn_width=256, dropout=0.0, latent_tokens=16),
+        network=TransformerConfig(num_layers=5, width=192, ffn_width=512, dropout=0.0, latent_tokens=4),
         guidance_scale=1.5,
         batch=64,
         steps=steps,
