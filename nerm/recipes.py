@@ -136,7 +136,7 @@ def paper() -> NermConfig:
 def nano() -> NermConfig:
     """Two CPU cores and minutes: smaller networks, local latents, the settings that docs/results measured."""
     codebook = CodebookConfig(
-        width=96, code_dimension=96, num_codes=256, steps=400, batch=32, rate=1e-3, rate_drop_at=320
+        width=128, code_dimension=128, num_codes=256, steps=600, batch=48, rate=1e-3, rate_drop_at=480
     )
     return NermConfig(codebook=codebook, field=_local_field(steps=6000), denoiser=_knot_denoiser(steps=2500))
 

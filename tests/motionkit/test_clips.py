@@ -7,7 +7,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.clips import PositionSource, WindowPoses, cut_windows, mirror_positions, shuffled_batches
+from motionkit.clips import (
+    PositionSource,
+    WindowPoses,
+    cut_windows,
+    mirror_positions,
+    rows_by_duration,
+    shuffled_batches,
+)
 from motionkit.errors import UsageError
 from motionkit.features import field
 from motionkit.skeleton import SMPL22
@@ -183,6 +190,12 @@ def test_a_clip_longer_than_its_window_repeats_the_last_pose() -> None:
     rows = torch.zeros(1, dtype=torch.int64)
     batch = poses.draw(rows, 32, torch.Generator().manual_seed(0), contiguous=True)
     assert torch.equal(batch.vectors[0, 19:], batch.vectors[0, 19:20].expand(13, -1))
+
+
+def test_windows_are_visited_by_their_duration(source: MemorySource) -> None:
+    windows = cut_windows(source, max_duration_seconds=10.0)
+    visits = np.bincount(rows_by_duration(windows, 2.0), minlength=len(windows))
+    assert visits.tolist() == np.maximum(1, np.round(windows.duration_seconds / 2.0)).tolist()
 
 
 @settings(max_examples=50, deadline=None)

@@ -9,7 +9,7 @@ import torch
 from motionkit.training.loop import train_loop
 from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.run import RunError, StageFolder
-from motionkit.training.schedule import WeightAverage, rate_factor, set_rate
+from motionkit.training.schedule import WeightAverage, rate_factor, scale_rates, set_rate
 from motionkit.training.tensors import (
     CheckpointError,
     load_optimizer_tensors,
@@ -158,6 +158,14 @@ def test_rates_warm_up_and_fall_to_zero() -> None:
     assert factors[55] == pytest.approx(0.5)
     assert factors[100] == pytest.approx(0.0)
     assert rate_factor(70, 100, schedule="constant") == 1.0
+
+
+def test_every_group_keeps_its_own_base_rate() -> None:
+    weights = [torch.nn.Parameter(torch.zeros(1)) for _ in range(2)]
+    groups = [{"params": [weight], "base_lr": rate} for weight, rate in zip(weights, (1.0, 0.1), strict=True)]
+    optimizer = torch.optim.SGD(groups, lr=0.0)
+    scale_rates(optimizer, 0.5)
+    assert [group["lr"] for group in optimizer.param_groups] == [0.5, 0.05]
 
 
 def test_a_weight_average_of_constant_weights_is_those_weights() -> None:
