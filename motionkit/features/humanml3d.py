@@ -13,6 +13,7 @@ from jaxtyping import Float, Float32, Float64
 from motionkit.features.bones import BoneTree, bone_tree, rotations_6d
 from motionkit.features.facing import smooth, to_z_half_angle
 from motionkit.features.layout import PoseLayout, pose_layout
+from motionkit.features.rows import fill_joint_velocities, fill_positions, turn
 from motionkit.formats.humanml3d import recover_positions
 
 CONVENTION = "humanml3d"
@@ -76,38 +77,20 @@ def _block(
     tree: BoneTree,
 ) -> Float32[np.ndarray, "numbers rows"]:
     """The rows of consecutive poses, the last of which only ends the displacements."""
-    part, num_joints, num_rows = body.vector, body.num_joints, joints.shape[2] - 1
-    result = np.empty((part.size, num_rows), dtype=np.float32)
-    cosine, sine = np.cos(2 * half_angle).astype(np.float32), np.sin(2 * half_angle).astype(np.float32)
-    change, now = joints[:, :, 1:] - joints[:, :, :-1], joints[:, :, :-1]
-
+    part = body.vector
+    result = np.empty((part.size, joints.shape[2] - 1), dtype=np.float32)
+    change, now = joints[:, :, 1:] - joints[:, :, :-1], half_angle[:-1]
     # The published rate comes from quaternions: a heading that passes ±π folds back through the arcsine.
-    result[0] = np.arcsin(np.sin(np.diff(half_angle)))
-    _turn(change[:, 0], cosine[1:], sine[1:], out=result[part.root_velocity])
-    result[3] = now[1, 0]
-
-    relative = result[part.joint_positions].reshape(num_joints - 1, 3, num_rows)
-    _turn(now[:, 1:] - now[:, :1], cosine[:-1], sine[:-1], out=relative[:, ::2].transpose(1, 0, 2))
-    relative[:, 1] = now[1, 1:]
-
-    rotations = result[part.joint_rotations].reshape(num_joints - 1, 2, 3, num_rows)
-    rotations[:] = rotations_6d(now, half_angle[:-1].astype(np.float32), tree)
-
-    velocities = result[part.joint_velocities].reshape(num_joints, 3, num_rows)
-    _turn(change, cosine[:-1], sine[:-1], out=velocities[:, ::2].transpose(1, 0, 2))
-    velocities[:, 1] = change[1]
-
+    result[part.root_yaw_velocity] = np.arcsin(np.sin(np.diff(half_angle)))
+    after = 2 * half_angle[1:]
+    turn(
+        change[:, 0], np.cos(after).astype(np.float32), np.sin(after).astype(np.float32), out=result[part.root_velocity]
+    )
+    poses = joints[:, :, :-1]
+    fill_positions(result, poses, now, part)
+    rotations = result[part.joint_rotations].reshape(body.num_joints - 1, 2, 3, -1)
+    rotations[:] = rotations_6d(poses, now.astype(np.float32), tree)
+    fill_joint_velocities(result, change, now, part)
     x, y, z = change.take(body.contact_joints, axis=1)
     result[part.contacts] = x * x + y * y + z * z < body.contact_threshold
     return result
-
-
-def _turn(
-    vectors: Float32[np.ndarray, "3 *rest"],
-    cosine: Float32[np.ndarray, "rows"],
-    sine: Float32[np.ndarray, "rows"],
-    out: Float32[np.ndarray, "2 *rest"],
-) -> None:
-    """The x and z of vectors [x, y, z] turned about Y."""
-    np.add(cosine * vectors[0], sine * vectors[2], out=out[0])
-    np.subtract(cosine * vectors[2], sine * vectors[0], out=out[1])

@@ -1,0 +1,147 @@
+"""`native` pose vectors: the slices of the published vector, meaning the same at every framerate.
+
+T poses give T rows. Yaw rate in rad/s (of the turn to Z+, whole angle), velocities per second in the body's heading at
+the row's own instant, facing smoothed with σ = 1 s and without the published swap of hips, contacts below 0.894 m/s.
+Bone rotations are taken in the body's heading; the published ones are taken in the world's, so they change when a
+clip is turned. Derivatives are those of the cubic spline through all frames: fourth order in the frame interval, where
+central differences would be off by several percent at 20 fps. At framerate F, the yaw rate is 2·F times the published.
+"""
+
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from motionkit.features.bones import bone_tree, rotations_6d
+from motionkit.features.facing import smooth, to_z_half_angle
+from motionkit.features.layout import SMPL22_LAYOUT, PoseLayout, pose_layout
+from motionkit.features.rows import fill_joint_velocities, fill_positions, turn
+
+CONVENTION = "native"
+SMOOTHING_SECONDS = 1.0
+# √0.002 m per frame at 20 fps, the published threshold, on a body with the legs of the published skeleton.
+CONTACT_SPEED = 0.894
+_FRAMES_AT_ONCE = 256
+
+
+def vectors(
+    joint_positions: Float[np.ndarray, "frames joints 3"], layout: str, fps: Fraction
+) -> Float32[np.ndarray, "frames numbers"]:
+    """Pose vectors, one row per pose, of joint positions that need not be at the origin or face anywhere.
+
+    Metres for `smpl22`; any unit for `kit21`, whose contact speed is scaled by the length of the leg. Raises
+    `ValueError` for another number of joints or fewer than two poses.
+    """
+    body = pose_layout(layout)
+    num_frames, num_joints = joint_positions.shape[:2]
+    if num_joints != body.num_joints or num_frames < 2:
+        raise ValueError(
+            f"{layout} vectors need at least 2 poses of {body.num_joints} joints, not {num_frames} of {num_joints}"
+        )
+    positions = joint_positions.astype(np.float64)
+    angle = _angle_to_z(positions, body, fps)
+    velocity = _derivative(positions.reshape(num_frames, -1), fps).astype(np.float32).reshape(positions.shape)
+    rate = _derivative(angle[:, None], fps)[:, 0].astype(np.float32)
+    contact_speed = _contact_speed(positions, body)
+    result = np.empty((num_frames, body.vector.size), dtype=np.float32)
+    for start in range(0, num_frames, _FRAMES_AT_ONCE):
+        block = slice(start, min(start + _FRAMES_AT_ONCE, num_frames))
+        joints = joint_positions[block].transpose(2, 1, 0).astype(np.float32, order="C")
+        speeds = velocity[block].transpose(2, 1, 0).copy()
+        result[block] = _block(joints, speeds, angle[block], rate[block], body, contact_speed).T
+    return result
+
+
+def positions(
+    vectors: Float[np.ndarray, "frames numbers"], layout: str, fps: Fraction
+) -> Float32[np.ndarray, "frames joints 3"]:
+    """Joint positions from pose vectors: frame 0's root is above the origin and its smoothed facing is Z+.
+
+    Heading and root path are integrated over time by the trapezoidal rule. Raises `ValueError` for vectors of another
+    length than the layout's.
+    """
+    body = pose_layout(layout)
+    part = body.vector
+    if vectors.shape[1] != part.size:
+        raise ValueError(f"{layout} vectors have {part.size} numbers, these have {vectors.shape[1]}")
+    numbers = vectors.astype(np.float64)
+    seconds = float(1 / fps)
+    angle = _integral(numbers[:, part.root_yaw_velocity], seconds)[:, 0]
+    path = _integral(_turned_back(numbers[:, part.root_velocity], angle), seconds)
+    relative = numbers[:, part.joint_positions].reshape(len(numbers), body.num_joints - 1, 3)
+    result = np.empty((len(numbers), body.num_joints, 3))
+    result[:, 0, ::2], result[:, 0, 1] = path, numbers[:, part.root_height][:, 0]
+    result[:, 1:, ::2] = _turned_back(relative[..., ::2], angle[:, None]) + path[:, None]
+    result[:, 1:, 1] = relative[..., 1]
+    return result.astype(np.float32)
+
+
+def _angle_to_z(
+    positions: Float64[np.ndarray, "frames joints 3"], body: PoseLayout, fps: Fraction
+) -> Float64[np.ndarray, "frames"]:
+    """The angle about Y, continuous in time, that turns each smoothed facing to Z+."""
+    facing = body.facing
+    across = positions[:, facing.right_hip] - positions[:, facing.left_hip]
+    across = across + positions[:, facing.right_shoulder] - positions[:, facing.left_shoulder]
+    # A body that lies on its side has little horizontal extent across, and so little say in the smoothed facing.
+    length = np.linalg.norm(across, axis=-1, keepdims=True)
+    forward = np.stack((across[:, 2], -across[:, 0]), axis=-1) / np.where(length > 0, length, 1.0)
+    return np.unwrap(2 * to_z_half_angle(smooth(forward, SMOOTHING_SECONDS * float(fps))))
+
+
+def _block(
+    joints: Float32[np.ndarray, "3 joints rows"],
+    velocity: Float32[np.ndarray, "3 joints rows"],
+    angle: Float64[np.ndarray, "rows"],
+    rate: Float32[np.ndarray, "rows"],
+    body: PoseLayout,
+    contact_speed: float,
+) -> Float32[np.ndarray, "numbers rows"]:
+    part, half_angle = body.vector, angle / 2
+    result = np.empty((part.size, len(angle)), dtype=np.float32)
+    result[part.root_yaw_velocity] = rate
+    cosine, sine = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
+    turn(velocity[:, 0], cosine, sine, out=result[part.root_velocity])
+    fill_positions(result, joints, half_angle, part)
+    local = np.zeros_like(joints)
+    local[1, 0] = joints[1, 0]
+    local[:, 1:] = result[part.joint_positions].reshape(body.num_joints - 1, 3, -1).transpose(1, 0, 2)
+    rotations = result[part.joint_rotations].reshape(body.num_joints - 1, 2, 3, -1)
+    rotations[:] = rotations_6d(local, np.zeros(len(angle), np.float32), bone_tree(body.name))
+    fill_joint_velocities(result, velocity, half_angle, part)
+    x, y, z = velocity.take(body.contact_joints, axis=1)
+    result[part.contacts] = x * x + y * y + z * z < contact_speed**2
+    return result
+
+
+def _contact_speed(positions: Float64[np.ndarray, "frames joints 3"], body: PoseLayout) -> float:
+    """The contact threshold in the positions' unit per second."""
+    if body is SMPL22_LAYOUT:
+        return CONTACT_SPEED
+    published = np.linalg.norm(SMPL22_LAYOUT.skeleton.offsets[list(SMPL22_LAYOUT.leg_joints)], axis=-1).sum()
+    bones = [positions[:, joint] - positions[:, body.skeleton.parents[joint]] for joint in body.leg_joints]
+    leg = sum(float(np.linalg.norm(bone, axis=-1).mean()) for bone in bones)
+    return CONTACT_SPEED * leg / float(published)
+
+
+def _derivative(values: Float64[np.ndarray, "frames columns"], fps: Fraction) -> Float64[np.ndarray, "frames columns"]:
+    """Change per second at every frame, of the cubic spline through all frames (not-a-knot ends)."""
+    from scipy.interpolate import CubicSpline
+
+    frames = np.arange(len(values), dtype=np.float64)
+    return np.asarray(CubicSpline(frames, values)(frames, 1) * float(fps))
+
+
+def _integral(
+    rates: Float64[np.ndarray, "frames columns"], seconds_between_frames: float
+) -> Float64[np.ndarray, "frames columns"]:
+    steps = (rates[1:] + rates[:-1]) * (seconds_between_frames / 2)
+    return np.concatenate((np.zeros_like(rates[:1]), np.cumsum(steps, axis=0)))
+
+
+def _turned_back(
+    horizontal: Float64[np.ndarray, "*rest 2"], angle: Float64[np.ndarray, "*angles"]
+) -> Float64[np.ndarray, "*rest 2"]:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, z = horizontal[..., 0], horizontal[..., 1]
+    return np.stack((cosine * x - sine * z, sine * x + cosine * z), axis=-1)

@@ -1,0 +1,156 @@
+"""Mean and standard deviation of pose vectors: streamed, merged, kept in one file that names its convention."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import Float, Float32, Float64
+
+from motionkit.errors import FormatError
+from motionkit.features.layout import layout_of, vector_layout
+
+Signature = Literal["published", "evaluator"]
+
+# The published evaluators divide four root numbers and four contacts by feat_bias = 5, in place, twice.
+EVALUATOR_FACTOR = 25.0
+# Root speed and joint speeds vary alike (0.87 for HumanML3D), 25 times less so after that division (0.035; KIT 0.040).
+_ROOT_TO_JOINT_SPEED = 0.17
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Count, mean and sum of squared deviations of rows, float64: enough to merge and to finish."""
+
+    count: int
+    mean: Float64[np.ndarray, "numbers"]
+    squared_deviations: Float64[np.ndarray, "numbers"]
+
+    @property
+    def std(self) -> Float64[np.ndarray, "numbers"]:
+        """Standard deviation over all rows (ddof 0)."""
+        return np.sqrt(self.squared_deviations / self.count)
+
+
+def moments(rows: Float[np.ndarray, "rows numbers"]) -> Moments:
+    """Moments of some rows; raises `ValueError` for no rows or a number that is not finite."""
+    values = rows.astype(np.float64)
+    if len(values) == 0 or not np.isfinite(values).all():
+        raise ValueError(f"statistics need at least one row of finite numbers; these {rows.shape} are not")
+    mean = values.mean(axis=0)
+    return Moments(len(values), mean, np.square(values - mean).sum(axis=0))
+
+
+def merge(a: Moments, b: Moments) -> Moments:
+    """Moments of all rows of both (Chan, Golub & LeVeque 1979)."""
+    count = a.count + b.count
+    difference = b.mean - a.mean
+    deviations = a.squared_deviations + b.squared_deviations + difference**2 * (a.count * b.count / count)
+    return Moments(count, a.mean + difference * (b.count / count), deviations)
+
+
+def stream(parts: Iterable[npt.NDArray[np.floating]]) -> Moments:
+    """Moments of many parts [rows, numbers], one at a time in memory; raises `ValueError` where there are none."""
+    total: Moments | None = None
+    for part in parts:
+        found = moments(part)
+        total = found if total is None else merge(total, found)
+    if total is None:
+        raise ValueError("statistics need at least one part")
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """What pose vectors are standardised with; `convention` is `humanml3d`, `native` or `field`."""
+
+    convention: str
+    mean: Float64[np.ndarray, "numbers"]
+    std: Float64[np.ndarray, "numbers"]
+
+    def __post_init__(self) -> None:
+        if self.mean.shape != self.std.shape:
+            raise ValueError(f"mean has {self.mean.size} numbers, std {self.std.size}")
+        if not (np.isfinite(self.mean).all() and np.isfinite(self.std).all() and (self.std > 0).all()):
+            raise ValueError(f"{self.convention} statistics must be finite, and every std above 0")
+
+    def standardise(self, rows: Float[np.ndarray, "*rows numbers"]) -> Float32[np.ndarray, "*rows numbers"]:
+        """(rows − mean) / std."""
+        return np.asarray((rows - self.mean) / self.std, dtype=np.float32)
+
+    def restore(self, rows: Float[np.ndarray, "*rows numbers"]) -> Float32[np.ndarray, "*rows numbers"]:
+        """The inverse of `standardise`."""
+        return np.asarray(rows * self.std + self.mean, dtype=np.float32)
+
+
+def block_statistics(found: Moments, convention: str, num_joints: int) -> Statistics:
+    """Statistics with the std averaged inside each of the vector's seven blocks.
+
+    Source: HumanML3D, cal_mean_variance.ipynb. Raises `ValueError` where a block never varies or the size is another.
+    """
+    layout = vector_layout(num_joints)
+    if found.mean.size != layout.size:
+        raise ValueError(f"vectors of {num_joints} joints have {layout.size} numbers, these have {found.mean.size}")
+    std = found.std
+    for block in layout.blocks:
+        std[block] = std[block].mean()
+    return Statistics(convention, found.mean, std)
+
+
+def evaluator_statistics(published: Statistics, num_joints: int) -> Statistics:
+    """The published evaluators' weighting of these statistics: root and contact std divided by 25."""
+    check_statistics(published, num_joints, "published")
+    layout = vector_layout(num_joints)
+    std = published.std.copy()
+    for block in (slice(0, layout.root_height.stop), layout.contacts):
+        std[block] /= EVALUATOR_FACTOR
+    return Statistics(published.convention, published.mean, std)
+
+
+def check_statistics(found: Statistics, num_joints: int, expected: Signature) -> None:
+    """Raise `ValueError` unless statistics carry the signature asked for.
+
+    `published` is Mean.npy and Std.npy of HumanML3D and KIT; `evaluator` is what Guo's evaluators were trained with,
+    root and contacts weighted 25-fold. Both have one std per block; the ratio of root speed to joint speed tells them
+    apart. The wrong file changes every FID without an error, so nothing is guessed.
+    """
+    layout = layout_of(num_joints).vector
+    if found.mean.size != layout.size:
+        raise ValueError(f"vectors of {num_joints} joints have {layout.size} numbers, these have {found.mean.size}")
+    uneven = [block for block in layout.blocks if np.ptp(found.std[block]) > 1e-4 * found.std[block].mean()]
+    if uneven:
+        raise ValueError(
+            f"the std varies inside numbers {uneven[0].start} to {uneven[0].stop - 1}, so this is not a file of "
+            "HumanML3D's convention, which has one std per block; make one with block_statistics"
+        )
+    ratio = float(found.std[layout.root_velocity].mean() / found.std[layout.joint_velocities].mean())
+    signature: Signature = "published" if ratio > _ROOT_TO_JOINT_SPEED else "evaluator"
+    if signature != expected:
+        raise ValueError(
+            f"these are {signature} statistics (std of root speed is {ratio:.3f} of the joints'), but {expected} ones "
+            "are needed: the evaluator's weight root and contacts 25 times as much as Std.npy does"
+        )
+
+
+def save_statistics(path: Path, statistics: Statistics) -> None:
+    """Write an .npz with the convention's name, mean and std."""
+    with path.open("wb") as file:
+        np.savez(file, convention=np.array(statistics.convention), mean=statistics.mean, std=statistics.std)
+
+
+def load_statistics(path: Path, convention: str) -> Statistics:
+    """Read statistics of a convention; raises `FormatError` where the file is not such a file or is of another one."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            name = str(file["convention"])
+            mean, std = file["mean"].astype(np.float64), file["std"].astype(np.float64)
+        statistics = Statistics(name, mean, std)
+    except (ValueError, KeyError, EOFError, OSError, TypeError, AttributeError) as error:
+        raise FormatError(f"not a file of statistics: {error}", path=path, reason="statistics") from error
+    if name != convention:
+        raise FormatError(
+            f"holds statistics of {name!r} vectors, {convention!r} ones are needed", path=path, reason="convention"
+        )
+    return statistics

@@ -1,0 +1,91 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motionkit.errors import FormatError
+from motionkit.features import statistics
+from motionkit.features.layout import vector_layout
+
+PART = vector_layout(22)
+
+
+def published(seed: int = 0) -> statistics.Statistics:
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(loc=rng.normal(size=263), scale=rng.uniform(0.5, 1.5, 263), size=(200, 263))
+    return statistics.block_statistics(statistics.moments(rows), "humanml3d", 22)
+
+
+@given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 40), min_size=1, max_size=6))
+def test_a_stream_of_parts_is_the_whole(seed: int, sizes: list[int]) -> None:
+    rows = np.random.default_rng(seed).normal(loc=1e4, size=(sum(sizes), 3)).astype(np.float32)
+    found = statistics.stream(np.split(rows, np.cumsum(sizes)[:-1]))
+    assert found.count == len(rows)
+    assert np.allclose(found.mean, rows.astype(np.float64).mean(0), rtol=1e-12)
+    assert np.allclose(found.std, rows.astype(np.float64).std(0), rtol=1e-7, atol=1e-9)
+
+
+def test_the_std_is_averaged_inside_each_block() -> None:
+    rows = np.random.default_rng(1).normal(size=(50, 263)) * np.arange(1, 264)
+    found = statistics.block_statistics(statistics.moments(rows), "humanml3d", 22)
+    for block in PART.blocks:
+        assert np.allclose(found.std[block], rows.std(0)[block].mean())
+    assert np.allclose(found.restore(found.standardise(rows)), rows, atol=1e-3)
+
+
+def test_the_two_signatures_are_told_apart() -> None:
+    plain = published()
+    weighted = statistics.evaluator_statistics(plain, 22)
+    statistics.check_statistics(weighted, 22, "evaluator")
+    assert np.allclose(plain.std[:4] / weighted.std[:4], 25) and np.allclose(plain.std[259:] / weighted.std[259:], 25)
+    assert np.array_equal(plain.std[4:259], weighted.std[4:259])
+    with pytest.raises(ValueError, match="these are evaluator statistics"):
+        statistics.evaluator_statistics(weighted, 22)
+    with pytest.raises(ValueError, match="these are published statistics"):
+        statistics.check_statistics(plain, 22, "evaluator")
+    uneven = statistics.Statistics("humanml3d", plain.mean, np.linspace(1, 2, 263))
+    with pytest.raises(ValueError, match="varies inside numbers 1 to 2"):
+        statistics.check_statistics(uneven, 22, "published")
+    with pytest.raises(ValueError, match="have 251 numbers, these have 263"):
+        statistics.check_statistics(plain, 21, "published")
+
+
+def test_signatures_of_the_real_files(captures: Path, golden_humanml3d: Path) -> None:
+    def read(mean: Path, std: Path) -> statistics.Statistics:
+        return statistics.Statistics("humanml3d", np.load(mean).astype(np.float64), np.load(std).astype(np.float64))
+
+    plain = read(golden_humanml3d / "Mean.npy", golden_humanml3d / "Std.npy")
+    statistics.check_statistics(plain, 22, "published")
+    folder = captures / "evaluator-statistics"
+    for name, num_joints in (("t2m", 22), ("kit", 21)):
+        weighted = read(folder / f"{name}_mean.npy", folder / f"{name}_std.npy")
+        statistics.check_statistics(weighted, num_joints, "evaluator")
+        if name == "t2m":
+            assert np.allclose(statistics.evaluator_statistics(plain, 22).std, weighted.std, rtol=0.02)
+
+
+def test_files_name_their_convention(tmp_path: Path) -> None:
+    path, found = tmp_path / "statistics.npz", published()
+    statistics.save_statistics(path, found)
+    again = statistics.load_statistics(path, "humanml3d")
+    assert np.array_equal(again.mean, found.mean) and np.array_equal(again.std, found.std)
+    with pytest.raises(FormatError, match="statistics of 'humanml3d' vectors, 'native' ones are needed"):
+        statistics.load_statistics(path, "native")
+    path.write_bytes(b"not an archive")
+    with pytest.raises(FormatError, match="not a file of statistics"):
+        statistics.load_statistics(path, "native")
+    np.save(tmp_path / "std.npy", found.std)
+    with pytest.raises(FormatError, match="not a file of statistics"):
+        statistics.load_statistics(tmp_path / "std.npy", "native")
+
+
+def test_unusable_rows_are_refused() -> None:
+    for rows in (np.zeros((0, 3)), np.array([[1.0, np.nan]])):
+        with pytest.raises(ValueError, match="finite numbers"):
+            statistics.moments(rows)
+    with pytest.raises(ValueError, match="at least one part"):
+        statistics.stream([])
+    with pytest.raises(ValueError, match="every std above 0"):
+        statistics.block_statistics(statistics.moments(np.zeros((2, 263))), "native", 22)
