@@ -124,6 +124,12 @@ class TrainedField:
         """One latent's motion on [0, duration], told that it is sampled at `fps` (default: the highest trained at)."""
         return LatentMotionField(self, latent, duration_seconds, fps or self.max_training_fps)
 
+    def __repr__(self) -> str:
+        return (
+            f"TrainedField({self.config.latent_layout} latents of {self.latent_dimension} numbers, {self.windows!r}, "
+            f"trained up to {self.max_training_fps} fps)"
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class LatentMotionField:

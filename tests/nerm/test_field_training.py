@@ -115,6 +115,7 @@ def test_what_is_loaded_decodes_as_what_was_saved(trained: TrainedField, tmp_pat
     assert loaded.config == SMALL
     assert loaded.max_training_fps == 120
     assert loaded.latent_dimension == 128
+    assert repr(loaded).startswith("TrainedField(local latents of 128 numbers, Windows(4 of at most 4 s")
     assert loaded.windows.duration_seconds.tolist() == [4.0] * 4
     assert loaded.posterior_log_variance.shape == (4, 128)
 
