@@ -23,6 +23,7 @@ from motionkit.store.reader import Store
 from nerm.commands.generate import generate
 
 RECIPE = "demo"
+STAGES = ("codebook", "field", "denoiser")
 PICTURED_ACTIONS = ("walk", "jump", "wave_both", "squat")
 PICTURED_SECONDS = 4.0
 PICTURED_FPS = "60"
@@ -109,7 +110,15 @@ def run_demo(folder: DemoFolder, size: DemoSize, seed: int) -> DemoOutcome:
     with _step("ingest", seconds):
         ingest([folder.corpus], store=folder.store)
     with _step("train", seconds):
-        train(recipe=RECIPE, store=folder.store, runs=folder.runs, overrides=list(size.overrides), seed=seed)
+        for stage in STAGES:
+            train(
+                stage=stage,
+                recipe=RECIPE,
+                store=folder.store,
+                runs=folder.runs,
+                overrides=list(size.overrides),
+                seed=seed,
+            )
     with _step("generate", seconds):
         real = pictured_motions(Store.open(folder.store), size.num_pictured)
         generate(

@@ -88,5 +88,4 @@ STAGE = Stage(
     description="the native-rate evaluator: corruption strengths and captions of clips at every framerate",
     recipes={"nano": nano, "demo": demo, "base": base, "paper": paper},
     train=train_evaluator,
-    in_all=False,
 )
