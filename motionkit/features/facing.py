@@ -1,5 +1,7 @@
 """Where a body faces over time, smoothed."""
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float, Float64
 
@@ -11,13 +13,21 @@ def smooth(values: Float[np.ndarray, "frames columns"], sigma_frames: float) -> 
 
     The kernel is sampled at whole frames and cut at 4σ, as `scipy.ndimage.gaussian_filter1d(mode="nearest")` does.
     """
-    reach = int(_TRUNCATE * sigma_frames + 0.5)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_frames) ** 2)
-    kernel /= kernel.sum()
+    kernel = _kernel(sigma_frames)
+    reach = len(kernel) // 2
     padded = np.empty((values.shape[1], len(values) + 2 * reach))
     padded[:, reach : reach + len(values)] = values.T
     padded[:, :reach], padded[:, reach + len(values) :] = values[0, :, None], values[-1, :, None]
     return np.stack([_convolve(column, kernel) for column in padded], axis=-1)
+
+
+@lru_cache(maxsize=64)
+def _kernel(sigma_frames: float) -> Float64[np.ndarray, "taps"]:
+    reach = int(_TRUNCATE * sigma_frames + 0.5)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_frames) ** 2)
+    kernel /= kernel.sum()
+    kernel.flags.writeable = False
+    return np.asarray(kernel)
 
 
 def _convolve(

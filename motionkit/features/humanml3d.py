@@ -19,7 +19,8 @@ from motionkit.formats.humanml3d import recover_positions
 CONVENTION = "humanml3d"
 SMOOTHING_FRAMES = 20.0
 SMOOTHING_REACH = 80
-_FRAMES_AT_ONCE = 256
+# What a block needs fits into a core's cache; rows of 2ⁿ bytes would all compete for the same few places in it.
+_FRAMES_AT_ONCE = 200
 
 
 def vectors(joint_positions: Float[np.ndarray, "frames joints 3"], layout: str) -> Float32[np.ndarray, "rows numbers"]:
@@ -63,9 +64,10 @@ def _half_angles(positions: Float32[np.ndarray, "frames joints 3"], body: PoseLa
     facing = body.facing
     across = positions[:, facing.left_hip] - positions[:, facing.right_hip]
     across += positions[:, facing.right_shoulder] - positions[:, facing.left_shoulder]
-    length = np.sqrt(np.einsum("tc,tc->t", across, across))
-    forward = np.stack((across[:, 2], -across[:, 0]), axis=-1) / np.where(length > 0, length, 1.0)[:, None]
-    half_angle = to_z_half_angle(smooth(forward, SMOOTHING_FRAMES))
+    x, y, z = across.T
+    length = np.sqrt(x * x + y * y + z * z)
+    length[length == 0] = 1.0
+    half_angle = to_z_half_angle(smooth(np.stack((z / length, -x / length), axis=-1), SMOOTHING_FRAMES))
     half_angle[0] = 0.0
     return half_angle
 
@@ -79,18 +81,17 @@ def _block(
     """The rows of consecutive poses, the last of which only ends the displacements."""
     part = body.vector
     result = np.empty((part.size, joints.shape[2] - 1), dtype=np.float32)
-    change, now = joints[:, :, 1:] - joints[:, :, :-1], half_angle[:-1]
+    poses, change = joints[:, :, :-1], joints[:, :, 1:] - joints[:, :, :-1]
+    angle = 2 * half_angle
+    cosine, sine = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
     # The published rate comes from quaternions: a heading that passes ±π folds back through the arcsine.
-    result[part.root_yaw_velocity] = np.arcsin(np.sin(np.diff(half_angle)))
-    after = 2 * half_angle[1:]
-    turn(
-        change[:, 0], np.cos(after).astype(np.float32), np.sin(after).astype(np.float32), out=result[part.root_velocity]
-    )
-    poses = joints[:, :, :-1]
-    fill_positions(result, poses, now, part)
-    rotations = result[part.joint_rotations].reshape(body.num_joints - 1, 2, 3, -1)
-    rotations[:] = rotations_6d(poses, now.astype(np.float32), tree)
-    fill_joint_velocities(result, change, now, part)
+    result[part.root_yaw_velocity] = np.arcsin(np.sin(half_angle[1:] - half_angle[:-1]))
+    turn(change[:, 0], cosine[1:], sine[1:], out=result[part.root_velocity])
+    cosine, sine = cosine[:-1], sine[:-1]
+    fill_positions(result, poses, cosine, sine, part)
+    rotations = result[part.joint_rotations].reshape(body.num_joints - 1, 6, -1)
+    rotations_6d(poses, half_angle[:-1].astype(np.float32), tree, out=rotations)
+    fill_joint_velocities(result, change, cosine, sine, part)
     x, y, z = change.take(body.contact_joints, axis=1)
     result[part.contacts] = x * x + y * y + z * z < body.contact_threshold
     return result

@@ -4,6 +4,8 @@ Each step is a pure function; `process` is all four in the published order. They
 crop is not cropping what was processed. Source: HumanML3D, motion_representation.ipynb.
 """
 
+from functools import cache
+
 import numpy as np
 from jaxtyping import Float, Float32
 
@@ -18,9 +20,12 @@ def bone_lengths(pose: Float[np.ndarray, "joints 3"], layout: str) -> Float32[np
     return lengths
 
 
+@cache
 def standard_bone_lengths(layout: str) -> Float32[np.ndarray, "joints"]:
     """The published target: the bone lengths of clip 000021 for `smpl22`, the layout's own skeleton otherwise."""
-    return np.asarray(np.linalg.norm(pose_layout(layout).skeleton.offsets, axis=-1), dtype=np.float32)
+    lengths = np.asarray(np.linalg.norm(pose_layout(layout).skeleton.offsets, axis=-1), dtype=np.float32)
+    lengths.flags.writeable = False
+    return lengths
 
 
 def uniform_skeleton(
@@ -31,16 +36,22 @@ def uniform_skeleton(
     The source's leg is measured on frame 0 alone. The published code goes through inverse and forward kinematics with
     swing-only rotations, which turns each target bone exactly into the source bone's direction.
     """
-    body, start = pose_layout(layout), bone_tree(layout).start
-    source = bone_lengths(joint_positions[0], layout)
+    body, tree = pose_layout(layout), bone_tree(layout)
     leg = list(body.leg_joints)
     joints = joint_positions.transpose(2, 1, 0).astype(np.float32, order="C")
-    bones = joints[:, 1:] - joints.take(start, axis=1)
-    length = np.sqrt(bones[0] ** 2 + bones[1] ** 2 + bones[2] ** 2)
-    bones *= target[1:, None].astype(np.float32) / np.where(length > 0, length, 1.0)
-    joints[:, 0] *= target[leg].sum() / source[leg].sum()
-    for joint, parent in enumerate(start, start=1):
-        np.add(joints[:, parent], bones[:, joint - 1], out=joints[:, joint])
+    bones = joints[:, 1:] - joints.take(tree.start, axis=1)
+    x, y, z = bones
+    length = x * x
+    length += y * y
+    length += z * z
+    np.sqrt(length, out=length)
+    source_leg = length[[joint - 1 for joint in leg], 0].sum()
+    if not length.all():
+        length[length == 0] = 1.0
+    bones *= np.divide(target[1:, None].astype(np.float32), length, out=length)
+    joints[:, 0] *= target[leg].sum() / source_leg
+    for below, above in tree.runs:
+        np.add(joints[:, above], bones[:, below.start - 1 : below.stop - 1], out=joints[:, below])
     return joints.transpose(2, 1, 0)
 
 
@@ -64,9 +75,11 @@ def facing_forward(
     x, z = facing_direction(joint_positions[0], body.facing)
     length = np.hypot(x, z) or 1.0
     cosine, sine = z / length, x / length
-    turned = joint_positions.copy(order="K")
-    turned[..., 0] = cosine * joint_positions[..., 0] - sine * joint_positions[..., 2]
-    turned[..., 2] = sine * joint_positions[..., 0] + cosine * joint_positions[..., 2]
+    x, z = joint_positions[..., 0], joint_positions[..., 2]
+    turned = np.empty_like(joint_positions)
+    np.subtract(cosine * x, sine * z, out=turned[..., 0])
+    turned[..., 1] = joint_positions[..., 1]
+    np.add(sine * x, cosine * z, out=turned[..., 2])
     return turned
 
 

@@ -97,18 +97,18 @@ def _block(
     body: PoseLayout,
     contact_speed: float,
 ) -> Float32[np.ndarray, "numbers rows"]:
-    part, half_angle = body.vector, angle / 2
+    part = body.vector
     result = np.empty((part.size, len(angle)), dtype=np.float32)
     result[part.root_yaw_velocity] = rate
     cosine, sine = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
     turn(velocity[:, 0], cosine, sine, out=result[part.root_velocity])
-    fill_positions(result, joints, half_angle, part)
+    fill_positions(result, joints, cosine, sine, part)
     local = np.zeros_like(joints)
     local[1, 0] = joints[1, 0]
     local[:, 1:] = result[part.joint_positions].reshape(body.num_joints - 1, 3, -1).transpose(1, 0, 2)
-    rotations = result[part.joint_rotations].reshape(body.num_joints - 1, 2, 3, -1)
-    rotations[:] = rotations_6d(local, np.zeros(len(angle), np.float32), bone_tree(body.name))
-    fill_joint_velocities(result, velocity, half_angle, part)
+    rotations = result[part.joint_rotations].reshape(body.num_joints - 1, 6, -1)
+    rotations_6d(local, np.zeros(len(angle), np.float32), bone_tree(body.name), out=rotations)
+    fill_joint_velocities(result, velocity, cosine, sine, part)
     x, y, z = velocity.take(body.contact_joints, axis=1)
     result[part.contacts] = x * x + y * y + z * z < contact_speed**2
     return result

@@ -1,7 +1,7 @@
 """The slices that `humanml3d` and `native` compute alike: root height, joint positions, joint velocities."""
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
 from motionkit.features.layout import VectorLayout
 
@@ -20,26 +20,28 @@ def turn(
 def fill_positions(
     rows: Float32[np.ndarray, "numbers rows"],
     joints: Float32[np.ndarray, "3 joints rows"],
-    half_angle: Float64[np.ndarray, "rows"],
+    cosine: Float32[np.ndarray, "rows"],
+    sine: Float32[np.ndarray, "rows"],
     part: VectorLayout,
 ) -> None:
-    """Write root height and root-relative joint positions; `half_angle` turns each pose to Z+."""
-    cosine, sine = np.cos(2 * half_angle).astype(np.float32), np.sin(2 * half_angle).astype(np.float32)
+    """Write root height and root-relative joint positions, turned by the angle that brings each pose to Z+."""
     num_rows = joints.shape[2]
     rows[part.root_height] = joints[1, 0]
     relative = rows[part.joint_positions].reshape(part.num_joints - 1, 3, num_rows)
-    turn(joints[:, 1:] - joints[:, :1], cosine, sine, out=relative[:, ::2].transpose(1, 0, 2))
+    x, z = joints[0, 1:] - joints[0, 0], joints[2, 1:] - joints[2, 0]
+    np.add(cosine * x, sine * z, out=relative[:, 0])
     relative[:, 1] = joints[1, 1:]
+    np.subtract(cosine * z, sine * x, out=relative[:, 2])
 
 
 def fill_joint_velocities(
     rows: Float32[np.ndarray, "numbers rows"],
     change: Float32[np.ndarray, "3 joints rows"],
-    half_angle: Float64[np.ndarray, "rows"],
+    cosine: Float32[np.ndarray, "rows"],
+    sine: Float32[np.ndarray, "rows"],
     part: VectorLayout,
 ) -> None:
     """Write the joints' displacements or velocities, turned with the body."""
-    cosine, sine = np.cos(2 * half_angle).astype(np.float32), np.sin(2 * half_angle).astype(np.float32)
     velocities = rows[part.joint_velocities].reshape(part.num_joints, 3, change.shape[2])
     turn(change, cosine, sine, out=velocities[:, ::2].transpose(1, 0, 2))
     velocities[:, 1] = change[1]

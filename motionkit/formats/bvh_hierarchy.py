@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 from motionkit.errors import FormatError
@@ -35,7 +36,17 @@ class BvhHierarchy:
 
 def parse_hierarchy(text: str, path: Path) -> BvhHierarchy:
     """Read the lines from HIERARCHY up to MOTION; raises `FormatError` (`hierarchy`, `channels`) naming the line."""
-    return _Parser(path).parse(text)
+    try:
+        return parsed(text)
+    except FormatError:
+        # The same complaint, about this file: what failed is not kept.
+        return _Parser(path).parse(text)
+
+
+@lru_cache(maxsize=64)
+def parsed(text: str) -> BvhHierarchy:
+    """A hierarchy that may have been read before: the takes of a corpus share theirs, to the letter."""
+    return _Parser(Path()).parse(text)
 
 
 class _Parser:
