@@ -73,8 +73,9 @@ def facing_forward(
     """The clip turned about the Y axis so that frame 0 faces Z+."""
     body: PoseLayout = pose_layout(layout)
     x, z = facing_direction(joint_positions[0], body.facing)
-    length = np.hypot(x, z) or 1.0
-    cosine, sine = z / length, x / length
+    length = np.hypot(x, z)
+    # A body that faces nowhere, straight up or down, stays as it is.
+    cosine, sine = (z / length, x / length) if length > 0 else (1.0, 0.0)
     x, z = joint_positions[..., 0], joint_positions[..., 2]
     turned = np.empty_like(joint_positions)
     np.subtract(cosine * x, sine * z, out=turned[..., 0])

@@ -83,6 +83,13 @@ def test_processing_leaves_one_skeleton_on_the_floor_at_the_origin_facing_z(name
     assert field.heading(joints[0]) == pytest.approx(0, abs=1e-5)
 
 
+def test_a_body_that_faces_nowhere_is_not_turned() -> None:
+    joints = wandering_body(LAYOUTS["smpl22"], 3, seed=5)
+    for right, left in ((2, 1), (17, 16)):
+        joints[0, right] = joints[0, left]
+    assert np.array_equal(processing.facing_forward(joints, "smpl22"), joints)
+
+
 def test_degenerate_bones_give_finite_rotations() -> None:
     joints = wandering_body(LAYOUTS["smpl22"], 5, seed=4)
     joints[:, 15] = joints[:, 12]
