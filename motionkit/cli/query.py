@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.console import stdout
+from motionkit.console import print_json, stdout
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 
@@ -34,7 +34,7 @@ def query(
     result = Store.open(store or default_path("store")).query(sql)
     rows = [{name: _plain(value) for name, value in row.items()} for row in result.to_pylist()]
     if as_json:
-        print(json.dumps(rows, indent=2, ensure_ascii=False, allow_nan=False))
+        print_json(rows)
     elif as_csv:
         writer = csv.writer(sys.stdout, lineterminator="\n")
         writer.writerow(result.column_names)

@@ -1,5 +1,6 @@
 """SQL over Arrow tables, by duckdb, with no way to touch a file."""
 
+from collections import Counter
 from collections.abc import Mapping
 
 import duckdb
@@ -12,7 +13,7 @@ Views = Mapping[str, pa.Table | ds.Dataset]
 
 
 def query(views: Views, sql: str) -> pa.Table:
-    """Result of one SQL statement over the views as an Arrow table.
+    """Result of one SQL statement over the views as an Arrow table; a name that comes again gets _1, _2 …
 
     The statement can neither read nor write files: duckdb's access to them is switched off, and the views live in this
     process. Raises `UsageError` for anything but one reading statement, and with duckdb's words where
@@ -26,6 +27,16 @@ def query(views: Views, sql: str) -> pa.Table:
             kinds = [statement.type for statement in connection.extract_statements(sql)]
             if len(kinds) != 1 or kinds[0] not in (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN):
                 raise UsageError("one statement that only reads is expected: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE …")
-            return connection.sql(sql).to_arrow_table()
+            return _told_apart(connection.sql(sql).to_arrow_table())
         except duckdb.Error as error:
             raise UsageError(f"duckdb: {error}") from None
+
+
+def _told_apart(table: pa.Table) -> pa.Table:
+    # SELECT * over a join repeats names, and whoever reads columns by name would see one of them twice.
+    seen: Counter[str] = Counter()
+    names = []
+    for name in table.column_names:
+        names.append(f"{name}_{seen[name]}" if seen[name] else name)
+        seen[name] += 1
+    return table.rename_columns(names)

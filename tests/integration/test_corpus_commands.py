@@ -70,6 +70,12 @@ def test_query_over_frames_and_skeletons(motionkit, store):
     assert "… 72 values]" in motionkit("query", "FROM segments LIMIT 1", "--store", store).stdout
 
 
+def test_columns_of_one_name_are_told_apart(motionkit, store):
+    sql = "SELECT 1 AS a, 2 AS a, 3 AS b, 4 AS a"
+    row = {"a": 1, "a_1": 2, "b": 3, "a_2": 4}
+    assert json.loads(motionkit("query", sql, "--store", store, "--json").stdout) == [row]
+
+
 @pytest.mark.parametrize(
     "sql",
     [
@@ -107,6 +113,13 @@ def test_validate(motionkit, store):
     assert damaged.code == 1
     assert damaged.stdout == "segments/part-00000.parquet: its sha256 is not the manifest's\n"
     assert json.loads(motionkit("validate", "--store", store, "--json").stdout)["faults"] == [damaged.stdout.strip()]
+
+
+def test_info_about_a_store_without_its_part(motionkit, store):
+    (store / "segments" / "part-00000.parquet").unlink()
+    outcome = motionkit("info", "--store", store)
+    assert (outcome.code, outcome.stdout) == (1, "")
+    assert outcome.stderr.endswith(f"'motionkit validate --store {store}' says what is damaged\n")
 
 
 @pytest.mark.parametrize("command", [("info",), ("validate",), ("query", "FROM sequences")])
