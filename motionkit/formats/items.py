@@ -45,6 +45,9 @@ class SourceItem:
     subset: str = ""
     licence: str = ""
 
+    def __str__(self) -> str:
+        return f"{self.path} ({self.key})" if self.key else str(self.path)
+
 
 @dataclass(frozen=True)
 class ScanResult:

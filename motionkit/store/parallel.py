@@ -42,13 +42,23 @@ def map_in_order(
     with ProcessPoolExecutor(num_workers, mp_context=context, initializer=_start_worker) as pool:
         try:
             for each in inputs:
-                pending.append((each, pool.submit(function, each)))
+                pending.append((each, _submit(pool, function, each)))
                 if len(pending) >= num_workers * INPUTS_IN_FLIGHT_PER_WORKER:
                     yield _first(pending)
             while pending:
                 yield _first(pending)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _submit(pool: ProcessPoolExecutor, function: Callable[[Input], Output], each: Input) -> "Future[Output]":
+    try:
+        return pool.submit(function, each)
+    except BrokenProcessPool as broken:
+        # The worker died of an input before this one, whose turn to be named comes first.
+        failed: Future[Output] = Future()
+        failed.set_exception(broken)
+        return failed
 
 
 def _first(pending: deque[tuple[Input, "Future[Output]"]]) -> tuple[Input, Output]:
