@@ -8,7 +8,6 @@ that evaluators use both ways.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -16,7 +15,7 @@ from jaxtyping import Float, Float32, Float64, Int
 
 from motionkit import kinematics
 from motionkit.motion import Motion
-from motionkit.motionfield import MotionField, Poses, check_times, to_motion
+from motionkit.motionfield import Poses, check_times, to_motion
 from motionkit.skeleton import Skeleton
 from motionkit.timegrid import TimeGrid, num_frames_within
 
@@ -29,11 +28,16 @@ _ROWS_AT_ONCE = 8192
 _SNAP_FRAMES = 1e-6
 
 
+# Poses between frames: the frames before and after each instant, and how far between them it lies.
+Interpolation = Callable[[Int[np.ndarray, "times"], Int[np.ndarray, "times"], Float64[np.ndarray, "times"]], Poses]
+
+
 @dataclass(frozen=True, eq=False)
-class _FramesField:
-    """The domain of a motion's own frames, from the first to the last."""
+class FrameField:
+    """A motion as a `MotionField`, from its first frame to its last; `interpolate` says what lies between frames."""
 
     motion: Motion
+    interpolate: Interpolation
 
     @property
     def skeleton(self) -> Skeleton:
@@ -50,27 +54,26 @@ class _FramesField:
         """Time of the last frame."""
         return self.motion.timegrid.start_seconds + self.motion.timegrid.span_seconds
 
-    def _between(
-        self, times_seconds: Float64[np.ndarray, "times"]
-    ) -> tuple[Int[np.ndarray, "times"], Int[np.ndarray, "times"], Float64[np.ndarray, "times"]]:
-        """The frames before and after each instant, and how far between them it lies."""
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        check_times(self, times_seconds)
         last = self.motion.num_frames - 1
         place = (times_seconds - self.start_seconds) * float(self.motion.fps)
         nearest = np.rint(place)
         place = np.clip(np.where(np.abs(place - nearest) < _SNAP_FRAMES, nearest, place), 0, last)
         before = np.floor(place).astype(np.int64)
-        return before, np.minimum(before + 1, last), place - before
+        return self.interpolate(before, np.minimum(before + 1, last), place - before)
 
 
-class LinearField(_FramesField):
+def linear_field(motion: Motion) -> FrameField:
     """Joint positions on straight lines between frames; bones shorten between frames that turn."""
 
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        check_times(self, times_seconds)
-        before, after, fraction = self._between(times_seconds)
-        positions = _lerp(self.motion.joint_positions, before, after, fraction)
-        return Poses(joint_positions=positions.astype(np.float32))
+    def interpolate(
+        before: Int[np.ndarray, "times"], after: Int[np.ndarray, "times"], fraction: Float64[np.ndarray, "times"]
+    ) -> Poses:
+        return Poses(_lerp(motion.joint_positions, before, after, fraction).astype(np.float32))
+
+    return FrameField(motion, interpolate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,23 +104,19 @@ class _Joints:
         return kinematics.forward_kinematics(self.rotations, self.root, skeleton, self.bones).astype(np.float32)
 
 
-class SlerpField(_FramesField):
+def slerp_field(motion: Motion) -> FrameField:
     """Local rotations on great arcs between frames, the root on straight lines, positions by forward kinematics.
 
     Bones are taken in their parent's frame as observed and interpolated linearly, so given frames are exact also where
     the skeleton's rest offsets are not quite the source's. Motions without rotations get those of
     `kinematics.inverse_kinematics`; as these are not observed, the poses then carry none. Source: Shoemake 1985.
     """
+    frames = _Joints.of(motion)
+    true_rotations, translation = motion.local_rotations is not None, motion.root_translation
 
-    @cached_property
-    def _joints(self) -> _Joints:
-        return _Joints.of(self.motion)
-
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        check_times(self, times_seconds)
-        before, after, fraction = self._between(times_seconds)
-        frames = self._joints
+    def interpolate(
+        before: Int[np.ndarray, "times"], after: Int[np.ndarray, "times"], fraction: Float64[np.ndarray, "times"]
+    ) -> Poses:
         between = _Joints(
             rotations=kinematics.quaternion_slerp(
                 frames.rotations[before],
@@ -127,43 +126,39 @@ class SlerpField(_FramesField):
             bones=_lerp(frames.bones, before, after, fraction),
             root=_lerp(frames.root, before, after, fraction),
         )
-        true_rotations = self.motion.local_rotations is not None
-        translation = self.motion.root_translation
         return Poses(
-            joint_positions=between.positions(self.skeleton),
+            joint_positions=between.positions(motion.skeleton),
             local_rotations=between.rotations.astype(np.float32) if true_rotations else None,
             root_translation=None
             if translation is None
             else _lerp(translation, before, after, fraction).astype(np.float32),
         )
 
+    return FrameField(motion, interpolate)
 
-class CubicField(_FramesField):
+
+def cubic_field(motion: Motion) -> FrameField:
     """Joint positions on a cubic spline through all frames (not-a-knot ends): continuous velocity and acceleration."""
+    from scipy.interpolate import CubicSpline
 
-    @cached_property
-    def _spline(self) -> Callable[[Float64[np.ndarray, "times"]], Float64[np.ndarray, "times numbers"]]:
-        from scipy.interpolate import CubicSpline
+    if motion.num_frames == 1:
+        return linear_field(motion)
+    values = motion.joint_positions.reshape(motion.num_frames, -1).astype(np.float64)
+    spline = CubicSpline(np.arange(motion.num_frames, dtype=np.float64), values)
 
-        frames = np.arange(self.motion.num_frames, dtype=np.float64)
-        values = self.motion.joint_positions.reshape(self.motion.num_frames, -1).astype(np.float64)
-        return CubicSpline(frames, values)
+    def interpolate(
+        before: Int[np.ndarray, "times"], _after: Int[np.ndarray, "times"], fraction: Float64[np.ndarray, "times"]
+    ) -> Poses:
+        positions = spline(before + fraction).reshape(len(before), *motion.joint_positions.shape[1:])
+        return Poses(positions.astype(np.float32))
 
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        check_times(self, times_seconds)
-        before, _, fraction = self._between(times_seconds)
-        if self.motion.num_frames == 1:
-            return Poses(joint_positions=self.motion.joint_positions[before])
-        positions = self._spline(before + fraction)
-        shape = (len(times_seconds), *self.motion.joint_positions.shape[1:])
-        return Poses(joint_positions=positions.reshape(shape).astype(np.float32))
+    return FrameField(motion, interpolate)
 
 
-FIELDS: dict[Method, Callable[[Motion], MotionField]] = {
-    "linear": LinearField,
-    "slerp": SlerpField,
-    "cubic": CubicField,
+FIELDS: dict[Method, Callable[[Motion], FrameField]] = {
+    "linear": linear_field,
+    "slerp": slerp_field,
+    "cubic": cubic_field,
 }
 
 
@@ -236,7 +231,7 @@ def resample_positions(
 def slerp_upsample_positions(
     positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton, fps_from: Fraction, fps_to: Fraction
 ) -> Float32[np.ndarray, "new_frames joints 3"]:
-    """Joint positions at a higher framerate by `SlerpField` on rotations from inverse kinematics.
+    """Joint positions at a higher framerate by `slerp_field` on rotations from inverse kinematics.
 
     Raises `ValueError` where `fps_to` is below `fps_from`.
     """

@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -12,7 +13,8 @@ from motionkit.motionfield import to_motion
 from motionkit.skeleton import SMPL22
 from motionkit.timegrid import TimeGrid
 
-FIELDS = [resample.LinearField, resample.SlerpField, resample.CubicField]
+MakeField = Callable[[Motion], resample.FrameField]
+FIELDS: list[MakeField] = [resample.linear_field, resample.slerp_field, resample.cubic_field]
 NTSC = Fraction(30000, 1001)
 
 
@@ -34,17 +36,17 @@ def random_motion(seed: int, num_frames: int = 20, fps: Fraction = Fraction(30),
     )
 
 
-@pytest.mark.parametrize("field_type", FIELDS)
+@pytest.mark.parametrize("make_field", FIELDS)
 @pytest.mark.parametrize("rotations", [True, False])
-def test_given_frames_are_exact(field_type: type, rotations: bool) -> None:
+def test_given_frames_are_exact(make_field: MakeField, rotations: bool) -> None:
     motion = random_motion(0, fps=NTSC, rotations=rotations)
-    poses = field_type(motion).query(motion.timegrid.seconds())
+    poses = make_field(motion).query(motion.timegrid.seconds())
     assert np.abs(poses.joint_positions - motion.joint_positions).max() < 1e-6
 
 
-@pytest.mark.parametrize("field_type", FIELDS)
-def test_the_order_of_a_query_does_not_matter(field_type: type) -> None:
-    field = field_type(random_motion(1))
+@pytest.mark.parametrize("make_field", FIELDS)
+def test_the_order_of_a_query_does_not_matter(make_field: MakeField) -> None:
+    field = make_field(random_motion(1))
     rng = np.random.default_rng(0)
     times = rng.uniform(field.start_seconds, field.end_seconds, 101)
     order = rng.permutation(101)
@@ -54,33 +56,33 @@ def test_the_order_of_a_query_does_not_matter(field_type: type) -> None:
     assert np.allclose(one_by_one, straight.joint_positions[:5], atol=1e-6, rtol=0)
 
 
-@pytest.mark.parametrize("field_type", FIELDS)
-def test_half_the_framerate_is_every_second_pose(field_type: type) -> None:
-    field = field_type(random_motion(2, fps=Fraction(25)))
+@pytest.mark.parametrize("make_field", FIELDS)
+def test_half_the_framerate_is_every_second_pose(make_field: MakeField) -> None:
+    field = make_field(random_motion(2, fps=Fraction(25)))
     at_30, at_60 = (to_motion(field, Fraction(fps)).joint_positions for fps in (30, 60))
     assert np.array_equal(at_30, at_60[::2][: len(at_30)])
 
 
-@pytest.mark.parametrize("field_type", FIELDS)
-def test_the_domain_is_the_observed_span(field_type: type) -> None:
-    field = field_type(random_motion(3, num_frames=4))
+@pytest.mark.parametrize("make_field", FIELDS)
+def test_the_domain_is_the_observed_span(make_field: MakeField) -> None:
+    field = make_field(random_motion(3, num_frames=4))
     assert field.end_seconds - field.start_seconds == pytest.approx(0.1)
     with pytest.raises(ValueError, match=r"1 of 2 times lie outside the motion, the first at 1\.36"):
         field.query(np.array([1.3, 1.36]))
 
 
-@pytest.mark.parametrize("field_type", FIELDS)
+@pytest.mark.parametrize("make_field", FIELDS)
 @pytest.mark.parametrize("num_frames", [1, 2, 3])
-def test_very_short_motions(field_type: type, num_frames: int) -> None:
+def test_very_short_motions(make_field: MakeField, num_frames: int) -> None:
     motion = random_motion(4, num_frames=num_frames)
-    sampled = to_motion(field_type(motion), Fraction(90))
+    sampled = to_motion(make_field(motion), Fraction(90))
     assert sampled.num_frames == 3 * (num_frames - 1) + 1
     assert np.allclose(sampled.joint_positions[::3], motion.joint_positions, atol=1e-6)
 
 
 def test_slerp_agrees_with_scipy() -> None:
     motion = random_motion(5)
-    field = resample.SlerpField(motion)
+    field = resample.slerp_field(motion)
     times = np.random.default_rng(1).uniform(field.start_seconds, field.end_seconds, 50)
     poses = field.query(times)
     assert motion.local_rotations is not None and poses.local_rotations is not None
@@ -103,11 +105,11 @@ def test_slerp_keeps_bone_lengths_and_linear_does_not() -> None:
     times = motion.timegrid.seconds()[:-1] + 0.5 * motion.timegrid.seconds_between_frames
     parents, rest = list(SMPL22.parents[1:]), np.linalg.norm(SMPL22.offsets[1:], axis=-1)
 
-    def error(field_type: type) -> float:
-        positions = field_type(motion).query(times).joint_positions
+    def error(make_field: MakeField) -> float:
+        positions = make_field(motion).query(times).joint_positions
         return float(np.abs(np.linalg.norm(positions[:, 1:] - positions[:, parents], axis=-1) - rest).max())
 
-    assert error(resample.SlerpField) < 1e-3 < 5e-3 < error(resample.LinearField)
+    assert error(resample.slerp_field) < 1e-3 < 5e-3 < error(resample.linear_field)
 
 
 def test_quaternions_never_jump() -> None:
@@ -124,7 +126,7 @@ def test_a_cubic_motion_is_restored_by_the_cubic_field() -> None:
     polynomial = lambda t: np.einsum("tk,kjc->tjc", t[:, None] ** np.arange(4), coefficients).astype(np.float32)  # noqa: E731
     motion = Motion(polynomial(seconds), SMPL22, TimeGrid(Fraction(10), 12))
     times = np.linspace(0, 1.1, 40)
-    assert np.allclose(resample.CubicField(motion).query(times).joint_positions, polynomial(times), atol=1e-5)
+    assert np.allclose(resample.cubic_field(motion).query(times).joint_positions, polynomial(times), atol=1e-5)
 
 
 @pytest.mark.parametrize("method", ["linear", "slerp", "cubic"])
