@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from motionkit import kinematics
 from motionkit.errors import MotionkitError
 from motionkit.motion import Motion
 from motionkit.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
@@ -122,12 +123,6 @@ def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
     return JointMap(layout, body.family, via @ body.weights, via @ body.tip_weights, body.made_up, body.unmapped)
 
 
-def skeleton_family(skeleton: Skeleton) -> str:
-    """Name of the family in `motionkit/skeletons` that a skeleton belongs to, empty where it is unknown."""
-    family = _find_family(_canonical_names(skeleton.joint_names))
-    return family.name if family else ""
-
-
 def family_unit_metres(skeleton: Skeleton) -> float | None:
     """Metres per unit that files of the skeleton's family use, where the family has one (the CMU database's)."""
     family = _find_family(_canonical_names(skeleton.joint_names))
@@ -195,15 +190,9 @@ def _tips(motion: Motion) -> Float32[np.ndarray, "frames tips 3"]:
     turned = np.repeat(offsets[None], motion.num_frames, axis=0)
     for column, joint in enumerate(joints):
         while joint >= 0:
-            turned[:, column] = _rotate(motion.local_rotations[:, joint], turned[:, column])
+            turned[:, column] = kinematics.quaternion_rotate(motion.local_rotations[:, joint], turned[:, column])
             joint = skeleton.parents[joint]
     return positions[:, joints] + turned
-
-
-def _rotate(q: Float32[np.ndarray, "frames 4"], v: Float32[np.ndarray, "frames 3"]) -> Float32[np.ndarray, "frames 3"]:
-    t = 2.0 * np.cross(q[:, 1:], v)
-    rotated: Float32[np.ndarray, "frames 3"] = (v + q[:, :1] * t + np.cross(q[:, 1:], t)).astype(np.float32)
-    return rotated
 
 
 def _with_toes(

@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float32
 
 from motionkit.clips import Windows
-from motionkit.store.cache import CACHE_FOLDER
 from motionkit.store.reader import Store
+from motionkit.store.schema import CACHE_FOLDER
 from nerm.conditions import unit_rows
 from nerm.latent_corpus import LatentCorpus, latent_corpus
 from nerm.text_cache import embed_texts

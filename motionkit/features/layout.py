@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from motionkit.errors import UsageError
+from motionkit.formats.humanml3d import vector_blocks
 from motionkit.skeleton import KIT21, SMPL22, Skeleton
 
 
@@ -57,10 +58,7 @@ class VectorLayout:
 
 def vector_layout(num_joints: int) -> VectorLayout:
     """Slices of the pose vector of a body with `num_joints` joints."""
-    widths = (1, 2, 1, 3 * (num_joints - 1), 6 * (num_joints - 1), 3 * num_joints, 4)
-    ends = np.cumsum(widths).tolist()
-    slices = [slice(end - width, end) for end, width in zip(ends, widths, strict=True)]
-    return VectorLayout(num_joints, *slices)
+    return VectorLayout(num_joints, *vector_blocks(num_joints))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +67,8 @@ class PoseLayout:
 
     `chains` are the kinematic chains of the published inverse kinematics, each starting at a joint of an earlier one or
     at the root; `bone_directions` [J, 3] are the rest directions of the bones that end in each joint; `leg_joints` are
-    the two bones of one leg whose lengths give the body's scale; `unit_leg_length` is the length of that leg, in the
-    layout's own unit, on the body that the thresholds were chosen for.
+    the two bones of one leg whose lengths give the body's scale; `contact_threshold` is the squared displacement per
+    frame, in the published files' unit, below which a foot is in contact.
     """
 
     skeleton: Skeleton

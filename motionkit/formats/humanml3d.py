@@ -37,13 +37,15 @@ class Layout:
         """Width of a pose vector, 12·J − 1."""
         return 12 * self.skeleton.num_joints - 1
 
-    @property
-    def blocks(self) -> tuple[slice, ...]:
-        """The 7 parts of a pose vector inside each of which the published Std is one number."""
-        joints = self.skeleton.num_joints
-        widths = (1, 2, 1, 3 * (joints - 1), 6 * (joints - 1), 3 * joints, 4)
-        ends = np.cumsum(widths).tolist()
-        return tuple(slice(end - width, end) for width, end in zip(widths, ends, strict=True))
+
+def vector_blocks(num_joints: int) -> tuple[slice, ...]:
+    """The 7 parts of a pose vector of 12·J − 1 numbers, inside each of which the published Std is one number.
+
+    Root yaw rate, root velocity, root height, joint positions, joint rotations, joint velocities, contacts.
+    """
+    widths = (1, 2, 1, 3 * (num_joints - 1), 6 * (num_joints - 1), 3 * num_joints, 4)
+    ends = np.cumsum(widths).tolist()
+    return tuple(slice(end - width, end) for width, end in zip(widths, ends, strict=True))
 
 
 HUMANML3D = Layout("humanml3d", SMPL22, Fraction(20), 1.0)
@@ -236,7 +238,7 @@ class _Sums:
         """Mean, and the standard deviation averaged inside each block."""
         mean = self.total / self.count
         std = np.sqrt(np.maximum(self.squares / self.count - np.square(mean), 0.0))
-        for block in layout.blocks:
+        for block in vector_blocks(layout.skeleton.num_joints):
             std[block] = std[block].mean()
         return mean.astype(np.float32), std.astype(np.float32)
 

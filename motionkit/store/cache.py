@@ -21,9 +21,9 @@ from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.skeleton_map import SkeletonMapError, joint_map, map_joints
 from motionkit.store import files
 from motionkit.store.reader import Store
+from motionkit.store.schema import CACHE_FOLDER
 
 CACHE_VERSION = 1
-CACHE_FOLDER = "cache"
 NATIVE = "native"
 INDEX_DTYPE = np.dtype(
     [

@@ -22,6 +22,7 @@ SEQUENCES_FILE = "sequences.parquet"
 SKELETONS_FILE = "skeletons.parquet"
 MANIFEST_FILE = "manifest.json"
 SEGMENTS_FOLDER = "segments"
+CACHE_FOLDER = "cache"
 
 # Bytes of one frame of one joint as raw float32: what sizes on disk are compared with.
 POSITION_BYTES_PER_JOINT = 3 * 4

@@ -1,6 +1,6 @@
 """What a performer is told: curves on named channels, and steps. Parts add up, so actions can follow and overlap."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
@@ -81,10 +81,6 @@ class Part:
     layers: tuple[Layer, ...]
     swings: tuple[Swing, ...] = ()
     phrases: tuple[str, ...] = field(default=())
-
-    def with_layers(self, *layers: Layer) -> "Part":
-        """The part with more layers."""
-        return replace(self, layers=(*self.layers, *layers))
 
 
 def evaluate(
