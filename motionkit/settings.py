@@ -12,7 +12,7 @@ KEYS = ("store", "runs", "results")
 def default_path(key: str, folder: Path | None = None) -> Path:
     """Default path of `store`, `runs` or `results`, seen from `folder` (the current one).
 
-    Raises `UsageError` for a motionkit.toml that cannot be read.
+    Raises `UsageError` for a motionkit.toml that is not TOML, or says something else than a path.
     """
     if key not in KEYS:
         raise KeyError(key)
@@ -23,8 +23,10 @@ def default_path(key: str, folder: Path | None = None) -> Path:
     if config.is_file():
         try:
             value = tomllib.loads(config.read_text(encoding="utf-8")).get(key)
-        except tomllib.TOMLDecodeError as error:
+        except ValueError as error:
             raise UsageError(f"{config}: {error}") from None
-        if isinstance(value, str):
+        if value is not None:
+            if not isinstance(value, str):
+                raise UsageError(f"{config}: {key} must be a path in quotes, not {value!r}")
             return Path(value)
     return Path(key)

@@ -28,10 +28,13 @@ def parse_fps(value: str | int | float | Fraction) -> Fraction:
 
     A float or decimal string within 0.1 % of a common framerate becomes that rate (120.00004577636719 → 120), because
     files print them with few digits; anything else is kept as the closest fraction with a denominator up to 100,000.
-    Raises `ValueError` for values that are not finite or outside 1 … 10,000 frames a second.
+    Raises `ValueError` for what is no number, is not finite, or lies outside 1 … 10,000 frames a second.
     """
-    if isinstance(value, str) and "/" not in value:
-        value = float(value)
+    if isinstance(value, str):
+        try:
+            value = Fraction(value) if "/" in value else float(value)
+        except (ValueError, ZeroDivisionError):
+            raise ValueError(f"a framerate is a number such as 120, 59.94 or 30000/1001, not {value!r}") from None
     if isinstance(value, float):
         if not np.isfinite(value):
             raise ValueError(f"a framerate must be a finite number, not {value}")

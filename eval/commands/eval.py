@@ -97,7 +97,7 @@ def _framerates(text: str | None) -> "tuple[Fraction, ...] | None":
         return None
     try:
         return tuple(parse_fps(part.strip()) for part in text.split(","))
-    except (ValueError, ZeroDivisionError) as error:
+    except ValueError as error:
         raise UsageError(f"--fps {text}: {error}") from None
 
 

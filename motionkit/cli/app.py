@@ -28,13 +28,17 @@ def build_app() -> typer.Typer:
 
 
 def main() -> None:
-    """Run the app; explained faults become one line on stderr and exit code 1 (2 for usage)."""
+    """Run the app; explained faults and the system's become one line on stderr and exit code 1 (2 for usage)."""
     try:
         build_app()()
     except UsageError as error:
         stderr.print(f"motionkit: {error}", markup=False)
         sys.exit(2)
     except MotionkitError as error:
+        stderr.print(f"motionkit: {error}", markup=False)
+        sys.exit(1)
+    except OSError as error:
+        # A folder that may not be written, a disk that is full: the system's words name the file and the reason.
         stderr.print(f"motionkit: {error}", markup=False)
         sys.exit(1)
     except KeyboardInterrupt:

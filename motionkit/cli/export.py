@@ -32,7 +32,7 @@ def export(
         raise UsageError(f"unknown format {format!r}, expected one of {', '.join(EXPORTS)}")
     try:
         rate = None if fps is None else parse_fps(fps)
-    except (ValueError, ZeroDivisionError) as error:
+    except ValueError as error:
         raise UsageError(f"--fps {fps}: {error}") from None
     opened = Store.open(store or default_path("store"))
     chosen = len(opened.select(where))

@@ -91,7 +91,7 @@ def _options(format: str, captions: Path | None, fps: str | None, unit_metres: f
         raise UsageError(f"--unit-metres must be a positive number, not {unit_metres}")
     try:
         rate = None if fps is None else parse_fps(fps)
-    except (ValueError, ZeroDivisionError) as error:
+    except ValueError as error:
         raise UsageError(f"--fps {fps}: {error}") from None
     return ReadOptions(format=format, fps=rate, unit_metres=unit_metres, captions=captions)
 

@@ -134,7 +134,7 @@ def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotat
     cell = {name: (row.get(name) or "").strip() for name in COLUMNS}
     try:
         fps = parse_fps(cell["fps"]) if cell["fps"] else None
-    except (ValueError, ZeroDivisionError) as error:
+    except ValueError as error:
         raise FormatError(f"fps {cell['fps']!r}: {error}", path=path, reason="frame-time", line=line) from None
     captions = dict.fromkeys(cell[name] for name in CAPTION_COLUMNS if cell[name])
     plain = {name: cell[name] for name in ("action", "style", "subject", "split", "licence", "source", "subset")}

@@ -106,7 +106,7 @@ def read_manifest(path: Path) -> Manifest:
         manifest = Manifest(
             None if fps is None else parse_fps(fps), str(value.get("layout", "")), float(value.get("unit_metres", 1.0))
         )
-    except (ValueError, TypeError, AttributeError, ZeroDivisionError, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise FormatError(f"expected an object with fps and layout ({error})", path=path, reason="manifest") from None
     if manifest.layout not in ("", *STANDARD_SKELETONS) or not 0 < manifest.unit_metres < 1e6:
         raise FormatError(

@@ -108,7 +108,8 @@ FORMATS: Mapping[str, Format] = {
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
     """Find all sequences of files and folders; nothing bad in a source raises, it becomes one of the `problems`.
 
-    Raises `UsageError` for an unknown format, a source that does not exist, or an unreadable `options.captions`.
+    Raises `UsageError` for an unknown format or a source that does not exist, `FormatError` for `options.captions` that
+    are no such table.
     """
     options = options or ReadOptions()
     if options.format != "auto" and options.format not in FORMATS:

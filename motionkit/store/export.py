@@ -61,6 +61,8 @@ def motions_of(store: Store, where: str | None, fps: Fraction | None) -> Iterato
 def _export(
     motions: Iterable[Motion], folder: Path, suffix: str, write: Callable[[Motion, Path], None]
 ) -> Iterator[Path]:
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file: name a new folder")
     if folder.exists() and any(folder.iterdir()):
         raise UsageError(f"{folder} is not empty: name a new folder")
     folder.mkdir(parents=True, exist_ok=True)

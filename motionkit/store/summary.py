@@ -5,10 +5,13 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 
+from motionkit.errors import StoreError
 from motionkit.store.reader import Store
 from motionkit.store.schema import (
+    CACHE_FOLDER,
     FLOAT_COLUMNS,
     POSITION_BYTES_PER_JOINT,
     ROOT_TRANSLATION_BYTES,
@@ -69,9 +72,12 @@ class StoreSummary:
 
 
 def summarise(store: Store) -> StoreSummary:
-    """Count what a store holds; reads the table of sequences and the parts' footers, no frames."""
+    """Count what a store holds; reads the table of sequences and the parts' footers, no frames.
+
+    Raises `StoreError` for a part that is missing or damaged.
+    """
     sequences, manifest = store.sequences, store.manifest
-    cache = store.path / "cache"
+    cache = store.path / CACHE_FOLDER
     return StoreSummary(
         path=str(store.path),
         fingerprint=store.fingerprint,
@@ -123,7 +129,10 @@ def _counts(column: pd.Series) -> dict[str, int]:
 def _column_sizes(store: Store) -> dict[str, ColumnSize]:
     disk = dict.fromkeys(FLOAT_COLUMNS, 0)
     for name in store.manifest.parts:
-        metadata = pq.read_metadata(store.path / name)
+        try:
+            metadata = pq.read_metadata(store.path / name)
+        except (pa.ArrowException, OSError) as error:
+            raise StoreError(f"{error}: 'motionkit validate --store {store.path}' says what is damaged") from None
         for group in range(metadata.num_row_groups):
             for index in range(metadata.num_columns):
                 column = metadata.row_group(group).column(index)

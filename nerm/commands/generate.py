@@ -106,7 +106,7 @@ def warn_above_training(model: "GenerativeModel", fps: Fraction) -> None:
 def _read_fps(text: str) -> Fraction:
     try:
         return parse_fps(text)
-    except (ValueError, ZeroDivisionError) as error:
+    except ValueError as error:
         raise UsageError(f"--fps {text}: {error}") from None
 
 

@@ -91,3 +91,12 @@ def test_a_folder_that_is_not_empty(motionkit, bodies):
     outcome = motionkit("export", bodies.parent, "--store", bodies)
     assert outcome.code == 2
     assert "is not empty" in outcome.stderr
+
+
+def test_a_file_where_a_folder_is_to_be(motionkit, bodies, tmp_path):
+    (tmp_path / "taken").write_text("mine")
+    outcome = motionkit("export", tmp_path / "taken", "--store", bodies)
+    assert (outcome.code, outcome.stderr) == (2, f"motionkit: {tmp_path / 'taken'} is a file: name a new folder\n")
+    below = motionkit("export", tmp_path / "taken" / "deeper", "--store", bodies)
+    assert below.code == 1
+    assert below.stderr == f"motionkit: [Errno 20] Not a directory: '{tmp_path / 'taken' / 'deeper'}'\n"

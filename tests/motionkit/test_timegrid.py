@@ -38,6 +38,12 @@ def test_impossible_framerates_are_refused(value: object) -> None:
         parse_fps(value)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("value", ["fast", "1/0", "30/x", ""])
+def test_what_is_no_number_is_refused_with_examples_of_one(value: str) -> None:
+    with pytest.raises(ValueError, match=f"such as 120, 59.94 or 30000/1001, not '{value}'"):
+        parse_fps(value)
+
+
 def test_time_stamps_do_not_drift() -> None:
     seconds = TimeGrid(Fraction(30000, 1001), 1_000_000).seconds()
     assert seconds[-1] == pytest.approx(999_999 * 1001 / 30000, abs=1e-9)
