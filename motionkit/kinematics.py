@@ -36,9 +36,12 @@ def quaternion_conjugate(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 
 
 def quaternion_rotate(q: Float[np.ndarray, "*n 4"], v: Float[np.ndarray, "*m 3"]) -> Float[np.ndarray, "*k 3"]:
     """Rotate vectors by unit quaternions. Shapes broadcast."""
-    scalar, vector = q[..., :1], q[..., 1:]
-    t = 2.0 * np.cross(vector, v)
-    return v + scalar * t + np.cross(vector, t)
+    w, qx, qy, qz = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    tx, ty, tz = 2.0 * (qy * z - qz * y), 2.0 * (qz * x - qx * z), 2.0 * (qx * y - qy * x)
+    return np.stack(
+        (x + w * tx + (qy * tz - qz * ty), y + w * ty + (qz * tx - qx * tz), z + w * tz + (qx * ty - qy * tx)), axis=-1
+    )
 
 
 def quaternion_to_matrix(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:

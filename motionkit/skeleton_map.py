@@ -100,10 +100,11 @@ def map_joints(motion: Motion, layout: str) -> Float32[np.ndarray, "frames layou
 
 def rest_positions(skeleton: Skeleton) -> Float32[np.ndarray, "joints 3"]:
     """Joint positions of the rest pose: every offset added to its parent's position, in metres."""
-    positions = np.zeros((skeleton.num_joints, 3), np.float32)
-    for joint, parent in enumerate(skeleton.parents):
-        positions[joint] = skeleton.offsets[joint] + (positions[parent] if parent >= 0 else 0.0)
-    return positions
+    positions: list[tuple[float, float, float]] = []
+    for (x, y, z), parent in zip(skeleton.offsets.tolist(), skeleton.parents, strict=True):
+        above = positions[parent] if parent >= 0 else (0.0, 0.0, 0.0)
+        positions.append((above[0] + x, above[1] + y, above[2] + z))
+    return np.array(positions, np.float32)
 
 
 def joint_map(skeleton: Skeleton, layout: str) -> JointMap:

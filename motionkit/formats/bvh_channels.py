@@ -40,7 +40,7 @@ def read_channels(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhH
         ),
     )
     placed = tuple(index for index, joint in enumerate(joints) if index and joint.position_columns)
-    places = np.repeat(offsets[None, [0, *placed]], len(table), axis=0)
+    places = np.repeat(offsets[[0, *placed]][:, :, None], len(table), axis=2)
     cells = [
         (place, axis, column)
         for place, index in enumerate((0, *placed))
@@ -48,7 +48,9 @@ def read_channels(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhH
     ]
     if cells:
         rows, axes, columns = (list(part) for part in zip(*cells, strict=True))
-        places[:, rows, axes] = table[:, columns]
+        places[rows, axes] = table.take(columns, axis=1).T
+    # Time is contiguous in memory, as everything that follows wants it.
+    places = places.transpose(2, 0, 1)
     return ChannelPose(skeleton, _rotations(table, hierarchy), places[:, 0], placed, places[:, 1:], operations)
 
 
@@ -128,6 +130,8 @@ def settle_offsets(pose: ChannelPose, tolerance: float) -> ChannelPose:
     offsets = pose.skeleton.offsets.copy()
     lowest, highest = pose.places.min(axis=0), pose.places.max(axis=0)
     astray = np.flatnonzero(np.maximum(offsets[joints] - lowest, highest - offsets[joints]).max(axis=1) > tolerance)
+    if not astray.size:
+        return replace(pose, placed_joints=(), places=pose.places[:, :0])
     middle = np.median(pose.places[:, astray], axis=0)
     offsets[joints[astray]] = middle
     moving = astray[np.maximum(middle - lowest[astray], highest[astray] - middle).max(axis=1, initial=0.0) > tolerance]
@@ -165,6 +169,7 @@ def _rotations(
             orders.setdefault(joint.order, []).append(index)
     for order, members in orders.items():
         columns = [hierarchy.joints[index].rotation_columns[axis] for axis in range(len(order)) for index in members]
-        angles = np.radians(table[:, columns].T).astype(np.float32).reshape(len(order), len(members), len(table))
+        degrees = np.ascontiguousarray(table.take(columns, axis=1).T)
+        angles = np.radians(degrees).astype(np.float32).reshape(len(order), len(members), len(table))
         components[:, members] = kinematics.euler_to_quaternion(np.moveaxis(angles, 0, -1), order).transpose(2, 0, 1)
     return components.transpose(2, 1, 0)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64, Int32, Int64
 
 from motionkit.errors import FormatError
 
@@ -18,13 +18,14 @@ LARGEST_VALUE = 1e9
 # A block and its word tables fit into a core's cache.
 BLOCK_BYTES = 1 << 17
 INLINE_BYTES = 12
-VIEW = np.dtype([("length", "<i4"), ("inline", f"V{INLINE_BYTES}")])
+LENGTH_BYTES = 4
+VIEW_BYTES = LENGTH_BYTES + INLINE_BYTES
 NEWLINE, SPACE = 10, 32
 
 
 @dataclass(frozen=True)
 class Words:
-    """The words of a text: `padded` is the text with a newline before and some after it, `starts` are places in that.
+    """The words of a text: `padded` is the text with newlines before and after it, `starts` are places in that.
 
     `opens_line` marks the words that are the first of their line.
     """
@@ -41,16 +42,23 @@ class Words:
 
     def inline(self) -> np.ndarray:
         """The first 12 bytes from each word's start, as one opaque value a word."""
-        windows = np.ndarray(
-            (len(self.padded) - INLINE_BYTES,), dtype=f"V{INLINE_BYTES}", buffer=self.padded, strides=(1,)
-        )
-        letters: np.ndarray = windows[self.starts]
-        return letters
+        return self._windows(INLINE_BYTES)[self.starts]
+
+    def views(self) -> Int32[np.ndarray, "words 4"]:
+        """A string view for each word: its length, then its first 12 bytes."""
+        # A window opens so much before its word that the length finds room in it.
+        views = self._windows(VIEW_BYTES)[self.starts - LENGTH_BYTES].view("<i4").reshape(-1, 4)
+        views[:, 0] = self.lengths
+        return views
+
+    def _windows(self, num_bytes: int) -> np.ndarray:
+        # That many bytes from every place of the text, without a copy.
+        return np.ndarray((len(self.padded) - num_bytes,), dtype=f"V{num_bytes}", buffer=self.padded, strides=(1,))
 
 
 def find_words(text: bytes) -> Words:
     """All words of a text, with array operations only."""
-    padded = b"".join((b"\n", text, b"\n" * (INLINE_BYTES + 1)))
+    padded = b"".join((b"\n" * LENGTH_BYTES, text, b"\n" * (VIEW_BYTES + 1)))
     characters = np.frombuffer(padded, np.uint8)
     solid = characters > SPACE
     edges = np.flatnonzero(solid[1:] != solid[:-1]) + 1
@@ -65,14 +73,11 @@ def to_numbers(words: Words) -> Float64[np.ndarray, "words"] | None:
     """The words as numbers; None where one is not a finite number of a sane size."""
     import pyarrow as pa
 
-    views = np.empty(len(words.starts), VIEW)
-    views["length"] = words.lengths
-    views["inline"] = words.inline()
+    views = words.views()
     long = np.flatnonzero(words.lengths > INLINE_BYTES)
     if long.size:
         # Longer words are stored as four bytes, a buffer's number and a place in it.
-        fields = views.view("<i4").reshape(-1, 4)
-        fields[long, 2], fields[long, 3] = 0, words.starts[long]
+        views[long, 2], views[long, 3] = 0, words.starts[long]
     buffers = [None, pa.py_buffer(views), pa.py_buffer(words.padded)]
     try:
         values = pa.Array.from_buffers(pa.string_view(), len(views), buffers).cast(pa.float64()).to_numpy()
