@@ -15,8 +15,8 @@ Array = npt.NDArray[np.floating]
 
 def quaternion_multiply(a: Float[np.ndarray, "*n 4"], b: Float[np.ndarray, "*m 4"]) -> Float[np.ndarray, "*k 4"]:
     """Hamilton product a·b: the rotation b followed by a. Shapes broadcast."""
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    aw, ax, ay, az = (a[..., component] for component in range(4))
+    bw, bx, by, bz = (b[..., component] for component in range(4))
     return np.stack(
         (
             aw * bw - ax * bx - ay * by - az * bz,
@@ -204,8 +204,8 @@ def _propagate(
     frames[:, 3] = bones.T if bones.ndim == 3 else bones.T[:, :, None]
     frames[:, 3, 0] = root_translation.T
     for joints, parents in _levels(skeleton.parents):
-        above = frames[:, :, parents]
-        below = frames[:, :, joints]
+        above = frames.take(parents, axis=2)
+        below = frames.take(joints, axis=2)
         product = above[:, 0, None] * below[None, 0]
         product += above[:, 1, None] * below[None, 1]
         product += above[:, 2, None] * below[None, 2]

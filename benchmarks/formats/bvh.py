@@ -2,8 +2,8 @@
 
     python -m benchmarks.formats.bvh FILE_OR_FOLDER… [--files 20] [--repeats 3]
 
-CPU seconds of one thread. A repeat goes through all files, each read by all three in turn, and begins with no header
-remembered, so that the first file of a corpus pays for the header that the others share; the best repeat of each file
+CPU seconds of one thread. In a repeat each of the three reads all files, as a corpus is read; it begins with no header
+remembered, so that the first file of a corpus pays for the header that the others share. The best repeat of each file
 counts. A table goes to stderr, JSON to stdout. `pyarrow` parses the same motion block as a table of float64 columns,
 which is the floor under any reader that goes through Arrow; it computes no rotation and no position.
 """
@@ -74,12 +74,12 @@ def measure(files: list[Path], repeats: int) -> dict[str, Any]:
     best = [dict.fromkeys(seconds, float("inf")) for _ in files]
     for _ in range(repeats):
         bvh_hierarchy.parsed.cache_clear()
-        for path, block, quickest in zip(files, blocks, best, strict=True):
-            for name, work, argument in (
-                ("motionkit", ours, path),
-                ("pymotion", peer, path),
-                ("pyarrow_csv", arrow, block),
-            ):
+        for name, work, arguments in (
+            ("motionkit", ours, files),
+            ("pymotion", peer, files),
+            ("pyarrow_csv", arrow, blocks),
+        ):
+            for argument, quickest in zip(arguments, best, strict=True):
                 quickest[name] = min(quickest[name], cpu_seconds(work, argument))
     for path, block, quickest in zip(files, blocks, best, strict=True):
         for name, value in quickest.items():

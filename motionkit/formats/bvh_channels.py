@@ -63,19 +63,15 @@ def starts_with_t_pose(table: Float64[np.ndarray, "frames channels"], hierarchy:
     if len(table) < 2:
         return False
     root = hierarchy.joints[0]
-    angles = [column for joint in hierarchy.joints for column in joint.rotation_columns]
     places = list(root.position_columns.values())
     if not places or len(root.rotation_columns) != 3 or len(hierarchy.joints) < 15:
         return False
     first, second = table[0], table[1]
-    whole = first[angles] == np.round(first[angles])
-    return bool(
-        whole.all()
-        and not first[root.rotation_columns].any()
-        and second[root.rotation_columns].any()
-        and (second[angles] != np.round(second[angles])).any()
-        and np.array_equal(first[places], second[places])
-    )
+    if first[root.rotation_columns].any() or not second[root.rotation_columns].any():
+        return False
+    angles = [column for joint in hierarchy.joints for column in joint.rotation_columns]
+    whole = table[:2, angles] == np.round(table[:2, angles])
+    return bool(whole[0].all() and not whole[1].all() and np.array_equal(first[places], second[places]))
 
 
 def fold_reference(pose: ChannelPose) -> ChannelPose:
