@@ -42,12 +42,13 @@ class Words:
 
     def inline(self) -> np.ndarray:
         """The first 12 bytes from each word's start, as one opaque value a word."""
-        return self._windows(INLINE_BYTES)[self.starts]
+        letters: np.ndarray = self._windows(INLINE_BYTES)[self.starts]
+        return letters
 
     def views(self) -> Int32[np.ndarray, "words 4"]:
         """A string view for each word: its length, then its first 12 bytes."""
         # A window opens so much before its word that the length finds room in it.
-        views = self._windows(VIEW_BYTES)[self.starts - LENGTH_BYTES].view("<i4").reshape(-1, 4)
+        views: np.ndarray = self._windows(VIEW_BYTES)[self.starts - LENGTH_BYTES].view("<i4").reshape(-1, 4)
         views[:, 0] = self.lengths
         return views
 
