@@ -180,13 +180,6 @@ def translate(
     return moved.astype(positions.dtype)
 
 
-def shift_grid(
-    positions: Float[np.ndarray, "*batch frames joints 3"], num_frames: int = 1
-) -> Float[np.ndarray, "*batch shifted joints 3"]:
-    """Start the motion `num_frames` native frames later: the same motion sampled at other instants."""
-    return positions[..., num_frames:, :, :]
-
-
 def shift_between_frames(
     positions: Float[np.ndarray, "*batch frames joints 3"], frames: float = 0.5
 ) -> Float[np.ndarray, "*batch frames joints 3"]:

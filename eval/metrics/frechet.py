@@ -25,11 +25,6 @@ class Gaussian:
         if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
             raise ValueError("mean or covariance holds NaN or infinity; a distance from it would mean nothing")
 
-    @property
-    def is_rank_deficient(self) -> bool:
-        """Whether there are too few samples for the covariance to have full rank (N ≤ number of features)."""
-        return self.num_samples <= self.mean.size
-
     @cached_property
     def factor(self) -> Float64[np.ndarray, "features features"]:
         """L with L·Lᵀ = covariance, from its eigenvalues; those that rounding made negative count as zero."""

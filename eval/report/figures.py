@@ -66,36 +66,8 @@ def strip_of(motion: Motion, title: str, num_poses: int = 10, seconds: float | N
     return Strip(title, map_joints(motion, "smpl22")[frames], motion.timegrid.seconds()[frames], SMPL22)
 
 
-def strips_figure(strips: Sequence[Strip], width_inches: float = 9.0) -> Figure:
-    """Several motions under one another, each a strip of skeletons over time; left limbs blue, right vermillion."""
-    figure = Figure(figsize=(width_inches, 1.75 * len(strips) + 0.3), layout="constrained")
-    for axes, strip in zip(np.atleast_1d(figure.subplots(len(strips), 1)), strips, strict=True):
-        draw_strip(axes, strip)
-    return figure
-
-
-def side_by_side_figure(strips: Sequence[Strip], columns: int = 4, width_inches: float = 11.0) -> Figure:
-    """Several motions beside one another in a grid, each with its own short strip."""
-    rows = -(-len(strips) // columns)
-    figure = Figure(figsize=(width_inches, 1.45 * rows + 0.3), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, strip in zip(grid[: len(strips)], strips, strict=True):
-        draw_strip(axes, strip)
-    for axes in grid[len(strips) :]:
-        axes.set_axis_off()
-    return figure
-
-
-def curves_figure(panels: Sequence[Panel], width_inches: float = 9.0) -> Figure:
-    """Panels of curves over the framerate beside one another, each with its own scale."""
-    figure = Figure(figsize=(width_inches, 4.0), layout="constrained")
-    for axes, panel in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
-        draw_curves(axes, panel)
-    return figure
-
-
 def curves_and_strips_figure(panels: Sequence[Panel], strips: Sequence[Strip], width_inches: float = 10.0) -> Figure:
-    """Curves above, strips of skeletons below them."""
+    """Curves above, each with its own scale; below them strips of skeletons, left limbs blue, right ones vermillion."""
     heights = (4.0, 1.55 * max(1, len(strips)))
     figure = Figure(figsize=(width_inches, sum(heights)), layout="constrained")
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights).ravel()

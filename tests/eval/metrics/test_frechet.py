@@ -66,7 +66,6 @@ def test_known_answer_of_two_spheres() -> None:
 def test_fewer_samples_than_features_is_a_distance_of_degenerate_gaussians() -> None:
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=(2, 6, 40))
-    assert fit_gaussian(x).is_rank_deficient
     # The same distance inside the span of both sets, where nothing is degenerate beyond what the samples are.
     basis = np.linalg.svd(np.concatenate((x, y)), full_matrices=False)[2]
     assert fid(x, y) == pytest.approx(fid(x @ basis.T, y @ basis.T), rel=1e-10)

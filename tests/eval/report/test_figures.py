@@ -48,17 +48,18 @@ def test_strips_are_written(tmp_path: Path) -> None:
     strip = figures.strip_of(to_motion(field, Fraction(60)), "walks, then bows", num_poses=6, seconds=3.0)
     assert strip.seconds[-1] == pytest.approx(3.0)
     assert strip.joint_positions.shape == (6, 22, 3)
-    path = figures.save(figures.strips_figure([strip, strip]), tmp_path / "new" / "strips.png")
-    assert path.read_bytes().startswith(b"\x89PNG")
     panel = figures.Panel("one", "clip-FID", (figures.Curve("a", (20.0,), (1.0,), (0.0,)),))
-    figures.save(figures.curves_and_strips_figure([panel, panel], [strip]), tmp_path / "both.svg")
-    figures.save(figures.side_by_side_figure([strip] * 3, columns=2), tmp_path / "grid.png")
+    figure = figures.curves_and_strips_figure([panel, panel], [strip, strip, strip])
+    path = figures.save(figure, tmp_path / "new" / "both.png")
+    assert path.read_bytes().startswith(b"\x89PNG")
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles == ["one"] * 2 + ["walks, then bows"] * 3
 
 
 def test_curves_use_a_logarithmic_axis_where_they_span_a_decade(tmp_path: Path) -> None:
     def scale(values: tuple[float, float]) -> str:
         curve = figures.Curve("a", (20.0, 60.0), values, (0.1, 0.1))
-        figure = figures.curves_figure([figures.Panel("one", "clip-FID", (curve,))])
+        figure = figures.curves_and_strips_figure([figures.Panel("one", "clip-FID", (curve,))], [])
         figures.save(figure, tmp_path / "curves.png")
         return str(figure.axes[0].get_yscale())
 
