@@ -22,7 +22,7 @@ class Window:
 
 
 def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
-    """Requests with the captions and durations of a real set; a sequence without a caption is asked for by its action.
+    """Requests with the captions, actions and durations of a real set: the model takes what it was trained with.
 
     A sequence longer than the model can make becomes several windows of equal length with its caption, so that a
     caption's share of the generated seconds is its share of the real ones.
@@ -32,7 +32,7 @@ def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
         duration = float((int(real.num_frames[index]) - 1) / real.fps)
         count = max(1, ceil(duration / max_duration_seconds - 1e-9))
         text = real.captions[index] if real.captions else ""
-        action = real.actions[index] if real.actions and not text else ""
+        action = real.actions[index] if real.actions else ""
         request = GenerationRequest(duration / count, text, action)
         windows.extend(Window(real.sequence_ids[index], number, request) for number in range(count))
     return windows

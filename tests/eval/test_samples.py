@@ -1,12 +1,13 @@
 """Sample sets, real sets at a framerate, generated sets."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from eval.generated import generate_fields, sample_fields, windows_of
+from eval.generated import Window, generate_fields, sample_fields, windows_of
 from eval.real import NoRealMotionError, RealMotion
 from eval.samples import sample_set
 from motionkit.generation import GenerationRequest
@@ -113,11 +114,35 @@ def test_long_sequences_become_windows_of_equal_length() -> None:
     assert (windows[3].request.text, windows[3].request.action) == ("caption 1", "")
 
 
-def test_an_action_stands_in_for_a_missing_caption() -> None:
+def test_a_model_is_told_caption_and_action_and_takes_what_it_knows() -> None:
     parts = [np.zeros((31, 22, 3), dtype=np.float32)] * 2
     real = sample_set("real", Fraction(20), parts, ["a", "b"], ["", "waves"], ["wave", "wave"])
     requests = [window.request for window in windows_of(real, 4.0)]
-    assert [(request.text, request.action) for request in requests] == [("", "wave"), ("waves", "")]
+    assert [(request.text, request.action) for request in requests] == [("", "wave"), ("waves", "wave")]
+
+
+@dataclass(frozen=True)
+class ToldField:
+    """A field that answers with the framerate it was told."""
+
+    end_seconds: float = 4.0
+    told: Fraction = Fraction(0)
+    start_seconds: float = 0.0
+    skeleton: Skeleton = SMPL22
+
+    def at_fps(self, fps: Fraction) -> "ToldField":
+        return replace(self, told=fps)
+
+    def query(self, times_seconds: np.ndarray) -> Poses:
+        return Poses(np.full((len(times_seconds), 22, 3), float(self.told), dtype=np.float32))
+
+
+def test_fields_are_told_the_framerate_they_are_sampled_at() -> None:
+    fields = {Window("take", 0, GenerationRequest(4.0)): ToldField()}
+    for fps in (Fraction(20), Fraction(120)):
+        made = sample_fields(fields, ["take"], fps, "model")
+        assert made is not None
+        assert np.all(made.positions == float(fps))
 
 
 def test_fields_are_asked_for_every_instant_of_the_framerate() -> None:
