@@ -51,6 +51,11 @@ ROW_NOTES = {
     P2: "takes of one half against takes of the other: what a faithful model of other takes could reach",
     SLERP: "joint rotations on great arcs, the root on straight lines: the fair way to upsample",
     VECTORS: "humanml3d vectors interpolated with per-frame velocities unscaled: a handicap of the procedure",
+    NERM: "asked for at the column's framerate, with the captions and durations of its real sequences",
+    NERM_SLERP: (
+        "the same motions asked for at 20 fps, then upsampled like the real ones; the kinks that this makes can stand "
+        "in for detail that a smooth motion lacks (docs/metrics.md)"
+    ),
 }
 DETAIL_NAMES = {
     "fid_infinity": "FID_∞",
@@ -104,7 +109,7 @@ def build_table2(request: TableRequest) -> Result:
         rates = _usable_rates(request.fps or COLUMNS, real, missing)
         display.update(task, description="generating", total=1)
         fields = _nerm_fields(request, real, rates, missing)
-        columns = [_column(fps, real, train, fields, folders).low_passed(request.low_pass_hz) for fps in rates]
+        columns = [_column(fps, real, train, fields, folders, missing).low_passed(request.low_pass_hz) for fps in rates]
         display.remove_task(task)
         blocks = tuple(
             _block(source, columns, request, notes, display, missing)
@@ -175,6 +180,7 @@ def _column(
     train: RealMotion,
     fields: Mapping[Window, MotionField],
     folders: list[SampleFolder],
+    missing: list[str],
 ) -> _Column:
     reference = real.at(fps)
     rows = {P1: reference}
@@ -185,6 +191,8 @@ def _column(
     native = sample_fields(fields, reference.sequence_ids, fps, NERM)
     if native is not None:
         rows[NERM] = native
+    elif fields:
+        missing.append(f"{NERM}, {_label(fps)}: no generated motion is for a sequence this fast")
     coarse = sample_fields(fields, reference.sequence_ids, LOW_FPS, NERM_SLERP)
     if coarse is not None and fps >= LOW_FPS:
         rows[NERM_SLERP] = upsample_by_slerp(coarse, fps, NERM_SLERP)
@@ -330,6 +338,9 @@ def _definition(columns: list[_Column], request: TableRequest) -> dict[str, Any]
                 "seconds": round(column.real.duration_seconds, 3),
             }
             for column in columns
+        },
+        "generated_motions": {
+            _label(column.fps): column.rows[NERM].num_sequences for column in columns if NERM in column.rows
         },
         "sequences": "native framerate at least the column's, brought to it by anti-aliased resampling",
         "clips": "both sides share sizes and centre quantiles; each draws sequences in proportion to duration",

@@ -107,6 +107,7 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
     assert rows[table2.NERM_SLERP]["60 fps"] > 10 * floor["60 fps"]
     assert rows[table2.NERM_SLERP]["60 fps"] == pytest.approx(rows[table2.SLERP]["60 fps"], rel=0.3)
     assert not result.missing
+    assert result.definition["generated_motions"] == {"20 fps": 12, "60 fps": 12}
     assert result.provenance["run"] == "run"
     hashes = result.blocks[0].provenance["fingerprints"].values()
     assert {path.name for path in (tmp_path / "features").iterdir()} == {f"kinematic-{each}.npz" for each in hashes}
