@@ -24,6 +24,7 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     from eval.evaluators.native_training import NativeTraining, collect_sentences
     from motionkit.store import Store
     from motionkit.store.cache import open_cache
+    from motionkit.store.schema import CACHE_FOLDER
     from motionkit.timegrid import parse_fps
     from motionkit.training.config import to_plain
     from motionkit.training.device import resolve_device
@@ -43,7 +44,7 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     if encoder is None:
         sentences = collect_sentences((), lambda texts: np.zeros((len(texts), 0), dtype=np.float32))
     else:
-        sentences = collect_sentences(takes.captions, partial(embed_texts, encoder, folder=folder.path))
+        sentences = collect_sentences(takes.captions, partial(embed_texts, encoder, folder=store.path / CACHE_FOLDER))
     trainable = NativeTraining(config, banks, sentences, context.seed, resolve_device(context.device))
     latest = train_loop(trainable, folder, steps=training.steps, seed=context.seed)
     reached = [bank.fps for bank in banks]
