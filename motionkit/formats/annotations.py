@@ -91,7 +91,7 @@ def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
                 problems.append(problem)
     except csv.Error as error:
         raise FormatError(f"not a CSV table ({error})", path=path, reason="annotations", line=reader.line_num) from None
-    has_captions = bool(set(CAPTION_COLUMNS) & set(reader.fieldnames or ()))
+    has_captions = any(row.captions for row in rows.values())
     return AnnotationTable(path, rows, has_captions, tuple(problems))
 
 

@@ -136,3 +136,10 @@ def test_a_linked_take_keeps_its_annotation(source: Path, tmp_path: Path) -> Non
     walk = next(item for item in scan([source]).items if item.format == "bvh")
     assert walk.captions and read(walk).num_frames == 4
     assert scan([source / "walk.bvh"]).items == (walk,)
+
+
+def test_a_table_whose_captions_are_all_empty_asks_for_none(tmp_path: Path) -> None:
+    (tmp_path / "walk.bvh").write_text(bvh_text())
+    (tmp_path / "clips.csv").write_text("file,caption,split\nwalk.bvh,,train\n")
+    result = scan([tmp_path])
+    assert (len(result.items), result.problems, result.warnings) == (1, (), ())
