@@ -83,14 +83,3 @@ def to_motion(field: MotionField, fps: Fraction, provenance: Provenance | None =
         root_translation=poses.root_translation,
         provenance=provenance or Provenance(),
     )
-
-
-def velocity(
-    field: MotionField, times_seconds: Float64[np.ndarray, "times"], half_step_seconds: float = 1e-3
-) -> Float32[np.ndarray, "times joints 3"]:
-    """Joint velocities in m/s by central differences over ± half a step, one-sided at the domain's ends."""
-    before = np.maximum(times_seconds - half_step_seconds, field.start_seconds)
-    after = np.minimum(times_seconds + half_step_seconds, field.end_seconds)
-    change = field.query(after).joint_positions.astype(np.float64) - field.query(before).joint_positions
-    per_second = change / (after - before)[:, None, None]
-    return np.asarray(per_second, dtype=np.float32)
