@@ -14,7 +14,7 @@ from motionkit.timegrid import parse_fps
 def export(
     out: Annotated[Path, typer.Argument(help="New or empty folder.", show_default=False)],
     format: Annotated[str, typer.Option(help="bvh, or joints-npy (22 joints).")] = "bvh",
-    store: Annotated[Path | None, typer.Option(help="Store to export from.")] = None,
+    store: Annotated[Path | None, typer.Option(help="Store to export from.", show_default="./store")] = None,
     where: Annotated[
         str | None, typer.Option(help="SQL condition over the table of sequences: \"split = 'test'\".")
     ] = None,

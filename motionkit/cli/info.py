@@ -17,7 +17,7 @@ SHOWN_COUNTS = 8
 
 
 def info(
-    store: Annotated[Path | None, typer.Option(help="Store to describe.")] = None,
+    store: Annotated[Path | None, typer.Option(help="Store to describe.", show_default="./store")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
     """Say what a store holds: sources, hours, framerates, splits, captions, skeletons, size on disk."""

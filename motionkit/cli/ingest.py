@@ -25,7 +25,7 @@ class OnError(StrEnum):
 
 def ingest(
     sources: Annotated[list[Path], typer.Argument(help="Files and folders of motions.", show_default=False)],
-    store: Annotated[Path | None, typer.Option(help="Store to make or to add to.")] = None,
+    store: Annotated[Path | None, typer.Option(help="Store to make or to add to.", show_default="./store")] = None,
     format: Annotated[str, typer.Option(help="auto tells formats by name and content; or one format's name.")] = "auto",
     captions: Annotated[
         Path | None, typer.Option(help="CSV with a column 'file' and any of caption, action, split, fps …")

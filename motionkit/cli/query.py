@@ -19,7 +19,7 @@ PIPE_WIDTH = 10_000
 
 def query(
     sql: Annotated[str, typer.Argument(help="One SQL statement, in duckdb's dialect.", show_default=False)],
-    store: Annotated[Path | None, typer.Option(help="Store to ask.")] = None,
+    store: Annotated[Path | None, typer.Option(help="Store to ask.", show_default="./store")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON.")] = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print the rows as CSV.")] = False,
 ) -> None:

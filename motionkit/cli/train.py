@@ -16,8 +16,8 @@ from motionkit.training.stage import Stage, StageContext, choose_stages, registe
 def train(
     stage: Annotated[str, typer.Option(help="One installed stage, or all of the model's in order.")] = "all",
     recipe: Annotated[str, typer.Option(help="Named configuration: nano, demo, paper.")] = "nano",
-    store: Annotated[Path | None, typer.Option(help="Store to train from.")] = None,
-    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.")] = None,
+    store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
+    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
     run: Annotated[str | None, typer.Option(help="This run's name; the recipe's by default.")] = None,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting: field.steps=100.")
@@ -31,13 +31,14 @@ def train(
     as_json: Annotated[bool, typer.Option("--json", help="Print the stages' summaries as JSON.")] = False,
 ) -> None:
     """Train a model's stages from a store into a run folder; Ctrl-C saves, --resume goes on exactly."""
+    from motionkit.store.manifest import read_manifest
+
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
     chosen = choose_stages(stage, registered_stages())
     configs = configure(chosen, recipe, overrides or [])
     store_path = store or default_path("store")
-    if not store_path.is_dir():
-        raise UsageError(f"there is no store at {store_path}: motionkit ingest SOURCE --store {store_path}")
+    read_manifest(store_path)  # a store that is missing is told before anything heavy is imported
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))
     context = StageContext(store_path, folder, recipe, seed=seed, resume=resume, overwrite=overwrite, device=device)
     summaries = []

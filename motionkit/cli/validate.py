@@ -10,7 +10,7 @@ from motionkit.settings import default_path
 
 
 def validate(
-    store: Annotated[Path | None, typer.Option(help="Store to check.")] = None,
+    store: Annotated[Path | None, typer.Option(help="Store to check.", show_default="./store")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the faults as JSON.")] = False,
 ) -> None:
     """Check every file of a store: checksums, counts, segments, finite frames, skeletons.

@@ -122,7 +122,7 @@ def test_info_about_a_store_without_its_part(motionkit, store):
     assert outcome.stderr.endswith(f"'motionkit validate --store {store}' says what is damaged\n")
 
 
-@pytest.mark.parametrize("command", [("info",), ("validate",), ("query", "FROM sequences")])
+@pytest.mark.parametrize("command", [("info",), ("validate",), ("query", "FROM sequences"), ("train",)])
 def test_no_store(motionkit, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     outcome = motionkit(*command)

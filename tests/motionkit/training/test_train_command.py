@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from motionkit.cli import train as train_module
 from motionkit.errors import UsageError
+from motionkit.store import StoreWriter
 from motionkit.training.stage import Stage, StageContext
 
 
@@ -33,7 +34,8 @@ def _train(name: str) -> Stage[Config]:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(train_module, "registered_stages", lambda: {name: _train(name) for name in ("first", "second")})
-    (tmp_path / "store").mkdir()
+    with StoreWriter.create(tmp_path / "store"):
+        pass
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -75,7 +77,6 @@ def test_complete_stages_are_kept_by_resume(folder: Path) -> None:
         ),
         (["--recipe", "huge"], "has no recipe 'huge'"),
         (["--stage", "third"], "no stage is called 'third'"),
-        (["--store", "absent"], "motionkit ingest SOURCE --store absent"),
         (["--resume", "--overwrite"], "exclude each other"),
     ],
 )
