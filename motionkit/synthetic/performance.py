@@ -1,5 +1,6 @@
 """Actions put together: one after another, on a posture of one's own, with captions in varied words."""
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -135,7 +136,8 @@ def _captions(rng: np.random.Generator, parts: Sequence[Part], duration: float) 
             subject = subjects[int(rng.integers(len(subjects)))]
             start, end = max(part.start, 0.0), min(part.end, duration)
             phrase = part.phrases[int(rng.integers(len(part.phrases)))]
-            captions.append(Caption(f"{subject} {phrase}", round(start, 2), round(end, 2)))
+            # Hundredths of a second, rounded down: the last caption must not end after the motion.
+            captions.append(Caption(f"{subject} {phrase}", math.floor(100 * start) / 100, math.floor(100 * end) / 100))
     return tuple(captions)
 
 

@@ -2,7 +2,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from motionkit.errors import UsageError
@@ -122,6 +122,7 @@ def test_the_same_generator_gives_the_same_motion() -> None:
 
 
 @settings(max_examples=15, deadline=None)
+@example(1_053_060_475, ["walk", "throw"])
 @given(st.integers(0, 2**32 - 1), st.lists(st.sampled_from(list(ACTIONS)), min_size=1, max_size=3))
 def test_sequences_of_actions(seed: int, actions: list[str]) -> None:
     rng = np.random.default_rng(seed)
