@@ -1,17 +1,17 @@
-"""How well the field holds motions: MPJPE by framerate, from μ for training windows, by encoding for others (Table 4).
+"""What the field makes of motions beside the motions themselves: what Table 4 measures.
 
 The truth at s fps is the capture itself, brought down band-limited where its own framerate is higher; a take slower
-than s has no truth there and is left out. Errors are in the window's frame: root-aligned (both roots at the origin) and
-global (as decoded).
+than s has no truth there and is left out. Training windows are decoded from their μ, others from a z that is found by
+optimisation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Int64
 
 from motionkit.clips import PositionSource, WindowPoses, Windows, mirror_positions
 from motionkit.features import field as field_vectors
@@ -26,31 +26,12 @@ WINDOWS_AT_ONCE = 64
 
 
 @dataclass(frozen=True, eq=False)
-class WindowErrors:
-    """Mean per-joint position errors of some windows at one framerate, millimetres; `seconds` are their durations."""
+class Reconstruction:
+    """One window as decoded and as captured, in the window's frame (metres), and how long it lasts."""
 
-    fps: Fraction
-    aligned_mm: Float64[np.ndarray, "windows"]
-    global_mm: Float64[np.ndarray, "windows"]
-    seconds: Float64[np.ndarray, "windows"]
-
-    def mean(self) -> tuple[float, float]:
-        """Root-aligned and global MPJPE over all windows, each weighing by its duration."""
-        weights = self.seconds / self.seconds.sum()
-        return float(weights @ self.aligned_mm), float(weights @ self.global_mm)
-
-
-def mpjpe_mm(
-    found: Float32[np.ndarray, "poses joints 3"], truth: Float32[np.ndarray, "poses joints 3"]
-) -> tuple[float, float]:
-    """Mean distance over poses and joints in millimetres, root-aligned and global, of positions in metres.
-
-    The root counts as one of the joints in both, as is usual for MPJPE over 22 joints; root-aligned its error is 0.
-    """
-    difference = found.astype(np.float64) - truth
-    aligned = difference - difference[:, :1]
-    lengths = [np.linalg.norm(each, axis=-1).mean() * 1000.0 for each in (aligned, difference)]
-    return float(lengths[0]), float(lengths[1])
+    found: Float32[np.ndarray, "poses joints 3"]
+    truth: Float32[np.ndarray, "poses joints 3"]
+    seconds: float
 
 
 def window_truth(
@@ -66,22 +47,19 @@ def window_truth(
     return np.asarray(field_vectors.to_window(sampled[None], windows.yaw[chosen], windows.origin[chosen])[0])
 
 
-def reconstruction_errors(
+def reconstructions(
     trained: TrainedField,
     source: PositionSource,
     windows: Windows,
     latents: Float32[torch.Tensor, "windows latent"],
     fps: Fraction,
-) -> WindowErrors:
-    """Errors of the windows that have a truth at `fps`, each decoded from its latent at that framerate."""
-    rows = np.flatnonzero(windows.fps >= float(fps) - 1e-6)
-    errors = np.zeros((len(rows), 2))
-    for place, row in enumerate(rows.tolist()):
+) -> Iterator[Reconstruction]:
+    """Windows that have a truth at `fps`, one by one, each decoded from its latent at that framerate."""
+    for row in np.flatnonzero(windows.fps >= float(fps) - 1e-6).tolist():
         truth = window_truth(source, windows, row, fps)
         times = TimeGrid(fps, len(truth)).seconds()
         found = trained.decode(latents[row : row + 1], times, fps)[0]
-        errors[place] = mpjpe_mm(found, truth)
-    return WindowErrors(fps, errors[:, 0], errors[:, 1], windows.duration_seconds[rows])
+        yield Reconstruction(found, truth, float(windows.duration_seconds[row]))
 
 
 def encode_windows(
