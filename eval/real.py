@@ -72,6 +72,12 @@ class RealMotion:
         return self._made[key]
 
 
+def of_split(split: str) -> str:
+    """The SQL condition for the sequences of one split, whatever its name."""
+    quoted = split.replace("'", "''")
+    return f"split = '{quoted}'"
+
+
 def real_motion(store: "Store", split: str) -> RealMotion:
     """The sequences of one split of a store ("all": every one) in the 22-joint layout.
 
@@ -79,8 +85,7 @@ def real_motion(store: "Store", split: str) -> RealMotion:
     """
     from motionkit.store.cache import open_cache
 
-    where = None if split == "all" else f"split = '{split.replace(chr(39), chr(39) * 2)}'"
-    cache = open_cache(store, layout="smpl22", where=where)
+    cache = open_cache(store, layout="smpl22", where=None if split == "all" else of_split(split))
     return _from_cache(store, cache, split)
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+from eval.real import of_split
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.reported import reported_figures
 from eval.tables.registry import Table, TableRequest
@@ -113,7 +114,7 @@ def _held_out(trained: "TrainedField", store: "Store", request: TableRequest, mi
     try:
         if request.split in ("all", "train"):
             raise UsageError(f"split {request.split!r} holds training windows; name another (--split test)")
-        source = open_cache(store, layout="smpl22", where=f"split = '{request.split}'")
+        source = open_cache(store, layout="smpl22", where=of_split(request.split))
         windows = cut_windows(
             source,
             max_duration_seconds=trained.max_duration_seconds,

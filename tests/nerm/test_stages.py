@@ -104,5 +104,11 @@ def test_table_4_is_built_from_a_store_and_a_run(store: Path, run: Path, tmp_pat
     assert paper.rows[-1].cells["20 fps"].value == pytest.approx(16.0)
 
 
+def test_table_4_of_a_split_that_is_not_there_says_so(store: Path, run: Path, tmp_path: Path) -> None:
+    result = build_table4(TableRequest(store=store, results=tmp_path, run=run, split="nobody's"))
+    assert [row.name for row in result.blocks[0].rows] == [TRAINING]
+    assert any(line.startswith(HELD_OUT) for line in result.missing)
+
+
 GOLDEN_CODEBOOK = 0.4815
 GOLDEN_FIELD = 0.4392
