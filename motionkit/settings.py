@@ -9,8 +9,8 @@ from motionkit.errors import UsageError
 KEYS = ("store", "runs", "results")
 
 
-def default_path(key: str, folder: Path | None = None) -> Path:
-    """Default path of `store`, `runs` or `results`, seen from `folder` (the current one).
+def default_path(key: str) -> Path:
+    """Default path of `store`, `runs` or `results`, seen from the current folder.
 
     Raises `UsageError` for a motionkit.toml that is not TOML, or says something else than a path.
     """
@@ -19,7 +19,7 @@ def default_path(key: str, folder: Path | None = None) -> Path:
     from_environment = os.environ.get(f"MOTIONKIT_{key.upper()}")
     if from_environment:
         return Path(from_environment)
-    config = (folder or Path()) / "motionkit.toml"
+    config = Path("motionkit.toml")
     if config.is_file():
         try:
             value = tomllib.loads(config.read_text(encoding="utf-8")).get(key)
