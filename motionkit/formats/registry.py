@@ -108,8 +108,8 @@ FORMATS: Mapping[str, Format] = {
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
     """Find all sequences of files and folders; nothing bad in a source raises, it becomes one of the `problems`.
 
-    Raises `UsageError` for an unknown format or a source that does not exist, `FormatError` for `options.captions` that
-    are no such table.
+    Raises `UsageError` for an unknown format or a source that is neither a file nor a folder, `FormatError` for
+    `options.captions` that are no such table.
     """
     options = options or ReadOptions()
     if options.format != "auto" and options.format not in FORMATS:
@@ -121,6 +121,8 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     for source in sources:
         if not source.exists():
             raise UsageError(f"{source} does not exist")
+        if not (source.is_file() or source.is_dir()):
+            raise UsageError(f"{source} is neither a file nor a folder")
         table = annotations.read_annotations(options.captions, _root(source)) if options.captions else None
         given += [table] if table else []
         found = _scan_source(source, options, table)

@@ -1,5 +1,6 @@
 import concurrent.futures
 import multiprocessing
+import os
 from fractions import Fraction
 from pathlib import Path
 
@@ -143,3 +144,9 @@ def test_a_table_whose_captions_are_all_empty_asks_for_none(tmp_path: Path) -> N
     (tmp_path / "clips.csv").write_text("file,caption,split\nwalk.bvh,,train\n")
     result = scan([tmp_path])
     assert (len(result.items), result.problems, result.warnings) == (1, (), ())
+
+
+def test_a_pipe_is_no_source(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.bvh")
+    with pytest.raises(UsageError, match="neither a file nor a folder"):
+        scan([tmp_path / "pipe.bvh"])
