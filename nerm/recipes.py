@@ -1,4 +1,4 @@
-"""Every setting of NeRM, and its named recipes: `paper` (the paper's figures), `nano` (two cores), `demo` (a minute).
+"""Settings of NeRM and its named recipes: `paper` (the paper's figures), `nano` and `demo` (minutes on two cores).
 
 Ablations of the paper are values here, not forks of the code: Table 5 `field.time_encoding`, Table 6
 `field.variational`, Table 7 `field.decoder`, Table 8 `field.latent_dimension` and `field.kl_weight`, Table 9
@@ -142,14 +142,14 @@ def nano() -> NermConfig:
 
 
 def demo() -> NermConfig:
-    """A minute on the embedded corpus: the same field as `nano`, smaller and for fewer steps."""
+    """Three minutes on the embedded corpus: `nano` with a smaller codebook, sparser windows and fewer steps."""
     codebook = CodebookConfig(
         width=64, code_dimension=64, num_codes=128, steps=120, batch=32, rate=1e-3, rate_drop_at=100
     )
     return NermConfig(
         codebook=codebook,
-        field=_local_field(steps=600, stride_seconds=5.0),
-        denoiser=_knot_denoiser(steps=400),
+        field=_local_field(steps=1200, stride_seconds=5.0),
+        denoiser=_knot_denoiser(steps=1000),
     )
 
 
