@@ -60,6 +60,7 @@ class Motion:
     root_translation: Float32[np.ndarray, "frames 3"] | None = None
     captions: tuple[Caption, ...] = ()
     action: str = ""
+    style: str = ""
     split: str = ""
     sequence_id: str = ""
     provenance: Provenance = field(default_factory=Provenance)

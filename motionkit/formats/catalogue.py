@@ -1,0 +1,97 @@
+"""All formats in one table: how each is found, read, and what people are told about it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from motionkit.formats import asfamc, bvh, humanact12, humanml3d, joints_npy, kit, npy
+from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
+from motionkit.motion import Motion
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format: how its sequences are found and read, and what people are told about it.
+
+    A file format has `suffixes`, and `accepts` where the suffix alone does not tell; a single file of another name is
+    known by a word that it `begins` with, comments aside. A folder format has `claims`,
+    which says whether a folder is one, and `find`, which lists its sequences; a claimed folder is not searched further.
+    """
+
+    name: str
+    description: str
+    framerate: str
+    rotations: bool
+    read: Callable[[SourceItem, ReadOptions], Motion]
+    suffixes: tuple[str, ...] = ()
+    accepts: Callable[[Path], bool] | None = None
+    begins: bytes = b""
+    claims: Callable[[Path], bool] | None = None
+    find: Callable[[Path, Path], ScanResult] | None = None
+    writes: bool = False
+
+
+FORMATS: Mapping[str, Format] = {
+    entry.name: entry
+    for entry in (
+        Format(
+            name="bvh",
+            description="BioVision hierarchy (.bvh), any skeleton and channel order",
+            framerate="Frame Time",
+            rotations=True,
+            read=lambda item, options: bvh.read_bvh(item.path, options),
+            suffixes=(".bvh",),
+            begins=b"HIERARCHY",
+            writes=True,
+        ),
+        Format(
+            name="asfamc",
+            description="Acclaim skeleton and motion (.amc with its .asf beside it), as CMU publishes them",
+            framerate="not stated: annotation CSV or --fps",
+            rotations=True,
+            read=lambda item, options: asfamc.read_asfamc(item.path, options),
+            suffixes=(".amc",),
+            begins=b":FULLY-SPECIFIED",
+        ),
+        Format(
+            name="humanml3d",
+            description="HumanML3D folder: new_joints and/or new_joint_vecs (263 numbers), texts, splits",
+            framerate="20, by definition",
+            rotations=False,
+            read=humanml3d.read_humanml3d,
+            claims=humanml3d.claims,
+            find=humanml3d.find,
+            writes=True,
+        ),
+        Format(
+            name="kit",
+            description="KIT-ML folder in HumanML3D's form: 21 joints, 251 numbers",
+            framerate="12.5, by definition",
+            rotations=False,
+            read=kit.read_kit,
+            claims=kit.claims,
+            find=kit.find,
+            writes=True,
+        ),
+        Format(
+            name="humanact12",
+            description="HumanAct12 clips (.npy, 24 joints, action in the name)",
+            framerate="20, by definition",
+            rotations=False,
+            read=lambda item, options: humanact12.read_humanact12(item.path, options),
+            suffixes=(".npy",),
+            accepts=humanact12.accepts,
+        ),
+        Format(
+            name="joints-npy",
+            description="joint positions (.npy, frames × joints × 3; 21, 22 or 24 joints)",
+            framerate="motions.json, annotation CSV or --fps",
+            rotations=False,
+            read=lambda item, options: joints_npy.read_joints_npy(item.path, options),
+            suffixes=(".npy",),
+            accepts=joints_npy.accepts,
+            begins=npy.MAGIC,
+            writes=True,
+        ),
+    )
+}
