@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from motionkit.formats import asfamc, bvh, humanact12, humanml3d, joints_npy, kit, npy
+from motionkit.formats import asfamc, bvh, deepmimic, humanact12, humanml3d, joints_npy, kit, npy
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.motion import Motion
 
@@ -52,6 +52,15 @@ FORMATS: Mapping[str, Format] = {
             read=lambda item, options: asfamc.read_asfamc(item.path, options),
             suffixes=(".amc",),
             begins=b":FULLY-SPECIFIED",
+        ),
+        Format(
+            name="deepmimic",
+            description="DeepMimic's motions (.txt or .json, Loop and Frames; the humanoid of 15 joints)",
+            framerate="the frames' durations",
+            rotations=True,
+            read=lambda item, options: deepmimic.read_deepmimic(item.path, options),
+            suffixes=(".txt", ".json"),
+            accepts=deepmimic.accepts,
         ),
         Format(
             name="humanml3d",
