@@ -23,7 +23,8 @@ class Skeleton:
     """A joint hierarchy, parents before children.
 
     `offsets` are rest positions relative to the parent in metres, float32 [J, 3] (row 0: the root's rest offset).
-    `end_sites` maps a leaf's index to the offset of the unnamed tip that BVH calls End Site.
+    `end_sites` maps a leaf's index to the offset of the unnamed tip that BVH calls End Site. `layout_map` is the user's
+    own map to the standard layouts as canonical JSON (`motionkit.skeleton_families`), empty where names decide.
     Raises `ValueError` for a parent that does not precede its child, repeated names, or arrays of unequal length.
     """
 
@@ -34,6 +35,7 @@ class Skeleton:
     left_right_pairs: tuple[tuple[int, int], ...] = ()
     feet: Feet | None = None
     end_sites: tuple[tuple[int, tuple[float, float, float]], ...] = field(default=())
+    layout_map: str = ""
 
     def __post_init__(self) -> None:
         if not len(self.joint_names) == len(self.parents) == len(self.offsets):
@@ -57,6 +59,7 @@ class Skeleton:
         digest = hashlib.sha256()
         digest.update(repr((self.joint_names, self.parents, self.left_right_pairs, self.feet, self.end_sites)).encode())
         digest.update(np.ascontiguousarray(self.offsets, dtype="<f4").tobytes())
+        digest.update(self.layout_map.encode())
         return digest.hexdigest()[:16]
 
     def __eq__(self, other: object) -> bool:

@@ -1,18 +1,12 @@
 """From any known skeleton to the 22-joint (SMPL) and 21-joint (KIT) layouts, by tables of names and weights.
 
-Each file of `motionkit/skeletons` describes one family of skeletons: the joints by which it is known, and every joint
-of the layout as a weighted sum of the family's joints (`X.tip` is the End Site of X). Toes that a skeleton lacks
-altogether are put in front of the ankle.
+A family of skeletons (`motionkit.skeleton_families`) gives every joint of the layout as a weighted sum of the family's
+joints (`X.tip` is the End Site of X). Toes that a skeleton lacks altogether are put in front of the ankle.
 """
 
-import re
-import tomllib
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from importlib import resources
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -21,6 +15,7 @@ from motionkit import kinematics
 from motionkit.errors import MotionkitError
 from motionkit.motion import Motion
 from motionkit.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
+from motionkit.skeleton_families import canonical_names, family_of, find_family, load_table, parse_layout_map
 
 # A toe joint that has to be made up lies ahead of the ankle by this much of the shin, and below it by this much:
 # HumanML3D's skeleton has 0.14 m and 0.06 m for a shin of 0.43 m.
@@ -39,7 +34,7 @@ class SkeletonMapError(MotionkitError):
         shown = ", ".join(skeleton.joint_names[:12]) + (" …" if skeleton.num_joints > 12 else "")
         super().__init__(
             f"skeleton {skeleton.name!r} cannot be mapped to {layout}: nothing for {', '.join(missing)} among its "
-            f"joints ({shown}); a TOML file in motionkit/skeletons teaches a new one"
+            f"joints ({shown}); `motionkit ingest --skeleton-map my-rig.toml` teaches a new one (docs/formats.md)"
         )
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -66,15 +61,6 @@ class JointMap:
     tip_weights: Float32[np.ndarray, "layout_joints tips"]
     made_up: tuple[str, ...]
     unmapped: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _Family:
-    name: str
-    requires: frozenset[str]
-    aliases: Mapping[str, str]
-    rows: Mapping[str, tuple[Mapping[str, float], ...]]
-    metres_per_unit: float | None
 
 
 def map_joints(motion: Motion, layout: str) -> Float32[np.ndarray, "frames layout_joints 3"]:
@@ -112,10 +98,10 @@ def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
     if layout not in STANDARD_SKELETONS:
         raise ValueError(f"layout {layout!r} is none of {', '.join(STANDARD_SKELETONS)}")
     target = STANDARD_SKELETONS[layout]
-    if skeleton.joint_names == target.joint_names:
+    if skeleton.joint_names == target.joint_names and not skeleton.layout_map:
         eye = np.eye(target.num_joints, dtype=np.float32)
         return JointMap(layout, layout, eye, np.zeros((len(eye), len(skeleton.end_sites)), np.float32), (), ())
-    body = _map_to_smpl22(skeleton.joint_names, skeleton.end_sites)
+    body = _map_to_smpl22(skeleton.joint_names, skeleton.end_sites, skeleton.layout_map)
     if isinstance(body, tuple):
         raise SkeletonMapError(skeleton, layout, body)
     if layout == SMPL22.name:
@@ -126,15 +112,15 @@ def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
 
 def family_unit_metres(skeleton: Skeleton) -> float | None:
     """Metres per unit that files of the skeleton's family use, where the family has one (the CMU database's)."""
-    family = _find_family(_canonical_names(skeleton.joint_names))
+    family = family_of(skeleton)
     return family.metres_per_unit if family else None
 
 
 @lru_cache(maxsize=1024)
-def _map_to_smpl22(joint_names: tuple[str, ...], end_sites: EndSites) -> JointMap | tuple[str, ...]:
+def _map_to_smpl22(joint_names: tuple[str, ...], end_sites: EndSites, layout_map: str) -> JointMap | tuple[str, ...]:
     # The map, or the layout's joints that found no source.
-    names = _canonical_names(joint_names)
-    family = _find_family(names)
+    names = canonical_names(joint_names)
+    family = parse_layout_map(layout_map) if layout_map else find_family(names)
     if family is None:
         return SMPL22.joint_names
     columns = {family.aliases.get(name, name): joint for joint, name in reversed(list(enumerate(names)))}
@@ -213,73 +199,12 @@ def _with_toes(
     return body
 
 
-@lru_cache(maxsize=1024)
-def _canonical_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
-    # "mixamorig:LeftArm", "Character1_LeftArm" and "left arm" are the same joint.
-    plain = [name.rsplit(":", 1)[-1] for name in joint_names]
-    prefix, count = (
-        Counter(name.split("_", 1)[0] for name in plain if "_" in name).most_common(1)[0]
-        if any("_" in name for name in plain)
-        else ("", 0)
-    )
-    if 2 * count > len(plain):
-        plain = [name.removeprefix(f"{prefix}_") for name in plain]
-    return tuple(_canonical(name) for name in plain)
-
-
-def _canonical(name: str) -> str:
-    stem, dot, tip = name.partition(".tip")
-    return re.sub(r"[^a-z0-9]", "", stem.lower()) + (dot + tip if dot else "")
-
-
-@lru_cache(maxsize=1024)
-def _find_family(names: tuple[str, ...]) -> _Family | None:
-    present = set(names)
-    for family in _families():
-        if family.requires <= {family.aliases.get(name, name) for name in present}:
-            return family
-    return None
-
-
-@cache
-def _families() -> tuple[_Family, ...]:
-    # The most demanding family first: the general ones would also fit its skeletons.
-    tables = [
-        _load(entry.name) for entry in resources.files("motionkit.skeletons").iterdir() if entry.name.endswith(".toml")
-    ]
-    families = [
-        _Family(
-            name=table["name"],
-            requires=frozenset(_canonical(name) for name in table["requires"]),
-            aliases={_canonical(key): _canonical(value) for key, value in table.get("aliases", {}).items()},
-            rows={joint: _ways(entry) for joint, entry in table["smpl22"].items()},
-            metres_per_unit=1.0 / table["units_per_metre"] if "units_per_metre" in table else None,
-        )
-        for table in tables
-        if "smpl22" in table
-    ]
-    return tuple(sorted(families, key=lambda family: (-len(family.requires), family.name)))
-
-
-def _ways(entry: Any) -> tuple[Mapping[str, float], ...]:
-    # A joint is a name, a table of weights, or a list of either, the first possible one being taken.
-    entries = entry if isinstance(entry, list) else [entry]
-    return tuple(
-        {_canonical(way): 1.0} if isinstance(way, str) else {_canonical(name): float(w) for name, w in way.items()}
-        for way in entries
-    )
-
-
 @cache
 def _kit21_from_smpl22() -> Float32[np.ndarray, "21 22"]:
-    table = _load("kit21_from_smpl22.toml")["kit21"]
+    table = load_table("kit21_from_smpl22.toml")["kit21"]
     weights = np.zeros((KIT21.num_joints, SMPL22.num_joints), np.float32)
     for row, joint_name in enumerate(KIT21.joint_names):
         entry = table[joint_name]
         for source, weight in ({entry: 1.0} if isinstance(entry, str) else entry).items():
             weights[row, SMPL22.index(source)] = weight
     return weights
-
-
-def _load(name: str) -> dict[str, Any]:
-    return tomllib.loads((resources.files("motionkit.skeletons") / name).read_text(encoding="utf-8"))

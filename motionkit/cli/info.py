@@ -10,6 +10,7 @@ from motionkit.console import print_json, stdout
 from motionkit.settings import default_path
 
 if TYPE_CHECKING:
+    from motionkit.store.rigs import Rig
     from motionkit.store.summary import SourceSummary, StoreSummary
 
 MEGABYTE = 1e6
@@ -18,13 +19,26 @@ SHOWN_COUNTS = 8
 
 def info(
     store: Annotated[Path | None, typer.Option(help="Store to describe.", show_default="./store")] = None,
+    skeletons: Annotated[
+        bool,
+        typer.Option("--skeletons", help="Say which joints reach the standard layouts, for each kind of skeleton."),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
     """Say what a store holds: sources, hours, framerates, splits, captions, skeletons, size on disk."""
     from motionkit.store import Store
+    from motionkit.store.rigs import rigs
     from motionkit.store.summary import summarise
 
-    summary = summarise(Store.open(store or default_path("store")))
+    opened = Store.open(store or default_path("store"))
+    if skeletons:
+        found = rigs(opened)
+        if as_json:
+            print_json({"store": str(opened.path), "rigs": [asdict(rig) for rig in found]})
+        else:
+            _print_rigs(found)
+        return
+    summary = summarise(opened)
     if as_json:
         print_json({**asdict(summary), "raw_bytes": summary.raw_bytes})
     else:
@@ -53,6 +67,32 @@ def _print_summary(summary: "StoreSummary") -> None:
                 f"  {name} {column.disk_bytes / MEGABYTE:,.1f} MB, {column.disk_bytes / column.raw_bytes:.3f} of raw"
             )
     stdout.print(f"fingerprint {summary.fingerprint}")
+
+
+def _print_rigs(found: "tuple[Rig, ...]") -> None:
+    mapped = sum(not rig.missing for rig in found)
+    stdout.print(f"{len(found):,} kinds of skeleton, {mapped:,} of them reach the 22 joints", markup=False)
+    for rig in found:
+        stdout.print()
+        for name, text in _rig_lines(rig):
+            stdout.print(f"{name:12}{text}", markup=False)
+
+
+def _rig_lines(rig: "Rig") -> list[tuple[str, str]]:
+    bones = f", {rig.num_skeletons:,} sets of bone lengths" if rig.num_skeletons > 1 else ""
+    lines = [("skeleton", f"{_some(rig.names)}: {rig.num_joints} joints{bones}, {rig.num_sequences:,} sequences")]
+    if rig.missing:
+        lines.append(("maps by", "nothing; --skeleton-map teaches one" if not rig.own_map else "its own map, in part"))
+        lines.append(("missing", ", ".join(rig.missing)))
+    else:
+        lines.append(("maps by", f"{rig.family} (given by --skeleton-map)" if rig.own_map else rig.family))
+        lines.append(("not used", ", ".join(rig.unmapped) or "none"))
+    return [*lines, ("made up", ", ".join(rig.made_up))] if rig.made_up else lines
+
+
+def _some(names: tuple[str, ...]) -> str:
+    left_out = len(names) - SHOWN_COUNTS
+    return ", ".join(names[:SHOWN_COUNTS]) + (f" and {left_out:,} more" if left_out > 0 else "")
 
 
 def _lines(source: "SourceSummary") -> list[tuple[str, str]]:

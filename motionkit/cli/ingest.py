@@ -72,6 +72,7 @@ def ingest(
                 on_start=lambda num_items: display.update(task, description="ingest", total=num_items),
                 on_item=lambda: display.advance(task),
                 on_problem=lambda problem: stderr.print(_printable(str(problem)), markup=False),
+                on_warning=lambda warning: stderr.print(_printable(f"warning: {warning}"), markup=False),
             ),
         )
     if as_json:

@@ -23,6 +23,7 @@ from motionkit.formats.bvh_hierarchy import BvhHierarchy, parse_hierarchy
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import Skeleton
+from motionkit.skeleton_families import with_layout_map
 from motionkit.timegrid import TimeGrid, parse_fps
 
 # Bones that change by less are noise of printed digits; a bone that changes by more is not rigid.
@@ -63,6 +64,7 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
         table = table[1:]
         operations.append("frame 0 dropped: a T-pose (root unturned, all angles whole degrees, root where frame 1 is)")
     pose = bvh_channels.fold_reference(bvh_channels.read_channels(table, file.hierarchy, path.stem))
+    pose = replace(pose, skeleton=with_layout_map(pose.skeleton, options.skeleton_maps))
     motion = _to_motion(pose, fps, options, path)
     provenance = Provenance(
         source_path=path.name,

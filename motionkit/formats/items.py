@@ -13,13 +13,15 @@ class ReadOptions:
     """How sources are to be read.
 
     `fps` and `unit_metres` (metres per file unit) replace whatever the file or its annotations say; `captions` is a CSV
-    file of annotations that replaces those found beside the motions.
+    file of annotations that replaces those found beside the motions. `skeleton_maps` are the user's tables as
+    `skeleton_families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along.
     """
 
     format: str = "auto"
     fps: Fraction | None = None
     unit_metres: float | None = None
     captions: Path | None = None
+    skeleton_maps: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from motionkit.formats.annotations import Annotation, AnnotationTable
 from motionkit.formats.catalogue import FORMATS, Format
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.motion import Motion
+from motionkit.skeleton_families import with_layout_map
 
 __all__ = ["FORMATS", "Format", "ReadOptions", "ScanResult", "SourceItem", "read", "scan"]
 
@@ -65,6 +66,7 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
     )
     return replace(
         motion,
+        skeleton=with_layout_map(motion.skeleton, options.skeleton_maps),
         sequence_id=item.sequence_id,
         captions=item.captions or motion.captions,
         action=item.action or motion.action,

@@ -11,6 +11,9 @@ from typing import Literal
 from motionkit.errors import FormatError, StoreError
 from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, read, scan
 from motionkit.motion import Motion
+from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.skeleton_families import parse_layout_map
+from motionkit.skeleton_map import SkeletonMapError, joint_map
 from motionkit.store.manifest import read_manifest
 from motionkit.store.parallel import map_in_order, usable_cores
 from motionkit.store.schema import MANIFEST_FILE
@@ -52,11 +55,16 @@ class IngestReport:
 
 @dataclass(frozen=True)
 class Listener:
-    """Who is told what during an ingest: `on_start` the number of sequences, `on_item` after each, and each problem."""
+    """Who is told what during an ingest.
+
+    `on_start` the number of sequences, `on_item` after each, `on_problem` what cost a sequence, `on_warning` what was
+    found out about a skeleton while reading.
+    """
 
     on_start: Callable[[int], None] = lambda num_items: None
     on_item: Callable[[], None] = lambda: None
     on_problem: Callable[[FormatError], None] = lambda problem: None
+    on_warning: Callable[[FormatError], None] = lambda warning: None
 
 
 def ingest(
@@ -97,6 +105,8 @@ class _Run:
         self._num_workers = num_workers
         self._listener = listener
         self._problems: list[FormatError] = []
+        self._warnings: list[FormatError] = []
+        self._rigs: set[tuple[tuple[str, ...], str]] = set()
         self._num_stored = 0
         self._num_frames = 0
         self._num_already_stored = 0
@@ -112,6 +122,7 @@ class _Run:
                 self._fail(problem)
             if found.items:
                 self._write(writer, found)
+                self._check_maps()
             if not self._num_stored:
                 raise _Stopped
         except _Stopped:
@@ -129,7 +140,7 @@ class _Run:
             num_already_stored=self._num_already_stored,
             num_in_store=read_manifest(self._store).num_sequences if exists else 0,
             problems=tuple(self._problems),
-            warnings=found.warnings,
+            warnings=(*found.warnings, *self._warnings),
         )
 
     def _write(self, writer: StoreWriter, found: ScanResult) -> None:
@@ -149,6 +160,7 @@ class _Run:
         return map_in_order(partial(read_or_fault, options=self._options), items, min(num_workers, len(items)))
 
     def _add(self, writer: StoreWriter, item: SourceItem, motion: Motion) -> None:
+        self._check_rig(item, motion.skeleton)
         held = writer.source_sha256(motion.sequence_id)
         if held and held == motion.provenance.source_sha256:
             self._num_already_stored += 1
@@ -161,6 +173,30 @@ class _Run:
         self._num_stored += 1
         self._num_frames += motion.num_frames
         self._duration_seconds += motion.duration_seconds
+
+    def _check_rig(self, item: SourceItem, skeleton: Skeleton) -> None:
+        # Joints that no layout knows are told once, whatever the lengths of their bones; the motions are kept.
+        rig = (skeleton.joint_names, skeleton.layout_map)
+        if rig in self._rigs:
+            return
+        self._rigs.add(rig)
+        try:
+            joint_map(skeleton, SMPL22.name)
+        except SkeletonMapError as error:
+            self._warn(FormatError(str(error), path=item.path, reason="unmapped-skeleton"))
+
+    def _check_maps(self) -> None:
+        used = {layout_map for _, layout_map in self._rigs}
+        for text in self._options.skeleton_maps:
+            if text not in used:
+                family = parse_layout_map(text)
+                needs = ", ".join(sorted(family.requires))
+                message = f"fits no skeleton of the sources; it requires the joints {needs}"
+                self._warn(FormatError(message, path=f"skeleton map {family.name!r}", reason="unused-skeleton-map"))
+
+    def _warn(self, warning: FormatError) -> None:
+        self._warnings.append(warning)
+        self._listener.on_warning(warning)
 
     def _fail(self, problem: FormatError) -> None:
         self._problems.append(problem)

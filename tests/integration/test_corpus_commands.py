@@ -130,3 +130,14 @@ def test_no_store(motionkit, tmp_path, monkeypatch, command):
     assert outcome.stderr == (
         "motionkit: there is no store at store: make one with 'motionkit ingest SOURCE --store store'\n"
     )
+
+
+def test_which_joints_reach_the_layouts(motionkit, store, captures, tmp_path):
+    told = motionkit("info", "--store", store, "--skeletons")
+    assert told.stdout.startswith("1 kinds of skeleton, 0 of them reach the 22 joints\n")
+    assert "missing     pelvis, left_hip, right_hip" in told.stdout
+    clips = tmp_path / "clips"
+    motionkit("ingest", captures / "deepmimic" / "sie", "--store", clips, "--workers", 1)
+    (rig,) = json.loads(motionkit("info", "--store", clips, "--skeletons", "--json").stdout)["rigs"]
+    assert (rig["family"], rig["num_joints"], rig["num_sequences"]) == ("deepmimic-humanoid3d", 15, 49)
+    assert rig["missing"] == rig["unmapped"] == rig["made_up"] == [] and not rig["own_map"]

@@ -143,7 +143,7 @@ def test_all_of_it_at_once_counted_by_reason(motionkit, takes, tmp_path):
         "caption-without-motion": 1,
         "empty-folder": 1,
     }
-    assert summary["warnings"] == {"no-caption": 9}
+    assert summary["warnings"] == {"no-caption": 9, "unmapped-skeleton": 1}
     assert len(outcome.error_lines) == len(summary["problems"]) == 9
     assert any("ghost.bvh" in line and "line 3" in line for line in outcome.error_lines)
     assert any(line.startswith(f"{tmp_path}/empty: ") for line in outcome.error_lines)
@@ -243,7 +243,7 @@ def test_a_disk_that_cannot_be_written(motionkit, takes, tmp_path, monkeypatch):
     outcome = motionkit("ingest", takes, "--store", store)
     assert outcome.code == 1
     assert re.search(
-        r"^motionkit: the store .* cannot be written \(.*No space left.*\); it is as it was$", outcome.stderr
+        r"(?m)^motionkit: the store .* cannot be written \(.*No space left.*\); it is as it was$", outcome.stderr
     )
     assert files_of(store) == before
 
