@@ -71,6 +71,7 @@ def sequence_row(motion: Motion, *, sequence_index: int, part: int, first_row: i
         "subject": provenance.subject,
         "split": motion.split,
         "action": motion.action,
+        "style": motion.style,
         "captions": [
             {
                 "text": caption.text,
@@ -163,6 +164,7 @@ def motion_from_row(
         root_translation=root_translation,
         captions=tuple(Caption(**caption) for caption in row["captions"]),
         action=row["action"],
+        style=row["style"],
         split=row["split"],
         sequence_id=row["sequence_id"],
         provenance=Provenance(

@@ -10,6 +10,7 @@ import motionkit
 from motionkit.errors import StoreError
 from motionkit.store import files
 from motionkit.store.schema import FORMAT_NAME, FORMAT_VERSION, MANIFEST_FILE, SEGMENTS_FOLDER, part_number
+from motionkit.store.versions import READABLE_VERSIONS
 
 PENDING_SUFFIX = ".new"
 
@@ -36,6 +37,7 @@ class Manifest:
     num_skeletons: int
     files: dict[str, FileEntry]
     tool: str = field(default=f"motionkit {motionkit.__version__}")
+    format_version: int = FORMAT_VERSION
 
     def to_json(self) -> str:
         """The file's text, deterministic."""
@@ -47,7 +49,7 @@ class Manifest:
         }
         document = {
             "format": FORMAT_NAME,
-            "format_version": FORMAT_VERSION,
+            "format_version": self.format_version,
             "tool": self.tool,
             "counts": counts,
             "files": {name: asdict(entry) for name, entry in sorted(self.files.items())},
@@ -79,11 +81,11 @@ def read_manifest(store: Path) -> Manifest:
     if not isinstance(document, dict) or document.get("format") != FORMAT_NAME:
         raise StoreError(f"{path} is not the manifest of a store: its 'format' is not {FORMAT_NAME!r}")
     version = document.get("format_version")
-    if version != FORMAT_VERSION:
+    if version not in READABLE_VERSIONS:
         raise StoreError(
             f"the store {store} has format version {version} and was written by {document.get('tool', 'another')}, "
-            f"but motionkit {motionkit.__version__} reads version {FORMAT_VERSION}: install the motionkit that wrote "
-            "it, or ingest the sources again"
+            f"but motionkit {motionkit.__version__} reads versions {READABLE_VERSIONS[0]} to "
+            f"{FORMAT_VERSION}: install the motionkit that wrote it, or ingest the sources again"
         )
     try:
         return _parse(document)
@@ -105,6 +107,7 @@ def _parse(document: dict[str, Any]) -> Manifest:
         num_skeletons=int(counts["skeletons"]),
         files=entries,
         tool=str(document["tool"]),
+        format_version=int(document["format_version"]),
     )
 
 

@@ -18,7 +18,16 @@ from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
 from motionkit.store.manifest import Manifest, read_committed, read_manifest
-from motionkit.store.schema import FLOAT_COLUMNS, KEY_COLUMNS, SEGMENTS, SEQUENCES_FILE, SKELETONS_FILE, part_name
+from motionkit.store.schema import (
+    FLOAT_COLUMNS,
+    FORMAT_VERSION,
+    KEY_COLUMNS,
+    SEGMENTS,
+    SEQUENCES_FILE,
+    SKELETONS_FILE,
+    part_name,
+)
+from motionkit.store.versions import upgraded
 
 OPEN_ATTEMPTS = 5
 
@@ -137,7 +146,10 @@ def _read_table(store: Path, manifest: Manifest, name: str) -> pa.Table | None:
     if name not in manifest.files:
         raise StoreError(f"the manifest of the store {store} does not name {name}: restore it from a copy")
     content = read_committed(store, name, manifest.files[name])
-    return None if content is None else pq.read_table(pa.BufferReader(content)).combine_chunks()
+    if content is None:
+        return None
+    table = pq.read_table(pa.BufferReader(content))
+    return (table if manifest.format_version == FORMAT_VERSION else upgraded(table, name)).combine_chunks()
 
 
 class _SegmentReader:

@@ -10,7 +10,7 @@ from typing import Any
 import pyarrow as pa
 
 FORMAT_NAME = "motionkit-store"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 SEGMENT_FRAMES = 256
 MIN_ROW_GROUP_SEGMENTS = 256
@@ -69,6 +69,7 @@ SEQUENCES = pa.schema(
         _required("subject", pa.string()),
         _required("split", pa.string()),
         _required("action", pa.string()),
+        _required("style", pa.string()),
         _required("captions", pa.list_(_required("element", CAPTION))),
         _required("source_path", pa.string()),
         _required("source_sha256", pa.string()),

@@ -15,13 +15,12 @@ from motionkit.store.schema import (
     KEY_COLUMNS,
     SEGMENT_FRAMES,
     SEGMENTS,
-    SEQUENCES,
     SEQUENCES_FILE,
-    SKELETONS,
     SKELETONS_FILE,
     part_name,
     part_number,
 )
+from motionkit.store.versions import table_schema
 
 
 def faults(path: Path, on_file: Callable[[str], None] = lambda name: None) -> Iterator[str]:
@@ -31,9 +30,9 @@ def faults(path: Path, on_file: Callable[[str], None] = lambda name: None) -> It
     """
     manifest = read_manifest(path)
     tables: dict[str, pa.Table] = {}
-    for name, schema in ((SEQUENCES_FILE, SEQUENCES), (SKELETONS_FILE, SKELETONS)):
+    for name in (SEQUENCES_FILE, SKELETONS_FILE):
         on_file(name)
-        fault, table = _read_table(path, manifest, name, schema)
+        fault, table = _read_table(path, manifest, name)
         if table is None:
             yield fault
         else:
@@ -53,7 +52,7 @@ def faults(path: Path, on_file: Callable[[str], None] = lambda name: None) -> It
         yield from _part_faults(path, manifest, name, chosen)
 
 
-def _read_table(path: Path, manifest: Manifest, name: str, schema: pa.Schema) -> tuple[str, pa.Table | None]:
+def _read_table(path: Path, manifest: Manifest, name: str) -> tuple[str, pa.Table | None]:
     if name not in manifest.files:
         return f"{name}: the manifest does not name it", None
     content = read_committed(path, name, manifest.files[name])
@@ -61,7 +60,7 @@ def _read_table(path: Path, manifest: Manifest, name: str, schema: pa.Schema) ->
         state = "its sha256 is not the manifest's" if (path / name).exists() else "it is missing"
         return f"{name}: {state}", None
     table = pq.read_table(pa.BufferReader(content))
-    if not table.schema.equals(schema):
+    if not table.schema.equals(table_schema(name, manifest.format_version)):
         return f"{name}: its columns are not those of this format version", None
     if table.num_rows != manifest.files[name].num_rows:
         return f"{name}: it has {table.num_rows} rows, the manifest says {manifest.files[name].num_rows}", None

@@ -21,6 +21,7 @@ from motionkit.store.manifest import (
 )
 from motionkit.store.parts import PartWriter
 from motionkit.store.schema import (
+    FORMAT_VERSION,
     MANIFEST_FILE,
     PART_BYTES,
     SEGMENTS_FOLDER,
@@ -94,6 +95,11 @@ class StoreWriter:
         finish_commit(self.path, self._previous)
         remove_leftovers(self.path, self._previous)
         self._base = self._previous if self._keep else EMPTY
+        if self._base.format_version != FORMAT_VERSION:
+            raise StoreError(
+                f"the store {self.path} has format version {self._base.format_version}, which can be read but not "
+                f"added to: bring it to version {FORMAT_VERSION} with 'motionkit migrate --store {self.path}'"
+            )
         if self._base is not EMPTY:
             self._read_base()
         numbers = [part_number(name) for name in self._previous.parts]

@@ -180,8 +180,8 @@ def test_create_and_append_say_what_is_wrong(small_store, tmp_path, make_motion)
 
 def test_another_format_version(small_store):
     manifest = small_store / "manifest.json"
-    manifest.write_text(manifest.read_text().replace('"format_version": 1', '"format_version": 7'))
-    with pytest.raises(StoreError, match=r"format version 7 and was written by motionkit .* reads version 1"):
+    manifest.write_text(manifest.read_text().replace('"format_version": 2', '"format_version": 7'))
+    with pytest.raises(StoreError, match=r"format version 7 and was written by motionkit .* reads versions 1 to 2"):
         Store.open(small_store)
     with pytest.raises(StoreError, match="format version 7"), StoreWriter.append(small_store):
         pass

@@ -1,14 +1,17 @@
 """Stores written by earlier versions stay readable: one small store for each format version, kept as it was written."""
 
+import shutil
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from motionkit.errors import StoreError
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import Feet, Skeleton
 from motionkit.store import Store, StoreWriter
+from motionkit.store.rewrite import migrate
 from motionkit.store.schema import FORMAT_VERSION
 from motionkit.store.validate import faults
 from motionkit.timegrid import TimeGrid
@@ -60,12 +63,29 @@ def test_a_store_of_an_earlier_version(path):
         assert found.skeleton == expected.skeleton
 
 
-def test_the_present_version_is_kept_too(tmp_path):
-    """`write_present_version(STORES / "vN")` makes the store of a new format version."""
-    assert (STORES / f"v{FORMAT_VERSION}").is_dir()
-    write_present_version(tmp_path / "again")
-    kept = Store.open(STORES / f"v{FORMAT_VERSION}")
-    assert Store.open(tmp_path / "again").sequences_table.equals(kept.sequences_table)
+def test_an_earlier_version_is_not_added_to(tmp_path):
+    shutil.copytree(STORES / "v1", tmp_path / "store")
+    before = Store.open(tmp_path / "store").fingerprint
+    with (
+        pytest.raises(StoreError, match=r"format version 1, .*'motionkit migrate --store .*store'"),
+        StoreWriter.append(tmp_path / "store"),
+    ):
+        pass
+    assert Store.open(tmp_path / "store").fingerprint == before
+
+
+def test_a_migrated_store_is_the_one_that_this_version_writes(tmp_path):
+    shutil.copytree(STORES / "v1", tmp_path / "store")
+    assert migrate(tmp_path / "store")
+    assert not migrate(tmp_path / "store")
+    write_present_version(tmp_path / "fresh")
+    migrated, fresh = Store.open(tmp_path / "store"), Store.open(tmp_path / "fresh")
+    assert migrated.manifest.format_version == FORMAT_VERSION
+    assert list(faults(tmp_path / "store")) == []
+    parts = [(store.path / store.manifest.parts[0]).read_bytes() for store in (migrated, fresh)]
+    assert parts[0] == parts[1]
+    assert migrated.sequences_table.drop_columns("part").equals(fresh.sequences_table.drop_columns("part"))
+    assert migrated.skeletons_table.equals(fresh.skeletons_table)
 
 
 def write_present_version(path: Path) -> None:

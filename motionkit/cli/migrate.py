@@ -1,0 +1,38 @@
+"""`motionkit migrate`: a store of an earlier format version becomes one of the present version."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from motionkit.console import print_json, progress, stdout
+from motionkit.settings import default_path
+
+
+def migrate(
+    store: Annotated[Path | None, typer.Option(help="Store to migrate.", show_default="./store")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+) -> None:
+    """Bring a store to the present format version, in its place; interrupted, it stays as it was.
+
+    Needs room for a second copy until it is done.
+    """
+    from motionkit.store.manifest import read_manifest
+    from motionkit.store.rewrite import migrate as migrate_store
+
+    path = store or default_path("store")
+    before = read_manifest(path)
+    with progress() as display:
+        task = display.add_task("migrate", total=before.num_sequences, note="")
+        migrated = migrate_store(path, lambda: display.advance(task))
+    after = read_manifest(path)
+    if as_json:
+        print_json({"store": str(path), "from_version": before.format_version, "to_version": after.format_version})
+    elif migrated:
+        stdout.print(
+            f"{path}: {after.num_sequences:,} sequences from format version {before.format_version} to "
+            f"{after.format_version}",
+            markup=False,
+        )
+    else:
+        stdout.print(f"{path} has format version {after.format_version} already", markup=False)
