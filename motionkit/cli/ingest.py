@@ -1,5 +1,6 @@
 """`motionkit ingest`: sources into a store."""
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -7,13 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from motionkit.console import print_json, progress, stderr, stdout
-from motionkit.errors import MotionkitError, UsageError
+from motionkit.errors import FormatError, MotionkitError, UsageError
 from motionkit.settings import default_path
 from motionkit.timegrid import parse_fps
 
 if TYPE_CHECKING:
+    from motionkit.formats.items import IndexOptions
     from motionkit.formats.registry import ReadOptions
     from motionkit.store.ingest import IngestReport
+
+
+class Compat(StrEnum):
+    """Whose frames are to be reproduced."""
+
+    HUMANML3D_20FPS = "humanml3d-20fps"
 
 
 class OnError(StrEnum):
@@ -29,6 +37,25 @@ def ingest(
     format: Annotated[str, typer.Option(help="auto tells formats by name and content; or one format's name.")] = "auto",
     captions: Annotated[
         Path | None, typer.Option(help="CSV with a column 'file' and any of caption, action, split, fps …")
+    ] = None,
+    index: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Index of stretches of the source's files: HumanML3D's index.csv, TMR's annotations.json (KIT-ML), "
+            "BABEL's train.json. May be given several times."
+        ),
+    ] = None,
+    texts: Annotated[Path | None, typer.Option(help="Folder of the index's captions: 000000.txt …")] = None,
+    splits: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the index's train.txt, val.txt, test.txt; by default the index's, or the one above --texts."
+        ),
+    ] = None,
+    mirrored: Annotated[bool, typer.Option("--mirrored", help="The index's mirrored sequences too, M000000 …")] = False,
+    compat: Annotated[
+        Compat | None,
+        typer.Option(help="Of the index's stretches the frames that HumanML3D published, not every native one."),
     ] = None,
     fps: Annotated[str | None, typer.Option(help="Framerate that replaces what files say: 120, 30000/1001.")] = None,
     unit_metres: Annotated[
@@ -59,6 +86,8 @@ def ingest(
     from motionkit.store.ingest import ingest as ingest_sources
 
     options = _options(format, captions, fps, unit_metres)
+    options = replace(options, index=_index_options(index, texts, splits, mirrored, compat, captions))
+    teller = _Teller()
     with progress() as display:
         task = display.add_task("scan", total=None, note="")
         report = ingest_sources(
@@ -71,8 +100,8 @@ def ingest(
             listener=Listener(
                 on_start=lambda num_items: display.update(task, description="ingest", total=num_items),
                 on_item=lambda: display.advance(task),
-                on_problem=lambda problem: stderr.print(_printable(str(problem)), markup=False),
                 on_warning=lambda warning: stderr.print(_printable(f"warning: {warning}"), markup=False),
+                on_problem=teller.tell,
             ),
         )
     if as_json:
@@ -97,6 +126,44 @@ def _options(format: str, captions: Path | None, fps: str | None, unit_metres: f
     return ReadOptions(format=format, fps=rate, unit_metres=unit_metres, captions=captions)
 
 
+def _index_options(
+    index: list[Path] | None,
+    texts: Path | None,
+    splits: Path | None,
+    mirrored: bool,
+    compat: Compat | None,
+    captions: Path | None,
+) -> "IndexOptions | None":
+    from motionkit.formats.items import IndexOptions
+
+    if not index:
+        given = {"--texts": texts, "--splits": splits, "--mirrored": mirrored, "--compat": compat}
+        if any(given.values()):
+            name = next(name for name, value in given.items() if value)
+            raise UsageError(f"{name} is about an index: give one with --index")
+        return None
+    if captions is not None:
+        raise UsageError("--captions describes whole files; the captions of an index are its own or those of --texts")
+    return IndexOptions(tuple(index), texts, splits, mirrored, published=compat is not None)
+
+
+class _Teller:
+    """Prints problems as they come, of missing files only the first: a dataset that is not there has thousands."""
+
+    NUM_MISSING_SHOWN = 5
+
+    def __init__(self) -> None:
+        self._num_missing = 0
+
+    def tell(self, problem: FormatError) -> None:
+        """Print one problem, or what is known by then of the missing files."""
+        self._num_missing += problem.reason == "missing-file"
+        if problem.reason != "missing-file" or self._num_missing <= self.NUM_MISSING_SHOWN:
+            stderr.print(_printable(str(problem)), markup=False)
+        elif self._num_missing == self.NUM_MISSING_SHOWN + 1:
+            stderr.print("more files are missing: the table at the end counts them, --json names them", markup=False)
+
+
 def _print_summary(report: "IngestReport") -> None:
     hours = report.duration_seconds / 3600
     stdout.print(
@@ -110,6 +177,12 @@ def _print_summary(report: "IngestReport") -> None:
         if counts:
             reasons = ", ".join(f"{count:,} {reason}" for reason, count in counts.items())
             stdout.print(f"{name}: {sum(counts.values()):,} ({reasons})", markup=False)
+    if report.datasets:
+        width = max(len("dataset"), *(len(count.dataset) for count in report.datasets))
+        stdout.print(f"{'dataset':{width}}   found  missing  failed", markup=False)
+        for count in report.datasets:
+            numbers = f"{count.num_found:7,} {count.num_missing:8,} {count.num_failed:7,}"
+            stdout.print(f"{_printable(count.dataset) or '-':{width}} {numbers}", markup=False)
 
 
 def _as_json(report: "IngestReport") -> dict[str, Any]:
@@ -123,6 +196,10 @@ def _as_json(report: "IngestReport") -> dict[str, Any]:
         "sequences_in_store": report.num_in_store,
         "failed": report.problems_by_reason,
         "warnings": report.warnings_by_reason,
+        "datasets": {
+            count.dataset: {"found": count.num_found, "missing": count.num_missing, "failed": count.num_failed}
+            for count in report.datasets
+        },
         "problems": [{"reason": problem.reason, "message": _printable(str(problem))} for problem in report.problems],
     }
 

@@ -1,11 +1,28 @@
 """What a scan finds and what a reader is told: small values that travel between processes."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 
 from motionkit.errors import FormatError
+from motionkit.formats.cuts import Cut
 from motionkit.motion import Caption
+
+
+@dataclass(frozen=True)
+class IndexOptions:
+    """Which sequences of which indexes are wanted.
+
+    `paths` are the indexes, `texts` a folder of captions (NAME.txt), `splits` one of train.txt, val.txt and test.txt.
+    `mirrored` adds mirrored sequences; `published` takes the frames that HumanML3D published, at 20 fps, not all.
+    """
+
+    paths: tuple[Path, ...]
+    texts: Path | None = None
+    splits: Path | None = None
+    mirrored: bool = False
+    published: bool = False
 
 
 @dataclass(frozen=True)
@@ -14,7 +31,8 @@ class ReadOptions:
 
     `fps` and `unit_metres` (metres per file unit) replace whatever the file or its annotations say; `captions` is a CSV
     file of annotations that replaces those found beside the motions. `skeleton_maps` are the user's tables as
-    `skeleton_families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along.
+    `skeleton_families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along. `index` picks
+    stretches of a source's files.
     """
 
     format: str = "auto"
@@ -22,6 +40,7 @@ class ReadOptions:
     unit_metres: float | None = None
     captions: Path | None = None
     skeleton_maps: tuple[str, ...] = ()
+    index: IndexOptions | None = None
 
 
 @dataclass(frozen=True)
@@ -29,7 +48,8 @@ class SourceItem:
     """One sequence that a scan found; picklable, so that ingest can hand it to another process.
 
     `path` is the file that holds it, `root` the source folder, `key` the sequence's name inside a folder format (empty
-    where a file holds one sequence). `fps` is what an annotation says; the file's own framerate is read later.
+    where a file holds one sequence). `fps` is what an annotation says; the file's own framerate is read later. `cut` is
+    the stretch of the file that the sequence is, None for all of it.
     """
 
     format: str
@@ -46,6 +66,8 @@ class SourceItem:
     source: str = ""
     subset: str = ""
     licence: str = ""
+    cut: Cut | None = None
+    mirrored: bool = False
 
     def __str__(self) -> str:
         return f"{self.path} ({self.key})" if self.key else str(self.path)
@@ -55,9 +77,11 @@ class SourceItem:
 class ScanResult:
     """What a scan found: `items` to read, `problems` that cost a sequence, and `warnings` that cost none.
 
-    A motion without a caption, in a source that has captions, is a warning: the motion is kept.
+    A motion without a caption, in a source that has captions, is a warning: the motion is kept. `missing` counts, by
+    dataset, the sequences of an index whose files are not there; each is one of the problems too.
     """
 
     items: tuple[SourceItem, ...]
     problems: tuple[FormatError, ...] = ()
     warnings: tuple[FormatError, ...] = field(default=())
+    missing: Mapping[str, int] = field(default_factory=dict)

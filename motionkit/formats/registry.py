@@ -4,15 +4,18 @@
 """
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache, lru_cache
 from pathlib import Path
 
 from motionkit.errors import FormatError, UsageError
-from motionkit.formats import annotations
+from motionkit.formats import annotations, cuts
 from motionkit.formats.annotations import Annotation, AnnotationTable
 from motionkit.formats.catalogue import FORMATS, Format
+from motionkit.formats.indexes import search
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
+from motionkit.mirror import mirror
 from motionkit.motion import Motion
 from motionkit.skeleton_families import with_layout_map
 
@@ -28,6 +31,10 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     options = options or ReadOptions()
     if options.format != "auto" and options.format not in FORMATS:
         raise UsageError(f"unknown format {options.format!r}, expected auto or one of {', '.join(FORMATS)}")
+    if options.index is not None:
+        found = search.scan_indexes(sources, options.index, _file_items(options))
+        kept, duplicates = _unique(found.items)
+        return replace(found, items=kept, problems=(*found.problems, *duplicates))
     items: list[SourceItem] = []
     problems: list[FormatError] = []
     warnings: list[FormatError] = []
@@ -55,7 +62,10 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
     options = options or ReadOptions()
     if options.fps is None and item.fps is not None:
         options = replace(options, fps=item.fps)
-    motion = FORMATS[item.format].read(item, options)
+    if item.cut is None and not item.mirrored:
+        motion = FORMATS[item.format].read(item, options)
+    else:
+        motion = _read_stretch(item, options)
     provenance = replace(
         motion.provenance,
         source=item.source,
@@ -74,6 +84,47 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
         split=item.split or motion.split,
         provenance=provenance,
     )
+
+
+def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
+    status = item.path.stat()
+    whole = SourceItem(item.format, item.path, item.root, sequence_id="", key=item.key, fps=item.fps)
+    motion = _read_once(whole, options, status.st_mtime_ns, status.st_size)
+    if item.cut is not None:
+        motion = cuts.crop(motion, item.cut, item.path)
+    if not item.mirrored:
+        return motion
+    try:
+        return mirror(motion)
+    except ValueError as error:
+        raise FormatError(f"cannot be mirrored: {error}", path=item.path, reason="mirror") from None
+
+
+@lru_cache(maxsize=1)
+def _read_once(whole: SourceItem, options: ReadOptions, modified_ns: int, num_bytes: int) -> Motion:
+    # The stretches of a file follow each other, and reading a file costs far more than cutting it. A file that has
+    # changed since is read again.
+    return FORMATS[whole.format].read(whole, options)
+
+
+def _file_items(options: ReadOptions) -> Callable[[Path, Path], SourceItem | None]:
+    """Path and source folder → the motion that a file holds, with the framerate and licence that stand beside it."""
+    candidates = [entry for entry in FORMATS.values() if options.format in ("auto", entry.name)]
+
+    @cache
+    def around(folder: Path, root: Path) -> tuple[str, tuple[AnnotationTable, ...]]:
+        licence, above = around(folder.parent, root) if folder != root else ("", ())
+        return annotations.find_licence(folder) or licence, (*above, *_tables(folder)[0])
+
+    def item_of(path: Path, root: Path) -> SourceItem | None:
+        kind = next((entry for entry in candidates if _takes(entry, path)), None)
+        if kind is None:
+            return None
+        licence, tables = around(path.parent, root)
+        # What a table says about a whole file need not be true of a stretch.
+        return replace(_annotate(_file_item(kind, path, root, licence), tables), captions=(), split="")
+
+    return item_of
 
 
 def _root(source: Path) -> Path:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from motionkit.errors import FormatError, StoreError
+from motionkit.formats.cuts import missing_seconds
 from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, read, scan
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22, Skeleton
@@ -26,9 +27,20 @@ MUCH_BYTES = 20 * 2**20
 
 
 @dataclass(frozen=True)
+class DatasetCount:
+    """What became of an index's sequences of one dataset: files found and missing, and what failed of those found."""
+
+    dataset: str
+    num_found: int
+    num_missing: int
+    num_failed: int
+
+
+@dataclass(frozen=True)
 class IngestReport:
     """What an ingest did: sequences stored, those the store already held, problems that cost a sequence, warnings.
 
+    `datasets` says it by dataset where the sequences are an index's.
     `committed` is False where the store was left as it was: after a problem under `stop`, or with nothing to store.
     """
 
@@ -41,6 +53,7 @@ class IngestReport:
     num_in_store: int
     problems: tuple[FormatError, ...]
     warnings: tuple[FormatError, ...]
+    datasets: tuple[DatasetCount, ...] = ()
 
     @property
     def problems_by_reason(self) -> dict[str, int]:
@@ -107,6 +120,7 @@ class _Run:
         self._problems: list[FormatError] = []
         self._warnings: list[FormatError] = []
         self._rigs: set[tuple[tuple[str, ...], str]] = set()
+        self._failed_by_dataset: Counter[str] = Counter()
         self._num_stored = 0
         self._num_frames = 0
         self._num_already_stored = 0
@@ -141,6 +155,7 @@ class _Run:
             num_in_store=read_manifest(self._store).num_sequences if exists else 0,
             problems=tuple(self._problems),
             warnings=(*found.warnings, *self._warnings),
+            datasets=self._datasets(found) if self._options.index else (),
         )
 
     def _write(self, writer: StoreWriter, found: ScanResult) -> None:
@@ -148,7 +163,7 @@ class _Run:
         with writer, closing(self._read(found.items)) as results:
             for item, result in results:
                 if isinstance(result, FormatError):
-                    self._fail(result)
+                    self._fail(result, item)
                 else:
                     self._add(writer, item, result)
                 self._listener.on_item()
@@ -168,8 +183,11 @@ class _Run:
         try:
             writer.add(motion)
         except RefusedMotion as refused:
-            self._fail(FormatError(str(refused), path=item.path, reason=refused.reason))
+            self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
+        shortened = shortfall(item, motion)
+        if shortened is not None:
+            self._warn(shortened)
         self._num_stored += 1
         self._num_frames += motion.num_frames
         self._duration_seconds += motion.duration_seconds
@@ -198,11 +216,33 @@ class _Run:
         self._warnings.append(warning)
         self._listener.on_warning(warning)
 
-    def _fail(self, problem: FormatError) -> None:
+    def _datasets(self, found: ScanResult) -> tuple[DatasetCount, ...]:
+        of_files = Counter(item.subset for item in found.items)
+        wanted = of_files + Counter(found.missing)
+        return tuple(
+            DatasetCount(name, of_files[name], found.missing.get(name, 0), self._failed_by_dataset[name])
+            for name, _ in wanted.most_common()
+        )
+
+    def _fail(self, problem: FormatError, item: SourceItem | None = None) -> None:
+        if item is not None:
+            self._failed_by_dataset[item.subset] += 1
         self._problems.append(problem)
         self._listener.on_problem(problem)
         if self._on_error == "stop":
             raise _Stopped
+
+
+def shortfall(item: SourceItem, motion: Motion) -> FormatError | None:
+    """A warning (`shortened`) where a file ends before the stretch that was wanted of it; the rest of it is kept."""
+    missing = 0.0 if item.cut is None else missing_seconds(motion, item.cut)
+    if missing <= 0.0:
+        return None
+    return FormatError(
+        f"ends {missing:.3g} s before {item.sequence_id} does; {motion.duration_seconds:.3g} s of it are kept",
+        path=item.path,
+        reason="shortened",
+    )
 
 
 def _is_much(items: Sequence[SourceItem]) -> bool:

@@ -1,0 +1,169 @@
+"""Which stretch of a file a sequence is: stretches in seconds, and stretches in HumanML3D's frames.
+
+HumanML3D counts in frames of its own. Of a file that states `fps` it keeps every `step`-th frame, step = int(fps / 20),
+calls the result 20 fps, drops a trim from the front of some datasets, and then takes frames [start, end). Since the
+step is a whole number, those frames are at fps / step, not at 20 (150 fps: 21.43; 59.9999885 fps: 30), so they are
+resolved in native frames, once the file says its framerate. Source: HumanML3D, raw_pose_processing.ipynb, issue 176.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+from motionkit.errors import FormatError
+from motionkit.motion import Motion
+from motionkit.timegrid import TimeGrid, parse_fps
+
+PUBLISHED_FPS = 20
+# Two readings of the same instant differ by less than this.
+SAME_SECONDS = 1e-6
+
+
+@dataclass(frozen=True)
+class TimeCut:
+    """Seconds [start_seconds, end_seconds) of a file; None: to its end."""
+
+    start_seconds: float = 0.0
+    end_seconds: float | None = None
+
+
+@dataclass(frozen=True)
+class StepCut:
+    """Frames [start_frame, end_frame) among every step-th of a file, without the first `trim_frames` of them.
+
+    All native frames in between are kept: [(trim + start)·step, (trim + end)·step).
+    """
+
+    start_frame: int
+    end_frame: int
+    trim_frames: int = 0
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames among every step-th."""
+        return self.end_frame - self.start_frame
+
+
+@dataclass(frozen=True)
+class PublishedCut:
+    """The frames that HumanML3D published: every step-th of a stretch, or of a whole file that is not thinned (None).
+
+    They are called 20 fps, as published, whatever they are.
+    """
+
+    stretch: StepCut | None
+
+
+Cut = TimeCut | StepCut | PublishedCut
+
+
+def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
+    """The stretch as a motion whose clock starts at 0; a file that ends early gives what there is of it.
+
+    Raises `FormatError`: `beyond-end` where the file ends before the stretch starts, `step` for a framerate below 20.
+    """
+    match cut:
+        case TimeCut():
+            return _crop_seconds(motion, cut, path)
+        case StepCut():
+            return _crop_frames(motion, cut, path)
+        case PublishedCut(stretch):
+            if stretch is None:
+                return _called_20_fps(motion, 1)
+            return _called_20_fps(_crop_frames(motion, stretch, path), step_of(motion, path))
+
+
+def missing_seconds(motion: Motion, cut: Cut) -> float:
+    """By how much a cropped motion is shorter than its cut asks for; 0 where a frame's rounding explains it."""
+    match cut:
+        case TimeCut(start, end):
+            missing = 0.0 if end is None else end - start - motion.duration_seconds
+            return missing if missing > 1.5 * motion.timegrid.seconds_between_frames else 0.0
+        case StepCut():
+            # The last published frame stands for `step` native ones, of which a file needs to have but the first.
+            step = int(stated_rate(motion) / PUBLISHED_FPS)
+            missing_frames = cut.num_frames - math.ceil(motion.num_frames / step)
+            return float(missing_frames * step / motion.fps)
+        case PublishedCut(stretch):
+            return 0.0 if stretch is None else (stretch.num_frames - motion.num_frames) / PUBLISHED_FPS
+
+
+def step_of(motion: Motion, path: Path) -> int:
+    """HumanML3D's step, int(fps / 20), from the framerate that the file states, to the last digit.
+
+    A framerate that was corrected changes what a frame's time is, not which frames were published. Raises `FormatError`
+    (`step`) below 20 fps, where the published code divides by zero.
+    """
+    step = int(stated_rate(motion) / PUBLISHED_FPS)
+    if step < 1:
+        raise FormatError(
+            f"{stated_rate(motion):g} frames a second; an index in HumanML3D's frames needs at least {PUBLISHED_FPS}",
+            path=path,
+            reason="step",
+        )
+    return step
+
+
+def stated_rate(motion: Motion) -> float:
+    """The framerate that a file states, unrounded where it is a number, else the one in use.
+
+    BVH's `Frame Time` is printed with few digits (.00833334 s), so there the snapped rate counts.
+    """
+    stated = motion.provenance.stated_fps.strip()
+    try:
+        if stated.startswith("Frame Time:"):
+            return float(parse_fps(1.0 / float(stated.removeprefix("Frame Time:"))))
+        rate = float(stated)
+    except (ValueError, ZeroDivisionError):
+        return float(motion.fps)
+    return rate if math.isfinite(rate) and rate > 0 else float(motion.fps)
+
+
+def _crop_seconds(motion: Motion, cut: TimeCut, path: Path) -> Motion:
+    start = _first_frame_at(cut.start_seconds, motion.fps)
+    stop = motion.num_frames if cut.end_seconds is None else _first_frame_at(cut.end_seconds, motion.fps)
+    end = "the end" if cut.end_seconds is None else f"{cut.end_seconds:g} s"
+    return _stretch(motion, start, stop, f"{cut.start_seconds:g} s to {end}", path)
+
+
+def _crop_frames(motion: Motion, cut: StepCut, path: Path) -> Motion:
+    step = step_of(motion, path)
+    start, stop = ((cut.trim_frames + frame) * step for frame in (cut.start_frame, cut.end_frame))
+    trim = f" after a trim of {cut.trim_frames}" if cut.trim_frames else ""
+    asked = f"[{cut.start_frame}, {cut.end_frame}) of every {step}th frame{trim}"
+    return _stretch(motion, start, stop, asked, path)
+
+
+def _stretch(motion: Motion, start: int, stop: int, asked: str, path: Path) -> Motion:
+    if start >= min(stop, motion.num_frames):
+        raise FormatError(
+            f"the index asks for {asked}, that is frames [{start}, {stop}), but the file has {motion.num_frames}; is "
+            "it of another release?",
+            path=path,
+            reason="beyond-end",
+        )
+    found = min(stop, motion.num_frames)
+    cropped = motion.frames(start, found)
+    first, last = (float(frame / motion.fps) for frame in (start, found))
+    line = f"frames [{start}, {found}) of {motion.num_frames}, {first:.6g} s to {last:.6g} s of the file ({asked})"
+    return replace(cropped, timegrid=TimeGrid(motion.fps, found - start)).logged(line)
+
+
+def _called_20_fps(motion: Motion, step: int) -> Motion:
+    rotations, root = motion.local_rotations, motion.root_translation
+    positions = motion.joint_positions[::step]
+    thinned = replace(
+        motion,
+        joint_positions=positions,
+        timegrid=TimeGrid(Fraction(PUBLISHED_FPS), len(positions)),
+        local_rotations=None if rotations is None else rotations[::step],
+        root_translation=None if root is None else root[::step],
+    )
+    true_fps = float(motion.fps / step)
+    return thinned.logged(f"every {step}th frame, at {true_fps:g} fps, called {PUBLISHED_FPS} fps as HumanML3D does")
+
+
+def _first_frame_at(seconds: float, fps: Fraction) -> int:
+    # Half-open intervals: the first frame that is not earlier.
+    return max(0, math.ceil((seconds - SAME_SECONDS) * float(fps)))

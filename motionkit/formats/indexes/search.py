@@ -1,0 +1,211 @@
+"""An index and a folder of motions → what to read: each entry's file is found by its name alone, however it is spelled.
+
+Names are walked, files are not opened: of a folder of all AMASS only the files that an index names are read.
+"""
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from motionkit.errors import FormatError, UsageError
+from motionkit.formats import texts
+from motionkit.formats.cuts import PublishedCut, StepCut
+from motionkit.formats.indexes import humanml3d_index
+from motionkit.formats.indexes.catalogue import read_index
+from motionkit.formats.indexes.datasets import Key, dataset_of, file_key
+from motionkit.formats.indexes.entries import Entry, Index
+from motionkit.formats.items import IndexOptions, ScanResult, SourceItem
+from motionkit.motion import Caption
+
+SPLITS = ("train", "val", "test")
+MIRROR = "M"
+
+# The motion that a file holds, or None for a file of no known format.
+ItemOf = Callable[[Path, Path], SourceItem | None]
+
+
+@dataclass(frozen=True)
+class Sidecars:
+    """What is said about an index's sequences outside of it: a split for some names, and a folder of captions."""
+
+    splits: Mapping[str, str]
+    splits_path: Path | None
+    texts: Path | None
+
+    def captions(self, name: str) -> tuple[Caption, ...] | None:
+        """Captions of a sequence, None where there are none; raises `FormatError` for a text file that is none."""
+        path = self.texts / f"{name}.txt" if self.texts else None
+        return texts.read_texts(path) if path is not None and path.is_file() else None
+
+
+def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf) -> ScanResult:
+    """The sequences of all indexes whose files lie below the sources; the others are problems (`missing-file`).
+
+    Sequences of one file follow each other, in the order in which the indexes first name the file. Raises `UsageError`
+    for folders that are none and options that make no sense, `FormatError` for an index that cannot be read.
+    """
+    indexes = [_chosen(read_index(path), options) for path in options.paths]
+    files = _find_files(sources, {entry.key for index in indexes for entry in index.entries})
+    found = [_scan_index(index, sources, files, options, item_of) for index in indexes]
+    missing: Counter[str] = Counter()
+    for result in found:
+        missing.update(result.missing)
+    return ScanResult(
+        items=tuple(_one_file_at_a_time(item for result in found for item in result.items)),
+        problems=tuple(problem for result in found for problem in result.problems),
+        warnings=tuple(warning for result in found for warning in result.warnings),
+        missing=missing,
+    )
+
+
+def _chosen(index: Index, options: IndexOptions) -> Index:
+    """The index as the options want it: with or without mirrored sequences, and in which frames."""
+    of_humanml3d = index.name == humanml3d_index.NAME
+    if options.published and not of_humanml3d:
+        raise UsageError(f"only HumanML3D's index.csv has frames at 20 fps to reproduce, {index.path} has none")
+    entries = list(index.entries)
+    if not options.mirrored:
+        entries = [entry for entry in entries if not entry.mirrored]
+    elif of_humanml3d:
+        copies = [replace(entry, name=MIRROR + entry.name, mirrored=True) for entry in entries]
+        entries = [each for pair in zip(entries, copies, strict=True) for each in pair]
+    elif not any(entry.mirrored for entry in entries):
+        raise UsageError(f"{index.path} has no mirrored sequences, and captions that would not fit their mirror images")
+    if options.published:
+        entries = [
+            replace(entry, cut=PublishedCut(entry.cut if isinstance(entry.cut, StepCut) else None)) for entry in entries
+        ]
+    name = f"{index.name}-20fps" if options.published else index.name
+    return replace(index, name=name, entries=tuple(entries))
+
+
+def _find_files(sources: Sequence[Path], wanted: set[Key]) -> dict[Key, list[tuple[Path, Path]]]:
+    """Files below the sources by the key under which an index may want them, best first, each with its source."""
+    found: dict[Key, list[tuple[Path, Path]]] = {}
+    for source in sources:
+        if not source.is_dir():
+            raise UsageError(f"{source} is not a folder; an index names files below a folder")
+        root = source.resolve()
+        for path in _walk(root):
+            # The source may itself be a dataset's folder.
+            parts = path.relative_to(root).parts
+            named = (root.name, *parts)
+            key = file_key(named if dataset_of(named) else parts)
+            if key in wanted:
+                found.setdefault(key, []).append((path, root))
+    for paths in found.values():
+        paths.sort(key=_preference)
+    return found
+
+
+def _walk(root: Path) -> Iterator[Path]:
+    for name, folders, files in os.walk(root):
+        folders[:] = sorted(folder for folder in folders if not folder.startswith("."))
+        for file in sorted(files):
+            if not file.startswith("."):
+                yield Path(name, file)
+
+
+def _preference(place: tuple[Path, Path]) -> int:
+    # HumanML3D and BABEL count in the frames of the SMPL+H release; its files are called NAME_poses.
+    stem = place[0].stem
+    return 0 if stem.endswith("_poses") else 1 if stem.endswith("_stageii") else 2
+
+
+def _scan_index(
+    index: Index,
+    sources: Sequence[Path],
+    files: Mapping[Key, list[tuple[Path, Path]]],
+    options: IndexOptions,
+    item_of: ItemOf,
+) -> ScanResult:
+    sidecars = _sidecars(index, options)
+    items: list[SourceItem] = []
+    problems = list(index.problems)
+    missing: Counter[str] = Counter()
+    found: dict[Key, SourceItem | None] = {}
+    for entry in index.entries:
+        key = entry.key
+        if key not in found:
+            places = (item_of(path, root) for path, root in files.get(key, ()))
+            found[key] = next((item for item in places if item is not None), None)
+        file = found[key]
+        if file is None:
+            missing[entry.dataset] += 1
+            problems.append(_missing(index, entry, sources))
+            continue
+        try:
+            items.append(_item(index, entry, file, sidecars))
+        except FormatError as problem:
+            problems.append(problem)
+    return ScanResult(tuple(items), tuple(problems), _warnings(index, items, sidecars), missing=missing)
+
+
+def _item(index: Index, entry: Entry, file: SourceItem, sidecars: Sidecars) -> SourceItem:
+    captions = sidecars.captions(entry.name)
+    return replace(
+        file,
+        sequence_id=f"{index.name}/{entry.name}",
+        captions=entry.captions if captions is None else captions,
+        action=entry.action or file.action,
+        split=sidecars.splits.get(entry.name, entry.split),
+        source=index.name,
+        subset=entry.dataset,
+        cut=entry.cut,
+        mirrored=entry.mirrored,
+    )
+
+
+def _missing(index: Index, entry: Entry, sources: Sequence[Path]) -> FormatError:
+    spelled = "/".join(entry.parts)
+    return FormatError(
+        f"{entry.name}: there is no {spelled} below {', '.join(map(str, sources))}, in no spelling that is known",
+        path=index.path,
+        reason="missing-file",
+        line=entry.line,
+    )
+
+
+def _sidecars(index: Index, options: IndexOptions) -> Sidecars:
+    if options.texts is not None and not options.texts.is_dir():
+        raise UsageError(f"{options.texts} is not a folder of texts such as 000000.txt")
+    folder = options.splits
+    if folder is None:
+        beside = [index.path.parent, *([options.texts.resolve().parent] if options.texts else [])]
+        folder = next((each for each in beside if (each / "train.txt").is_file()), None)
+    elif not any((folder / f"{split}.txt").is_file() for split in SPLITS):
+        raise UsageError(f"{folder} has none of {', '.join(f'{split}.txt' for split in SPLITS)}")
+    splits: dict[str, str] = {}
+    for split in SPLITS if folder else ():
+        path = folder / f"{split}.txt" if folder else Path()
+        if path.is_file():
+            lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+            splits |= {line.strip(): split for line in lines if line.strip()}
+    return Sidecars(splits, folder, options.texts)
+
+
+def _warnings(index: Index, items: Iterable[SourceItem], sidecars: Sidecars) -> tuple[FormatError, ...]:
+    names = {entry.name for entry in index.entries}
+    # Half of HumanML3D's split is mirrored; those who did not ask for mirrored sequences don't miss them.
+    absent = [name for name in sidecars.splits if name not in names and name.removeprefix(MIRROR) not in names]
+    warnings = []
+    if absent and sidecars.splits_path is not None:
+        message = f"lists {len(absent)} sequences that {index.path.name} has not, first {absent[0][:40]!r}"
+        warnings.append(FormatError(message, path=sidecars.splits_path, reason="split-without-motion"))
+    if sidecars.texts is not None or any(entry.captions for entry in index.entries):
+        warnings += [
+            FormatError(f"{item.sequence_id} has no caption; kept without one", path=item.path, reason="no-caption")
+            for item in items
+            if not item.captions
+        ]
+    return tuple(warnings)
+
+
+def _one_file_at_a_time(items: Iterable[SourceItem]) -> Iterator[SourceItem]:
+    of_file: dict[Path, list[SourceItem]] = {}
+    for item in items:
+        of_file.setdefault(item.path, []).append(item)
+    for group in of_file.values():
+        yield from group

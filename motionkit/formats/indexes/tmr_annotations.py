@@ -1,0 +1,94 @@
+"""Annotations as TMR ships them: JSON, sequence name → path into AMASS, duration, captions with their seconds.
+
+KIT-ML in this form has 5,766 sequences, half of them mirrored ones (names with an M, paths that begin with M/). Source:
+https://github.com/Mathux/AMASS-Annotation-Unifier (README), https://github.com/Mathux/TMR (datasets/annotations).
+"""
+
+from pathlib import Path
+from typing import Any
+
+from motionkit.errors import FormatError
+from motionkit.formats.cuts import TimeCut
+from motionkit.formats.indexes.entries import (
+    Entry,
+    Index,
+    read_json_index,
+    seconds_of,
+    sequence_name,
+    source_parts,
+    unique,
+)
+from motionkit.motion import Caption
+
+MIRROR = "M"
+# Durations in the file are rounded, to a millisecond or to some ten digits.
+SAME_SECONDS = 2e-3
+
+
+def recognise(first: Any) -> bool:
+    """Whether a JSON index whose first value is this is of this kind."""
+    return isinstance(first, dict) and {"path", "annotations"} <= set(first)
+
+
+def read_tmr_annotations(path: Path) -> Index:
+    """Read all sequences; one that cannot be used becomes a problem. Raises `FormatError` (`index`).
+
+    A sequence spans all of its captions; where they cover the stated duration, the whole file.
+    """
+    entries: list[Entry] = []
+    problems: list[FormatError] = []
+    for name, value in read_json_index(path).items():
+        try:
+            entries.append(_entry(name, value, path))
+        except FormatError as problem:
+            problems.append(problem)
+    kept, repeated = unique(entries, path)
+    return Index(index_name(path), path, kept, (*problems, *repeated))
+
+
+def index_name(path: Path) -> str:
+    """`kitml` for kitml.json, kitml-annotations.json and kitml/annotations.json."""
+    name = path.stem.removesuffix("annotations").rstrip("-_.") or path.resolve().parent.name
+    return name.casefold() or "annotations"
+
+
+def _entry(name: str, value: Any, path: Path) -> Entry:
+    name = sequence_name(name, path, "a sequence", None)
+    if not isinstance(value, dict) or not isinstance(value.get("annotations"), list):
+        raise FormatError(f"{name}: no path and annotations", path=path, reason="index-entry")
+    parts = source_parts(value.get("path"), path, name, None)
+    mirrored = parts[0] == MIRROR and len(parts) > 1
+    said = [_caption(caption, path, name) for caption in value["annotations"]]
+    start = min((caption.start_seconds for caption in said), default=0.0)
+    end = max((caption.end_seconds or 0.0 for caption in said), default=None)
+    if end is not None and "duration" in value:
+        duration = seconds_of(value["duration"], "duration", path, name)
+        end = None if end >= duration - SAME_SECONDS else end
+    whole = start == 0.0 and end is None
+    return Entry(
+        name=name,
+        parts=_with_suffix(parts[1:] if mirrored else parts),
+        place=name,
+        cut=None if whole else TimeCut(start, end),
+        captions=tuple(_from_start(caption, start, end) for caption in said),
+        mirrored=mirrored,
+    )
+
+
+def _caption(value: Any, path: Path, name: str) -> Caption:
+    if not isinstance(value, dict) or not isinstance(value.get("text"), str):
+        raise FormatError(f"{name}: an annotation without text", path=path, reason="index-entry")
+    start, end = (seconds_of(value.get(which), which, path, name) for which in ("start", "end"))
+    return Caption(value["text"], min(start, end), max(start, end))
+
+
+def _from_start(caption: Caption, start: float, end: float | None) -> Caption:
+    # Seconds of the file → seconds of the sequence; a caption of all of it says so.
+    stop = caption.end_seconds or 0.0
+    to_end = end is None or stop >= end - SAME_SECONDS
+    return Caption(caption.text, caption.start_seconds - start, None if to_end else stop - start)
+
+
+def _with_suffix(parts: tuple[str, ...]) -> tuple[str, ...]:
+    # Paths in these files have no suffix, but names may have a point in them.
+    return (*parts[:-1], f"{parts[-1]}.npz")
