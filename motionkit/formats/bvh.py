@@ -29,6 +29,8 @@ from motionkit.timegrid import TimeGrid, parse_fps
 # Bones that change by less are noise of printed digits; a bone that changes by more is not rigid.
 RIGID_METRES = 1e-3
 WRITTEN_METRES = 1e-4
+# The log line by which readers of whole data sets know that frames count from one later.
+T_POSE_DROPPED = "frame 0 dropped: a T-pose (root unturned, all angles whole degrees, root where frame 1 is)"
 WRITTEN_DECIMALS = 6
 
 
@@ -62,7 +64,7 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
     )
     if bvh_channels.starts_with_t_pose(table, file.hierarchy):
         table = table[1:]
-        operations.append("frame 0 dropped: a T-pose (root unturned, all angles whole degrees, root where frame 1 is)")
+        operations.append(T_POSE_DROPPED)
     pose = bvh_channels.fold_reference(bvh_channels.read_channels(table, file.hierarchy, path.stem))
     pose = replace(pose, skeleton=with_layout_map(pose.skeleton, options.skeleton_maps))
     motion = _to_motion(pose, fps, options, path)

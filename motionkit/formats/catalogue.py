@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from motionkit.formats import asfamc, bvh, deepmimic, humanact12, humanml3d, joints_npy, kit, npy
+from motionkit.formats import asfamc, bvh, deepmimic, humanact12, humanml3d, joints_npy, kit, lafan1, npy, style100
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.motion import Motion
 
@@ -34,6 +34,24 @@ class Format:
 FORMATS: Mapping[str, Format] = {
     entry.name: entry
     for entry in (
+        Format(
+            name="lafan1",
+            description="LaFAN1's takes (.bvh named walk1_subject5), with theme, subject and the benchmark's split",
+            framerate="Frame Time",
+            rotations=True,
+            read=lambda item, options: lafan1.read_lafan1(item.path, options),
+            suffixes=(".bvh",),
+            accepts=lafan1.accepts,
+        ),
+        Format(
+            name="100style",
+            description="100STYLE's takes (.bvh named Style_FW), cut as Frame_Cuts.csv says, with style and movement",
+            framerate="Frame Time",
+            rotations=True,
+            read=lambda item, options: style100.read_100style(item.path, options),
+            suffixes=(".bvh",),
+            accepts=style100.accepts,
+        ),
         Format(
             name="bvh",
             description="BioVision hierarchy (.bvh), any skeleton and channel order",

@@ -114,3 +114,57 @@ def write_asfamc(folder: Path, **kwargs: int) -> Path:
     (folder / "07.asf").write_text(ASF)
     (folder / "07_01.amc").write_text(amc_text(**kwargs))
     return folder / "07_01.amc"
+
+
+def lafan1_text(num_frames: int = 80, frame_time: str = "0.033333") -> str:
+    """A take with LaFAN1's joints, offsets (rounded) and channels: it stands, turns about y and walks along its way.
+
+    Sizes are from public descriptions of the files; the motion is made up. The hips' own y axis faces forward and bones
+    run along x, as there.
+    """
+    offsets = {
+        "Hips": ("", (-224.689, 91.882, -431.625)),
+        "Spine": ("Hips", (6.902, -2.604, 0.0)),
+        "Spine1": ("Spine", (12.588, 0.0, 0.0)),
+        "Spine2": ("Spine1", (12.343, 0.0, 0.0)),
+        "Neck": ("Spine2", (25.833, 0.0, 0.0)),
+        "Head": ("Neck", (11.767, 0.0, 0.0)),
+    }
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        offsets |= {
+            f"{side}UpLeg": ("Hips", (0.103, 1.858, sign * 10.549)),
+            f"{side}Leg": (f"{side}UpLeg", (43.5, 0.0, 0.0)),
+            f"{side}Foot": (f"{side}Leg", (42.372, 0.0, 0.0)),
+            f"{side}Toe": (f"{side}Foot", (17.3, 0.0, 0.0)),
+            f"{side}Shoulder": ("Spine2", (19.746, -1.480, sign * 6.0)),
+            f"{side}Arm": (f"{side}Shoulder", (11.284, 0.0, 0.0)),
+            f"{side}ForeArm": (f"{side}Arm", (33.0, 0.0, 0.0)),
+            f"{side}Hand": (f"{side}ForeArm", (25.2, 0.0, 0.0)),
+        }
+    # Angles z, y, x that stand the body up: legs hang (a half turn from the spine's direction), toes ahead, arms out.
+    pose = {"LeftUpLeg": (180, 0, 0), "RightUpLeg": (180, 0, 0), "LeftFoot": (-90, 0, 0), "RightFoot": (-90, 0, 0)}
+    pose |= {"LeftShoulder": (0, -90, 0), "RightShoulder": (0, 90, 0)}
+    lines, order = ["HIERARCHY"], []
+
+    def add(name: str) -> None:
+        parent, offset = offsets[name]
+        order.append(name)
+        lines.extend((f"{'JOINT' if parent else 'ROOT'} {name}", "{", "OFFSET {:.6f} {:.6f} {:.6f}".format(*offset)))
+        places = "" if parent else "Xposition Yposition Zposition "
+        lines.append(f"CHANNELS {3 if parent else 6} {places}Zrotation Yrotation Xrotation")
+        children = [joint for joint, (above, _) in offsets.items() if above == name]
+        for child in children:
+            add(child)
+        lines.extend(() if children else ("End Site", "{", "OFFSET 0.000000 0.000000 0.000000", "}"))
+        lines.append("}")
+
+    add("Hips")
+    rows = []
+    for frame in range(num_frames):
+        # The hips' x axis up, their y axis forward, which turns by 3 degrees a frame from +x.
+        row = [-224.689 + 3.0 * frame, 91.882, -431.625 + 2.0 * frame, 90.0, 0.0, 180.0 + 3.0 * frame]
+        for name in order[1:]:
+            row += pose.get(name, (0, 0, 0))
+        rows.append(" ".join(f"{value:.6f}" for value in row))
+    head = "\n".join(lines)
+    return f"{head}\nMOTION\nFrames: {num_frames}\nFrame Time: {frame_time}\n" + "\n".join(rows) + "\n"

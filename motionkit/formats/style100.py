@@ -1,0 +1,138 @@
+"""100STYLE: BVH at 60 fps, `Style/Style_FW.bvh`, cut to the frames that `Frame_Cuts.csv` keeps.
+
+The table has a row for each style: `STYLE_NAME`, then for each kind of movement `BR_START`, `BR_STOP`, … (`N/A` where
+there is no such file); what lies outside is calibration and walking into place. Source: I. Mason, S. Starke, T. Komura,
+"Real-Time Style Modelling of Human Locomotion via Feature-Wise Transformations and Local Motion Phases", 2022,
+https://www.ianxmason.com/100style/.
+"""
+
+import csv
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+from motionkit.errors import FormatError
+from motionkit.formats import bvh, sourcefile
+from motionkit.formats.items import ReadOptions
+from motionkit.motion import Motion
+from motionkit.timegrid import TimeGrid
+
+CUTS_FILE = "Frame_Cuts.csv"
+STYLE_COLUMN = "STYLE_NAME"
+ACTIONS = {
+    "BR": "backward run",
+    "BW": "backward walk",
+    "FR": "forward run",
+    "FW": "forward walk",
+    "ID": "idle",
+    "SR": "sidestep run",
+    "SW": "sidestep walk",
+    "TR1": "transition 1",
+    "TR2": "transition 2",
+    "TR3": "transition 3",
+}
+NAME = re.compile(rf"(?P<style>[A-Za-z0-9]+)_(?P<kind>{'|'.join(ACTIONS)})", re.IGNORECASE)
+ABSENT = ("", "n/a", "nan", "none")
+
+Cuts = Mapping[tuple[str, str], tuple[int, int]]
+
+
+def accepts(path: Path) -> bool:
+    """Whether a BVH file is named after a style and a kind of movement, with Frame_Cuts.csv beside it or one above."""
+    return NAME.fullmatch(path.stem) is not None and find_cuts(path) is not None
+
+
+def find_cuts(path: Path) -> Path | None:
+    """The table of cuts that counts for a file: in its folder, or in the one above."""
+    found = (folder / CUTS_FILE for folder in (path.parent, path.parent.parent))
+    return next((table for table in found if table.is_file()), None)
+
+
+def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read frames START up to, not including, STOP of one take, counted from 0, with its style and movement.
+
+    Times count from the first frame kept. Raises `FormatError` as `bvh.read_bvh` does, and with the reason
+    `frame-cuts` where the table has no cut for the take or one that does not lie in it.
+    """
+    motion = bvh.read_bvh(path, options)
+    name, table = NAME.fullmatch(path.stem), find_cuts(path)
+    if name is None or table is None:
+        raise FormatError(
+            f"expected a name such as Aeroplane_FW and {CUTS_FILE} beside it or one folder above",
+            path=path,
+            reason="frame-cuts",
+        )
+    dropped = int(bvh.T_POSE_DROPPED in motion.provenance.operations)
+    total = motion.num_frames + dropped
+    start, stop = _cut(table, name["style"], name["kind"].upper(), path)
+    if not dropped <= start < stop <= total:
+        raise FormatError(
+            f"{table.name} keeps frames [{start}, {stop}) of {total}; expected a stretch that lies inside",
+            path=path,
+            reason="frame-cuts",
+        )
+    kept = motion.frames(start - dropped, stop - dropped)
+    operation = f"frames [{start}, {stop}) of {total} kept, as {table.name} says"
+    return replace(
+        kept,
+        timegrid=TimeGrid(motion.fps, kept.num_frames),
+        action=ACTIONS[name["kind"].upper()],
+        style=name["style"],
+        provenance=replace(
+            motion.provenance,
+            source_format="100style",
+            operations=(*motion.provenance.operations, operation),
+        ),
+    )
+
+
+def _cut(table: Path, style: str, kind: str, path: Path) -> tuple[int, int]:
+    cut = _cuts(table, table.stat().st_mtime_ns).get((style.lower(), kind))
+    if cut is None:
+        raise FormatError(
+            f"{table.name} has no {kind}_START and {kind}_STOP for the style {style}; add them, or take the table away "
+            "to read takes whole as BVH",
+            path=path,
+            reason="frame-cuts",
+        )
+    return cut
+
+
+@lru_cache(maxsize=8)
+def _cuts(table: Path, modified: int) -> Cuts:
+    # All cuts of a table by style (lower case) and kind; read once for the takes of a corpus.
+    text = sourcefile.decode(sourcefile.read_bytes(table), table)
+    reader = csv.DictReader(text.splitlines(), restkey="")
+    cuts: dict[tuple[str, str], tuple[int, int]] = {}
+    try:
+        if STYLE_COLUMN not in (reader.fieldnames or ()):
+            raise FormatError(
+                f"no column {STYLE_COLUMN!r}, expected it and {next(iter(ACTIONS))}_START, …_STOP",
+                path=table,
+                reason="frame-cuts",
+                line=1,
+            )
+        for row in reader:
+            for kind in ACTIONS:
+                cells = [(row.get(f"{kind}_{end}") or "").strip() for end in ("START", "STOP")]
+                if not all(cell.lower() in ABSENT for cell in cells):
+                    cuts[((row[STYLE_COLUMN] or "").strip().lower(), kind)] = _numbers(cells, table, reader.line_num)
+    except csv.Error as error:
+        raise FormatError(f"not a CSV table ({error})", path=table, reason="frame-cuts") from None
+    return cuts
+
+
+def _numbers(cells: list[str], table: Path, line: int) -> tuple[int, int]:
+    # Tables that went through a spreadsheet or pandas have 120.0 for 120.
+    values = [cell.removesuffix(".0") for cell in cells]
+    if not all(value.isascii() and value.isdecimal() and len(value) < 12 for value in values):
+        raise FormatError(
+            f"{' and '.join(map(repr, cells))}, expected two frame numbers or N/A",
+            path=table,
+            reason="frame-cuts",
+            line=line,
+        )
+    start, stop = (int(value) for value in values)
+    return start, stop
