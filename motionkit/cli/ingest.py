@@ -61,6 +61,12 @@ def ingest(
     unit_metres: Annotated[
         float | None, typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.")
     ] = None,
+    skeleton_map: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="TOML that says how a rig becomes the 22 joints (docs/formats.md). May be given several times."
+        ),
+    ] = None,
     on_error: Annotated[
         OnError,
         typer.Option(
@@ -82,11 +88,16 @@ def ingest(
     A store that exists is added to: sequences that it holds from equal files are left alone, and the same id from
     another file is refused. The store is the same whatever the number of workers.
     """
+    from motionkit.skeleton_families import read_skeleton_map
     from motionkit.store.ingest import Listener
     from motionkit.store.ingest import ingest as ingest_sources
 
     options = _options(format, captions, fps, unit_metres)
-    options = replace(options, index=_index_options(index, texts, splits, mirrored, compat, captions))
+    options = replace(
+        options,
+        index=_index_options(index, texts, splits, mirrored, compat, captions),
+        skeleton_maps=tuple(read_skeleton_map(path) for path in skeleton_map or ()),
+    )
     teller = _Teller()
     with progress() as display:
         task = display.add_task("scan", total=None, note="")

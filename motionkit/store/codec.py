@@ -200,6 +200,7 @@ def skeleton_row(skeleton: Skeleton) -> Row:
             "right_toe": feet.right_toe,
         },
         "end_sites": [{"joint": joint, "x": x, "y": y, "z": z} for joint, (x, y, z) in skeleton.end_sites],
+        "layout_map": skeleton.layout_map,
     }
 
 
@@ -213,4 +214,5 @@ def skeleton_from_row(row: Row) -> Skeleton:
         left_right_pairs=tuple((pair["left"], pair["right"]) for pair in row["left_right_pairs"]),
         feet=None if row["feet"] is None else Feet(**row["feet"]),
         end_sites=tuple((site["joint"], (site["x"], site["y"], site["z"])) for site in row["end_sites"]),
+        layout_map=row["layout_map"],
     )

@@ -125,6 +125,7 @@ SKELETONS = pa.schema(
                 )
             ),
         ),
+        _required("layout_map", pa.string()),
     ]
 )
 

@@ -10,7 +10,7 @@ _SCHEMAS = {SEQUENCES_FILE: SEQUENCES, SKELETONS_FILE: SKELETONS}
 
 # What each version added to a table. A column that is added later needs a value that says "not known": null where it
 # may be null, else the empty string or list.
-_ADDED = {2: {SEQUENCES_FILE: ("style",), SKELETONS_FILE: ()}}
+_ADDED = {2: {SEQUENCES_FILE: ("style",), SKELETONS_FILE: ("layout_map",)}}
 
 
 def table_schema(name: str, version: int) -> pa.Schema:

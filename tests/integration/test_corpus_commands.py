@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from motionkit.skeleton_map import map_joints
 from motionkit.store import Store
 
 
@@ -141,3 +142,59 @@ def test_which_joints_reach_the_layouts(motionkit, store, captures, tmp_path):
     (rig,) = json.loads(motionkit("info", "--store", clips, "--skeletons", "--json").stdout)["rigs"]
     assert (rig["family"], rig["num_joints"], rig["num_sequences"]) == ("deepmimic-humanoid3d", 15, 49)
     assert rig["missing"] == rig["unmapped"] == rig["made_up"] == [] and not rig["own_map"]
+
+
+RIG = """
+name = "half a body"
+requires = ["Hips", "LeftUpLeg", "Head"]
+[smpl22]
+pelvis = "Hips"
+left_hip = "LeftUpLeg"
+right_hip = { Hips = 2.0, LeftUpLeg = -1.0 }
+spine1 = { Hips = 0.5, Spine = 0.5 }
+left_knee = "LeftLeg"
+right_knee = "LeftLeg"
+spine2 = "Spine"
+left_ankle = "LeftFoot"
+right_ankle = "LeftFoot"
+spine3 = { Spine = 0.5, Head = 0.5 }
+neck = { Spine = 0.25, Head = 0.75 }
+left_collar = "Spine"
+right_collar = "Spine"
+head = "Head"
+left_shoulder = "Spine"
+right_shoulder = "Spine"
+left_elbow = "Spine"
+right_elbow = "Spine"
+left_wrist = "Spine"
+right_wrist = "Spine"
+"""
+
+
+def test_a_skeleton_map_stays_with_the_store(motionkit, takes, tmp_path):
+    (tmp_path / "half.toml").write_text(RIG)
+    (tmp_path / "other.toml").write_text(RIG.replace("half a body", "other").replace('"Head"]', '"Tail"]'))
+    store = tmp_path / "mapped"
+    outcome = motionkit(
+        "ingest", takes, "--store", store, "--skeleton-map", tmp_path / "half.toml",
+        "--skeleton-map", tmp_path / "other.toml", "--json",
+    )  # fmt: skip
+    assert json.loads(outcome.stdout)["warnings"] == {"unused-skeleton-map": 1}
+    assert "skeleton map 'other': fits no skeleton of the sources" in outcome.stderr
+    opened = Store.open(store)
+    motion = opened.read("takes/beta")
+    assert motion.skeleton.fingerprint == opened.sequences["skeleton"][0]
+    assert map_joints(motion, "smpl22").shape == (5, 22, 3)
+    told = motionkit("info", "--store", store, "--skeletons").stdout
+    assert "1 of them reach the 22 joints" in told and "half a body (given by --skeleton-map)" in told
+    assert "made up     left_foot, right_foot" in told
+    assert motionkit("validate", "--store", store).code == 0
+    assert motionkit("ingest", takes, "--store", store).code == 0  # nothing new
+
+
+def test_a_bad_skeleton_map_is_told_before_anything_is_read(motionkit, takes, tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG.replace("neck = { Spine = 0.25", "neck = { Spine = 0.5"))
+    outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--skeleton-map", path)
+    assert outcome.code == 1 and not (tmp_path / "store").exists()
+    assert outcome.stderr.endswith("rig.toml: the weights of neck sum to 1.25, expected 1\n")
