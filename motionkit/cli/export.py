@@ -1,19 +1,27 @@
 """`motionkit export`: a store's motions as files again."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.console import print_json, progress, stdout
+from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 from motionkit.timegrid import parse_fps
 
+if TYPE_CHECKING:
+    from motionkit.export.run import ExportReport
+    from motionkit.export.selection import Outcome
+
+MEGABYTE = 1e6
+FORMATS = "bvh, joints-npy"
+SHOWN_LEFT_OUT = 20
+
 
 def export(
     out: Annotated[Path, typer.Argument(help="New or empty folder.", show_default=False)],
-    format: Annotated[str, typer.Option(help="bvh, or joints-npy (22 joints).")] = "bvh",
+    format: Annotated[str, typer.Option(help=f"{FORMATS}.")] = "bvh",
     store: Annotated[Path | None, typer.Option(help="Store to export from.", show_default="./store")] = None,
     where: Annotated[
         str | None, typer.Option(help="SQL condition over the table of sequences: \"split = 'test'\".")
@@ -21,12 +29,14 @@ def export(
     fps: Annotated[str | None, typer.Option(help="Resample to this framerate; native by default.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
-    """Write a store's motions as files, with motions.csv for captions, splits and exact framerates.
+    """Write a store's motions as files that other tools read, and that `motionkit ingest` reads again.
 
-    The folder can be ingested again.
+    The folder appears when it is complete. Sequences that a format cannot hold are left out and told.
     """
+    from motionkit.export.catalogue import EXPORTS
+    from motionkit.export.run import export as export_selection
+    from motionkit.export.selection import Selection
     from motionkit.store import Store
-    from motionkit.store.export import EXPORTS, motions_of
 
     if format not in EXPORTS:
         raise UsageError(f"unknown format {format!r}, expected one of {', '.join(EXPORTS)}")
@@ -35,14 +45,47 @@ def export(
     except ValueError as error:
         raise UsageError(f"--fps {fps}: {error}") from None
     opened = Store.open(store or default_path("store"))
-    chosen = len(opened.select(where))
-    if not chosen:
+    selection = Selection(opened, opened.select(where), rate)
+    num_chosen = len(selection.indices)
+    if not num_chosen:
         raise UsageError(f"no sequence of {opened.path} satisfies {where!r}" if where else f"{opened.path} is empty")
     with progress() as display:
-        task = display.add_task("export", total=chosen, note="")
-        motions = motions_of(opened, where, rate)
-        num_files = sum(1 for _ in display.track(EXPORTS[format](motions, out), task_id=task))
+        task = display.add_task("export", total=num_chosen, note="")
+        report = export_selection(selection, out, EXPORTS[format], on_outcome=lambda outcome: display.advance(task))
+    _tell_left_out(report.left_out)
     if as_json:
-        print_json({"folder": str(out), "format": format, "files": num_files})
+        print_json(_as_json(report))
     else:
-        stdout.print(f"wrote {num_files:,} files and motions.csv to {out}", markup=False)
+        _print_summary(report)
+
+
+def _tell_left_out(left_out: "tuple[Outcome, ...]") -> None:
+    for outcome in left_out[:SHOWN_LEFT_OUT]:
+        stderr.print(f"left out {outcome.sequence_id}: {outcome.message}", markup=False)
+    if len(left_out) > SHOWN_LEFT_OUT:
+        stderr.print(f"… and {len(left_out) - SHOWN_LEFT_OUT:,} more; --json lists all")
+
+
+def _print_summary(report: "ExportReport") -> None:
+    stdout.print(
+        f"wrote {report.num_sequences:,} sequences to {report.folder}: {report.num_files:,} files, "
+        f"{report.num_bytes / MEGABYTE:,.1f} MB",
+        markup=False,
+    )
+    if report.left_out:
+        reasons = ", ".join(f"{count:,} {reason}" for reason, count in report.left_out_by_reason.items())
+        stdout.print(f"left out: {len(report.left_out):,} ({reasons})", markup=False)
+
+
+def _as_json(report: "ExportReport") -> dict[str, Any]:
+    return {
+        "folder": str(report.folder),
+        "format": report.format,
+        "sequences": report.num_sequences,
+        "files": report.num_files,
+        "bytes": report.num_bytes,
+        "left_out": [
+            {"sequence_id": outcome.sequence_id, "reason": outcome.reason, "message": outcome.message}
+            for outcome in report.left_out
+        ],
+    }

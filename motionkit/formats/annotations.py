@@ -1,10 +1,14 @@
 """Sidecar CSV files: captions, actions, splits, framerates, licences of motions that carry none of these themselves.
 
 The first row names the columns: `file` (path from the CSV's folder) and any of `caption`, `caption_kit` (a second
-caption), `action`, `style`, `subject`, `split`, `fps`, `licence`, `source`, `subset`; others are ignored.
+caption), `captions` (any number, as JSON), `action`, `style`, `subject`, `split`, `fps`, `stated_fps`, `licence`,
+`source`, `subset`; others are ignored.
 """
 
 import csv
+import io
+import json
+import math
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -17,9 +21,13 @@ from motionkit.motion import Caption
 from motionkit.timegrid import parse_fps
 
 COLUMNS = frozenset(
-    ("caption", "caption_kit", "action", "style", "subject", "split", "fps", "licence", "source", "subset")
+    (
+        *("caption", "caption_kit", "captions", "action", "style", "subject", "split"),
+        *("fps", "stated_fps", "licence", "source", "subset"),
+    )
 )
 CAPTION_COLUMNS = ("caption", "caption_kit")
+CAPTION_KEYS = frozenset(("text", "start_seconds", "end_seconds", "tokens"))
 MAX_LICENCE_LINE = 120
 
 
@@ -33,6 +41,7 @@ class Annotation:
     subject: str = ""
     split: str = ""
     fps: Fraction | None = None
+    stated_fps: str = ""
     licence: str = ""
     source: str = ""
     subset: str = ""
@@ -70,7 +79,7 @@ def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
     """
     folder = (folder or path.parent).resolve()
     text = sourcefile.decode(sourcefile.read_bytes(path), path)
-    reader = csv.DictReader(text.splitlines(keepends=True), restkey="", strict=True)
+    reader = csv.DictReader(io.StringIO(text, newline=""), restkey="", strict=True)
     rows: dict[Path, Annotation] = {}
     problems: list[FormatError] = []
     try:
@@ -136,6 +145,33 @@ def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotat
         fps = parse_fps(cell["fps"]) if cell["fps"] else None
     except ValueError as error:
         raise FormatError(f"fps {cell['fps']!r}: {error}", path=path, reason="frame-time", line=line) from None
-    captions = dict.fromkeys(cell[name] for name in CAPTION_COLUMNS if cell[name])
-    plain = {name: cell[name] for name in ("action", "style", "subject", "split", "licence", "source", "subset")}
-    return Annotation(captions=tuple(Caption(text) for text in captions), fps=fps, line=line, **plain)
+    sentences = dict.fromkeys(cell[name] for name in CAPTION_COLUMNS if cell[name])
+    captions = (*(Caption(text) for text in sentences), *_captions(cell["captions"], path, line))
+    names = ("action", "style", "subject", "split", "stated_fps", "licence", "source", "subset")
+    return Annotation(captions=captions, fps=fps, line=line, **{name: cell[name] for name in names})
+
+
+def _captions(cell: str, path: Path, line: int) -> tuple[Caption, ...]:
+    """A JSON list of sentences, or of objects with `text` and any of `start_seconds`, `end_seconds`, `tokens`."""
+    try:
+        return tuple(_caption(value) for value in json.loads(cell)) if cell else ()
+    except (ValueError, TypeError, RecursionError) as error:
+        raise FormatError(
+            f"captions {cell[:40]!r}: expected a JSON list of sentences or of objects with text, start_seconds, "
+            f"end_seconds ({error})",
+            path=path,
+            reason="annotations",
+            line=line,
+        ) from None
+
+
+def _caption(value: object) -> Caption:
+    if isinstance(value, str):
+        return Caption(value)
+    if not isinstance(value, dict) or not isinstance(value.get("text"), str) or not value.keys() <= CAPTION_KEYS:
+        raise TypeError(f"not a caption: {value!r}"[:80])
+    start = float(value.get("start_seconds", 0.0))
+    end = None if value.get("end_seconds") is None else float(value["end_seconds"])
+    if not (math.isfinite(start) and (end is None or math.isfinite(end))):
+        raise ValueError(f"seconds {start} to {end}")
+    return Caption(value["text"], start, end, str(value.get("tokens", "")))

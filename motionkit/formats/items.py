@@ -48,8 +48,8 @@ class SourceItem:
     """One sequence that a scan found; picklable, so that ingest can hand it to another process.
 
     `path` is the file that holds it, `root` the source folder, `key` the sequence's name inside a folder format (empty
-    where a file holds one sequence). `fps` is what an annotation says; the file's own framerate is read later. `cut` is
-    the stretch of the file that the sequence is, None for all of it.
+    where a file holds one sequence). `fps` and `stated_fps` are what an annotation says; the file's own are read later.
+    `cut` is the stretch of the file that the sequence is, None for all of it.
     """
 
     format: str
@@ -63,6 +63,7 @@ class SourceItem:
     subject: str = ""
     split: str = ""
     fps: Fraction | None = None
+    stated_fps: str = ""
     source: str = ""
     subset: str = ""
     licence: str = ""

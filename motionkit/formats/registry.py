@@ -71,8 +71,9 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
         source=item.source,
         subset=item.subset,
         source_path=item.path.relative_to(item.root).as_posix(),
-        licence=item.licence,
+        licence=item.licence or motion.provenance.licence,
         subject=item.subject or motion.provenance.subject,
+        stated_fps=item.stated_fps or motion.provenance.stated_fps,
     )
     return replace(
         motion,
@@ -250,6 +251,7 @@ def _stated(item: SourceItem, row: Annotation) -> SourceItem:
         subject=row.subject or item.subject,
         split=row.split or item.split,
         fps=row.fps or item.fps,
+        stated_fps=row.stated_fps or item.stated_fps,
         licence=row.licence or item.licence,
         source=row.source or item.source,
         subset=row.subset or item.subset,

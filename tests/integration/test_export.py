@@ -1,12 +1,19 @@
 """`motionkit export`: what comes out of a store goes into another one."""
 
+import json
+import re
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
+from motionkit.cli.export import FORMATS
+from motionkit.export.catalogue import EXPORTS
+from motionkit.formats.bvh import write_bvh
+from motionkit.kinematics import forward_kinematics
+from motionkit.motion import Caption, Motion, Provenance
+from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.store import Store, StoreWriter
 from motionkit.timegrid import TimeGrid
 
@@ -18,7 +25,7 @@ def test_bvh_and_back(motionkit, takes, tmp_path):
     motionkit("ingest", takes, "--store", store, "--captions", table, "--fps", "48000/1001", "--workers", 1)
     outcome = motionkit("export", tmp_path / "out", "--store", store)
     assert (outcome.code, outcome.error_lines) == (0, [])
-    assert outcome.stdout == f"wrote 3 files and motions.csv to {tmp_path}/out\n"
+    assert re.fullmatch(rf"wrote 3 sequences to {tmp_path}/out: 4 files, [0-9.]+ MB\n", outcome.stdout)
     assert motionkit("ingest", tmp_path / "out", "--store", again, "--workers", 1).code == 0
     motions = Store.open(store).read_many(range(3))
     for before, after in zip(motions, Store.open(again).read_many(range(3)), strict=True):
@@ -27,6 +34,84 @@ def test_bvh_and_back(motionkit, takes, tmp_path):
         assert after.captions == before.captions
         assert after.skeleton.joint_names == before.skeleton.joint_names
         np.testing.assert_allclose(after.joint_positions, before.joint_positions, atol=2e-4)
+
+
+def test_what_files_cannot_hold_comes_back(motionkit, tmp_path):
+    captions = (
+        Caption('a person walks, "slowly"\u2028and 走'),
+        Caption('a person walks, "slowly"\u2028and 走'),
+        Caption("stops", 0.1, 0.4, "stops/VERB"),
+        Caption("waves", 0.25),
+        Caption("from the start", 0.0, 0.3),
+    )
+    rig = replace(SMPL22, name="rig", joint_names=tuple(f"bone{i}" for i in range(22)))
+    said = Provenance(
+        source="lab", subset="day 1", licence="CC-BY-4.0", subject="S01", stated_fps="mocap_framerate: 59.9"
+    )
+    turns = np.tile(np.array([1, 0, 0, 0], np.float32), (20, 22, 1))
+    before = Motion(
+        forward_kinematics(turns, np.ones((20, 3), np.float32), rig),
+        rig,
+        TimeGrid(Fraction(60000, 1001), 20),
+        local_rotations=turns,
+        root_translation=np.ones((20, 3), np.float32),
+        captions=captions,
+        action="walk",
+        style="old",
+        split="val",
+        sequence_id="deep/er/take",
+        provenance=said,
+    )
+    with StoreWriter.create(tmp_path / "store") as writer:
+        writer.add(before)
+    assert motionkit("export", tmp_path / "out", "--store", tmp_path / "store").code == 0
+    again = motionkit("ingest", tmp_path / "out", "--store", tmp_path / "again", "--unit-metres", 0.01)
+    assert (again.code, again.error_lines) == (0, [])
+    after = Store.open(tmp_path / "again").read("out/deep/er/take")
+    assert after.captions == captions
+    assert (after.action, after.style, after.split, after.fps) == ("walk", "old", "val", before.fps)
+    kept = ("source", "subset", "licence", "subject", "stated_fps")
+    assert [getattr(after.provenance, name) for name in kept] == [getattr(said, name) for name in kept]
+
+
+def test_help_names_every_format():
+    assert tuple(FORMATS.split(", ")) == tuple(EXPORTS)
+
+
+def test_a_skeleton_without_the_joints_is_left_out_and_told(motionkit, bodies, tmp_path):
+    ball = Skeleton("ball", ("centre",), (-1,), np.zeros((1, 3), np.float32))
+    with StoreWriter.append(bodies) as writer:
+        writer.add(Motion(np.zeros((9, 1, 3), np.float32), ball, TimeGrid(Fraction(30), 9), sequence_id="ball"))
+    arguments = ("--store", bodies, "--format", "joints-npy", "--where", "fps = 30")
+    outcome = motionkit("export", tmp_path / "out", *arguments)
+    assert outcome.code == 0
+    assert "left out: 1 (1 skeleton)" in outcome.stdout
+    assert "left out ball: skeleton 'ball' cannot be mapped" in outcome.stderr
+    told = json.loads(motionkit("export", tmp_path / "json", *arguments, "--json").stdout)
+    assert [(one["sequence_id"], one["reason"]) for one in told["left_out"]] == [("ball", "skeleton")]
+    nothing = motionkit("export", tmp_path / "none", *arguments[:-1], "sequence_id = 'ball'")
+    assert nothing.code == 1
+    assert not list(tmp_path.glob("none*"))
+
+
+def test_a_fault_half_way_leaves_nothing(motionkit, bodies, tmp_path, monkeypatch):
+    def broken(motion, path):
+        if motion.sequence_id == "a/fast":
+            raise OSError(28, "No space left on device", str(path))
+        write_bvh(motion, path)
+
+    monkeypatch.setattr("motionkit.export.bvh.write_bvh", broken)
+    outcome = motionkit("export", tmp_path / "out", "--store", bodies)
+    assert outcome.code == 1
+    assert "No space left on device" in outcome.stderr
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_a_killed_export_is_not_overwritten(motionkit, bodies, tmp_path):
+    (tmp_path / "out.partial").mkdir()
+    outcome = motionkit("export", tmp_path / "out", "--store", bodies)
+    assert outcome.code == 2
+    assert "out.partial is of another export that runs or was killed" in outcome.stderr
 
 
 @pytest.fixture
@@ -47,6 +132,7 @@ def test_joints_of_one_framerate(motionkit, bodies, tmp_path):
     mixed = motionkit("export", tmp_path / "mixed", "--store", bodies, "--format", "joints-npy")
     assert mixed.code == 2
     assert "have 30 and 60: give one with --fps" in mixed.stderr
+    assert not list(tmp_path.glob("mixed*"))
     both = motionkit("export", tmp_path / "both", "--store", bodies, "--format", "joints-npy", "--fps", 60, "--json")
     assert both.code == 0
     assert len(np.load(tmp_path / "both" / "a_slow.npy")) == 79
@@ -99,4 +185,4 @@ def test_a_file_where_a_folder_is_to_be(motionkit, bodies, tmp_path):
     assert (outcome.code, outcome.stderr) == (2, f"motionkit: {tmp_path / 'taken'} is a file: name a new folder\n")
     below = motionkit("export", tmp_path / "taken" / "deeper", "--store", bodies)
     assert below.code == 1
-    assert below.stderr == f"motionkit: [Errno 20] Not a directory: '{tmp_path / 'taken' / 'deeper'}'\n"
+    assert below.stderr == f"motionkit: [Errno 17] File exists: '{tmp_path / 'taken'}'\n"

@@ -1,0 +1,72 @@
+"""One file for each motion, with a table of what the files cannot hold; it is read back by `motionkit ingest`."""
+
+import csv
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path, PurePosixPath
+
+from motionkit.export.selection import Outcome, Selection
+from motionkit.motion import Caption, Motion
+from motionkit.skeleton_map import SkeletonMapError
+from motionkit.timegrid import format_fps
+
+TABLE = "motions.csv"
+# As motionkit.formats.annotations reads them.
+COLUMNS = (
+    *("file", "captions", "action", "style", "subject", "split", "fps", "stated_fps", "licence", "source", "subset"),
+)
+
+
+def write_files(
+    selection: Selection, folder: Path, names: Sequence[PurePosixPath], write: Callable[[Motion, Path], None]
+) -> Iterator[Outcome]:
+    """Write each motion to its name below `folder` and its row to motions.csv; yields what became of each.
+
+    A skeleton that `write` cannot map costs its sequence, not the export.
+    """
+    with (folder / TABLE).open("w", encoding="utf-8", newline="") as handle:
+        table = csv.DictWriter(handle, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        for motion, name in zip(selection.motions(), names, strict=True):
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                write(motion, path)
+            except SkeletonMapError as error:
+                yield Outcome(motion.sequence_id, "skeleton", str(error))
+                continue
+            table.writerow(_table_row(motion, name))
+            yield Outcome(motion.sequence_id)
+
+
+def _table_row(motion: Motion, name: PurePosixPath) -> dict[str, str]:
+    provenance = motion.provenance
+    return {
+        "file": name.as_posix(),
+        "captions": _captions(motion.captions),
+        "action": motion.action,
+        "style": motion.style,
+        "subject": provenance.subject,
+        "split": motion.split,
+        "fps": format_fps(motion.fps),
+        "stated_fps": provenance.stated_fps,
+        "licence": provenance.licence,
+        "source": provenance.source,
+        "subset": provenance.subset,
+    }
+
+
+def _captions(captions: Sequence[Caption]) -> str:
+    """All captions as one JSON list: a plain sentence where nothing but the text is said, else an object."""
+    return json.dumps([_caption(caption) for caption in captions], ensure_ascii=False) if captions else ""
+
+
+def _caption(caption: Caption) -> str | dict[str, str | float]:
+    stated: dict[str, str | float] = {}
+    if caption.start_seconds or caption.end_seconds is not None:
+        stated["start_seconds"] = caption.start_seconds
+    if caption.end_seconds is not None:
+        stated["end_seconds"] = caption.end_seconds
+    if caption.tokens:
+        stated["tokens"] = caption.tokens
+    return {"text": caption.text, **stated} if stated else caption.text
