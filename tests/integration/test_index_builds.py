@@ -1,0 +1,314 @@
+"""`motionkit ingest ROOT --index …`: native-framerate HumanML3D and its kin from small trees that the tests write.
+
+Joints stand still but for their height above the floor, which is the frame's number in millimetres: so a sequence shows
+which frames of its file it is.
+"""
+
+import json
+import shutil
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.skeleton import SMPL22
+from motionkit.skeleton_map import rest_positions
+from motionkit.store import Store
+
+HEADER = "source_path,start_frame,end_frame,new_name\n"
+TEXT = "a person stands#a/DET person/NOUN stand/VERB#0.0#0.0\nthen rises#then/ADV rise/VERB#0.5#1.0\n"
+
+# Folder, file, framerate, frames: known datasets in the spellings of both releases.
+TAKES = (
+    ("KIT/3", "kick_poses", "100.0", 600),
+    ("CMU/CMU/01", "01_01_poses", "120.0", 800),
+    ("EyesJapanDataset/yamaoka", "tennis-15-first_service-yamaoka_stageii", "150.0", 1000),
+    ("BMLrub/rub110", "0001_treadmill_fast_stageii", "60.0", 400),
+    ("Transitions/mazen_c3d", "crawl_stand_stageii", "250.0", 900),
+    ("humanact12/humanact12", "P01G01R01F0001T0064A0201", "20", 64),
+)
+INDEX = (
+    "./pose_data/KIT/3/kick_poses.npy,0,117,000000.npy",
+    "./pose_data/humanact12/humanact12/P01G01R01F0001T0064A0201.npy,0,-1,000001.npy",
+    "./pose_data/CMU/01/01_01_poses.npy,17,117,000002.npy",
+    "./pose_data/CMU/01/01_01_poses.npy,117,137,000003.npy",
+    "./pose_data/Eyes_Japan_Dataset/yamaoka/tennis-15-first service-yamaoka_poses.npy,3,43,000004.npy",
+    "./pose_data/BioMotionLab_NTroje/rub110/0001_treadmill_fast_poses.npy,0,1,009707.npy",
+    "./pose_data/Transitions_mocap/mazen_c3d/crawl_stand_poses.npy,20,60,000005.npy",
+)
+# First native frame and one past the last, worked out by hand.
+WINDOWS = {
+    "000000": (0, 585),  # step 5
+    "000001": (0, 64),
+    "000002": (102, 702),  # step 6
+    "000003": (702, 800),  # [702, 822) of 800 frames: 17 of 20 published frames are there
+    "000004": (441, 721),  # step 7, after 60
+    "009707": (0, 3),  # step 3: one published frame
+    "000005": (360, 840),  # step 12, after 10
+}
+FPS = {"000000": 100, "000001": 20, "000002": 120, "000003": 120, "000004": 150, "009707": 60, "000005": 250}
+
+
+def write_take(path: Path, num_frames: int, num_joints: int = 22) -> None:
+    standing = np.zeros((num_frames, num_joints, 3), dtype=np.float32)
+    standing[:, :22] = rest_positions(SMPL22)
+    standing[:, :, 1] += 1.0 + 1e-3 * np.arange(num_frames, dtype=np.float32)[:, None]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.save(path, standing)
+
+
+@pytest.fixture
+def amass(tmp_path: Path) -> Path:
+    root = tmp_path / "AMASS"
+    for folder, name, fps, num_frames in TAKES:
+        write_take(root / folder / f"{name}.npy", num_frames, 24 if "humanact12" in folder else 22)
+        (root / folder / "motions.json").write_text(json.dumps({"fps": fps}))
+    write_take(root / "KIT/3/never_named_poses.npy", 5)
+    (root / "KIT/3/broken_poses.npy").write_bytes(b"not an array")
+    return root
+
+
+@pytest.fixture
+def humanml3d(tmp_path: Path) -> Path:
+    """A checkout of HumanML3D: index, splits, texts."""
+    folder = tmp_path / "HumanML3D"
+    (folder / "texts").mkdir(parents=True)
+    (folder / "index.csv").write_text(HEADER + "".join(f"{row}\n" for row in INDEX))
+    (folder / "train.txt").write_text("000000\nM000000\n000002\n000003\n")
+    (folder / "test.txt").write_text("000004\nM000004\n000005\n")
+    for name in WINDOWS:
+        (folder / "texts" / f"{name}.txt").write_text(TEXT)
+        (folder / "texts" / f"M{name}.txt").write_text(TEXT.replace("person", "mirrored person"))
+    return folder
+
+
+def frame_numbers(store: Store, sequence_id: str) -> list[int]:
+    height = store.read(sequence_id).joint_positions[:, 0, 1]
+    return np.rint((height - 1.0 - rest_positions(SMPL22)[0, 1]) * 1000).astype(int).tolist()
+
+
+def test_clips_at_their_native_framerates(motionkit, amass, humanml3d, tmp_path):
+    outcome = motionkit(
+        "ingest", amass, "--index", humanml3d / "index.csv", "--texts", humanml3d / "texts", "--store", tmp_path / "s",
+        "--workers", 1,
+    )  # fmt: skip
+    assert outcome.code == 0
+    store = Store.open(tmp_path / "s")
+    assert set(store.sequences["sequence_id"]) == {f"humanml3d/{name}" for name in WINDOWS}
+    for name, (start, stop) in WINDOWS.items():
+        motion = store.read(f"humanml3d/{name}")
+        assert frame_numbers(store, f"humanml3d/{name}") == list(range(start, stop)), name
+        assert (motion.fps, motion.timegrid.start_seconds) == (FPS[name], 0.0)
+        assert [caption.text for caption in motion.captions] == ["a person stands", "then rises"]
+        assert (motion.captions[1].start_seconds, motion.captions[1].end_seconds) == (0.5, 1.0)
+    rows = store.sequences.set_index("sequence_id")
+    assert rows["split"].to_dict() == {
+        "humanml3d/000000": "train", "humanml3d/000001": "", "humanml3d/000002": "train", "humanml3d/000003": "train",
+        "humanml3d/000004": "test", "humanml3d/000005": "test", "humanml3d/009707": "",
+    }  # fmt: skip
+    assert rows["source_path"]["humanml3d/000004"] == (
+        "EyesJapanDataset/yamaoka/tennis-15-first_service-yamaoka_stageii.npy"
+    )
+    assert rows["subset"]["humanml3d/000005"] == "Transitions_mocap"
+    assert set(rows["source"]) == {"humanml3d"}
+    assert "frames [441, 721) of 1000, 2.94 s to 4.80667 s of the file" in rows["operations"]["humanml3d/000004"][-1]
+    assert outcome.stderr.splitlines() == [
+        f"warning: {amass}/CMU/CMU/01/01_01_poses.npy: ends 0.15 s before humanml3d/000003 does; 0.817 s of it are kept"
+    ]
+    assert motionkit("validate", "--store", tmp_path / "s").code == 0
+
+
+def test_the_published_frames_instead(motionkit, amass, humanml3d, tmp_path):
+    motionkit(
+        "ingest", amass, "--index", humanml3d / "index.csv", "--compat", "humanml3d-20fps", "--store", tmp_path / "s",
+        "--workers", 1,
+    )  # fmt: skip
+    store = Store.open(tmp_path / "s")
+    steps = {"000000": 5, "000001": 1, "000002": 6, "000003": 6, "000004": 7, "009707": 3, "000005": 12}
+    for name, step in steps.items():
+        start, stop = WINDOWS[name]
+        assert frame_numbers(store, f"humanml3d-20fps/{name}") == list(range(start, stop, step)), name
+        assert store.read(f"humanml3d-20fps/{name}").fps == 20
+
+
+def test_mirrored_clips_have_captions_and_splits_of_their_own(motionkit, amass, humanml3d, tmp_path):
+    outcome = motionkit(
+        "ingest", amass, "--index", humanml3d / "index.csv", "--texts", humanml3d / "texts", "--store", tmp_path / "s",
+        "--mirrored", "--workers", 1,
+    )  # fmt: skip
+    assert outcome.code == 0
+    store = Store.open(tmp_path / "s")
+    assert len(store.sequences) == 14
+    plain, mirrored = store.read("humanml3d/000004"), store.read("humanml3d/M000004")
+    left, right = SMPL22.index("left_knee"), SMPL22.index("right_knee")
+    assert np.array_equal(mirrored.joint_positions[:, left], plain.joint_positions[:, right] * np.float32([-1, 1, 1]))
+    assert (mirrored.split, mirrored.captions[0].text) == ("test", "a mirrored person stands")
+    # Clips of one file follow each other, so that it is read once.
+    paths = store.sequences["source_path"].tolist()
+    assert sum(path != after for path, after in pairwise(paths)) == len(set(paths)) - 1
+
+
+def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_path):
+    shutil.rmtree(amass / "CMU")
+    with (humanml3d / "index.csv").open("a") as file:
+        file.write("./pose_data/KIT/3/broken_poses.npy,0,10,000006.npy\n")
+        file.write("./pose_data/KIT/3/kick_poses.npy,200,240,000007.npy\n")
+        file.write("./pose_data/../../x.npy,0,10,000008.npy\n")
+    arguments = ("ingest", amass, "--index", humanml3d / "index.csv", "--store", tmp_path / "s", "--workers", 1)
+    outcome = motionkit(*arguments, "--json")
+    assert outcome.code == 0
+    told = json.loads(outcome.stdout)
+    assert told["datasets"] == {
+        "KIT": {"found": 3, "missing": 0, "failed": 2},
+        "CMU": {"found": 0, "missing": 2, "failed": 0},
+        "humanact12": {"found": 1, "missing": 0, "failed": 0},
+        "Eyes_Japan_Dataset": {"found": 1, "missing": 0, "failed": 0},
+        "BioMotionLab_NTroje": {"found": 1, "missing": 0, "failed": 0},
+        "Transitions_mocap": {"found": 1, "missing": 0, "failed": 0},
+    }
+    assert told["failed"] == {"missing-file": 2, "path": 1, "not-what-it-says": 1, "beyond-end": 1}
+    assert f"{humanml3d}/index.csv, line 4: 000002: there is no CMU/01/01_01_poses.npy below {amass}" in outcome.stderr
+    assert "the index asks for [200, 240) of every 5th frame, that is frames [1000, 1200)" in outcome.stderr
+    again = motionkit(*arguments)
+    assert "already there: 5" in again.stdout
+    assert "KIT                       3        0       2" in again.stdout
+    stopped = motionkit(*arguments, "--on-error", "stop", "--overwrite")
+    assert stopped.code == 1
+
+
+def test_thousands_of_missing_files_are_told_once(motionkit, amass, tmp_path):
+    rows = "".join(f"KIT/3/none_{number}_poses.npy,0,5,{number:06}.npy\n" for number in range(50))
+    (tmp_path / "index.csv").write_text(HEADER + "KIT/3/kick_poses.npy,0,5,a.npy\n" + rows)
+    outcome = motionkit("ingest", amass, "--index", tmp_path / "index.csv", "--store", tmp_path / "s", "--workers", 1)
+    assert len(outcome.error_lines) == 6
+    assert outcome.error_lines[-1] == "more files are missing: the table at the end counts them, --json names them"
+    assert "failed: 50 (50 missing-file)" in outcome.stdout
+
+
+def test_only_the_files_that_are_named_are_opened(motionkit, amass, humanml3d, tmp_path):
+    for path in (amass / "KIT/3/never_named_poses.npy", amass / "KIT/3/broken_poses.npy"):
+        path.unlink()
+        path.mkdir()  # which nothing could open
+    outcome = motionkit("ingest", amass, "--index", humanml3d / "index.csv", "--store", tmp_path / "s", "--workers", 1)
+    assert outcome.code == 0
+    assert "failed" not in outcome.stdout.splitlines()[1]
+
+
+def test_the_source_may_be_one_dataset_and_there_may_be_several(motionkit, amass, humanml3d, tmp_path):
+    outcome = motionkit(
+        "ingest", amass / "KIT", amass / "BMLrub", "--index", humanml3d / "index.csv", "--store", tmp_path / "s",
+        "--workers", 1,
+    )  # fmt: skip
+    assert outcome.code == 0
+    assert set(Store.open(tmp_path / "s").sequences["sequence_id"]) == {"humanml3d/000000", "humanml3d/009707"}
+
+
+def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
+    said = [{"seg_id": "00001_0", "text": "A person kicks.", "start": 0.0, "end": 6.0}]
+    part = [{"seg_id": "00002_0", "text": "A part.", "start": 1.0, "end": 2.5}]
+    kit = {
+        "00001": {"path": "KIT/3/kick_poses", "duration": 6.0, "annotations": said},
+        "M00001": {"path": "M/KIT/3/kick_poses", "duration": 6.0, "annotations": said},
+        "00002": {"path": "CMU/01/01_01_poses", "duration": 6.667, "annotations": part},
+    }
+    (tmp_path / "kitml.json").write_text(json.dumps(kit))
+    babel = {
+        "31": {
+            "feat_p": "BMLrub/BioMotionLab_NTroje/rub110/0001_treadmill_fast_poses.npz",
+            "seq_ann": {"labels": [{"raw_label": "runs", "proc_label": "run", "act_cat": ["run"]}]},
+            "frame_ann": {"labels": [{"raw_label": "turns", "act_cat": None, "start_t": 1.0, "end_t": 2.0}]},
+        }
+    }
+    (tmp_path / "val.json").write_text(json.dumps(babel))
+    outcome = motionkit(
+        "ingest", amass, "--index", tmp_path / "kitml.json", "--index", tmp_path / "val.json",
+        "--store", tmp_path / "s", "--workers", 1,
+    )  # fmt: skip
+    assert outcome.code == 0
+    store = Store.open(tmp_path / "s")
+    assert store.sequences["sequence_id"].tolist() == ["kitml/00001", "kitml/00002", "babel/31"]
+    assert frame_numbers(store, "kitml/00001") == list(range(600))
+    assert frame_numbers(store, "kitml/00002") == list(range(120, 300))
+    run = store.read("babel/31")
+    assert (run.num_frames, run.fps, run.action, run.split) == (400, 60, "run", "val")
+    assert [(caption.text, caption.start_seconds, caption.end_seconds) for caption in run.captions] == [
+        ("runs", 0.0, None),
+        ("turns", 1.0, 2.0),
+    ]
+    mirrored = motionkit(
+        "ingest", amass, "--index", tmp_path / "kitml.json", "--mirrored", "--store", tmp_path / "m", "--workers", 1
+    )
+    assert mirrored.code == 0
+    assert Store.open(tmp_path / "m").sequences["sequence_id"].tolist() == [
+        "kitml/00001",
+        "kitml/M00001",
+        "kitml/00002",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--texts", "."), "--texts is about an index"),
+        (("--mirrored",), "--mirrored is about an index"),
+        (("--compat", "humanml3d-20fps"), "--compat is about an index"),
+        (("--index", "index.csv", "--captions", "x.csv"), "--captions describes whole files"),
+        (("--index", "index.csv", "--texts", "nowhere"), "is not a folder of texts"),
+        (("--index", "index.csv", "--splits", "texts"), "has none of train.txt"),
+        (("--index", "kitml.json", "--compat", "humanml3d-20fps"), "only HumanML3D's index.csv has frames at 20 fps"),
+        (("--index", "babel.json", "--mirrored"), "has no mirrored sequences"),
+    ],
+)
+def test_requests_that_make_no_sense(motionkit, amass, humanml3d, monkeypatch, arguments, message):
+    monkeypatch.chdir(humanml3d)
+    Path("babel.json").write_text('{"1": {"feat_p": "CMU/CMU/01/01_01_poses.npz"}}')
+    Path("kitml.json").write_text('{"1": {"path": "CMU/01/01_01_poses", "annotations": []}}')
+    outcome = motionkit("ingest", amass, *arguments, "--store", "s", "--workers", 1)
+    assert outcome.code == 2
+    assert message in outcome.stderr
+    assert not Path("s").exists()
+
+
+def test_an_index_that_is_none(motionkit, amass, tmp_path):
+    (tmp_path / "index.csv").write_text("file,caption\na,b\n")
+    outcome = motionkit("ingest", amass, "--index", tmp_path / "index.csv", "--store", tmp_path / "s")
+    assert outcome.code == 1
+    assert len(outcome.error_lines) == 1
+    assert "expected an index: HumanML3D's index.csv" in outcome.stderr
+
+
+def test_workers_make_the_same_store(motionkit, amass, humanml3d, tmp_path):
+    contents = []
+    for workers in (1, 2):
+        store = tmp_path / f"s{workers}"
+        motionkit(
+            "ingest", amass, "--index", humanml3d / "index.csv", "--mirrored", "--store", store, "--workers", workers
+        )
+        contents.append({path.name: path.read_bytes() for path in sorted(store.rglob("*.parquet"))})
+    assert contents[0] == contents[1]
+
+
+def test_the_published_index_on_real_takes_of_the_cmu_database(motionkit, captures, tmp_path):
+    """AMC files under CMU's own names: their lengths are what the published frame numbers were counted on."""
+    root = tmp_path / "source"
+    shutil.copytree(captures / "cmu/asfamc/02", root / "CMU/02")
+    (root / "takes.csv").write_text("file,fps\n" + "".join(f"CMU/02/02_{n:02}.amc,120\n" for n in range(1, 11)))
+    rows = (captures / "annotations/humanml3d-index.csv").read_text().splitlines()
+    wanted = [row for row in rows if "/CMU/02/" in row]
+    (tmp_path / "index.csv").write_text("\n".join([rows[0], *wanted]))
+    for split in ("train", "val", "test"):
+        shutil.copy(captures / f"annotations/humanml3d-{split}.txt", tmp_path / f"{split}.txt")
+    outcome = motionkit("ingest", root, "--index", tmp_path / "index.csv", "--store", tmp_path / "s", "--workers", 1)
+    assert outcome.code == 0
+    sequences = Store.open(tmp_path / "s").sequences
+    takes = {path.stem for path in root.rglob("*.amc")}
+    present = [row for row in wanted if row.split("/")[4].partition("_poses")[0] in takes]
+    assert len(sequences) == len(present) > 5
+    assert set(sequences["split"]) <= {"train", "val", "test"}
+    lengths = {row.split(",")[3][:-4]: int(row.split(",")[2]) - int(row.split(",")[1]) for row in present}
+    for _, sequence in sequences.iterrows():
+        published = lengths[sequence["sequence_id"].removeprefix("humanml3d/")]
+        assert sequence["fps"] == 120
+        # All that was published is there; the last published frame may be the file's last.
+        assert 6 * (published - 1) < sequence["num_frames"] <= 6 * published
