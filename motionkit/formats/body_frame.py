@@ -78,7 +78,7 @@ def upright(
     head, left, right = (_joint(skeleton, joint_positions, name) for name in ("head", "left_ankle", "right_ankle"))
     _, y, z = (head - 0.5 * (left + right)).mean(axis=0).tolist()
     if z > 2.0 * abs(y):
-        return _turn(joint_positions), ["turned from z up to y up: (x, y, z) → (x, z, −y)"]
+        return turn_to_y_up(joint_positions), ["turned from z up to y up: (x, y, z) → (x, z, −y)"]
     if -y > 2.0 * abs(z):
         return joint_positions * np.array([1, -1, -1], np.float32), [
             "turned from y down to y up: (x, y, z) → (x, −y, −z)"
@@ -108,15 +108,16 @@ def z_up_to_y_up(
     """Change of basis (x, y, z) → (x, z, −y) of a whole motion, its rest pose included."""
     turned = replace(
         skeleton,
-        offsets=_turn(skeleton.offsets),
+        offsets=turn_to_y_up(skeleton.offsets),
         end_sites=tuple((joint, (x, z, -y)) for joint, (x, y, z) in skeleton.end_sites),
     )
     rotations = local_rotations.copy()
-    rotations[..., 1:] = _turn(local_rotations[..., 1:])
-    return turned, _turn(joint_positions), rotations, _turn(root_translation)
+    rotations[..., 1:] = turn_to_y_up(local_rotations[..., 1:])
+    return turned, turn_to_y_up(joint_positions), rotations, turn_to_y_up(root_translation)
 
 
-def _turn(vectors: Float32[np.ndarray, "*shape 3"]) -> Float32[np.ndarray, "*shape 3"]:
+def turn_to_y_up(vectors: Float32[np.ndarray, "*shape 3"]) -> Float32[np.ndarray, "*shape 3"]:
+    """Vectors from z up to y up, left staying left: (x, y, z) → (x, z, −y)."""
     return vectors[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0], np.float32)
 
 

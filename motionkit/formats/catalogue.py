@@ -4,7 +4,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from motionkit.formats import asfamc, bvh, deepmimic, humanact12, humanml3d, joints_npy, kit, lafan1, npy, style100
+from motionkit.formats import (
+    amass,
+    asfamc,
+    bvh,
+    deepmimic,
+    humanact12,
+    humanml3d,
+    joints_npy,
+    kit,
+    lafan1,
+    npy,
+    style100,
+)
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.motion import Motion
 
@@ -79,6 +91,15 @@ FORMATS: Mapping[str, Format] = {
             read=lambda item, options: deepmimic.read_deepmimic(item.path, options),
             suffixes=(".txt", ".json"),
             accepts=deepmimic.accepts,
+        ),
+        Format(
+            name="amass",
+            description="AMASS (.npz): SMPL, SMPL-H or SMPL-X poses, both generations of files",
+            framerate="mocap_framerate or mocap_frame_rate",
+            rotations=True,
+            read=amass.read_amass,
+            suffixes=(".npz",),
+            accepts=amass.accepts,
         ),
         Format(
             name="humanml3d",

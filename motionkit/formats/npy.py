@@ -20,7 +20,7 @@ def peek_shape(path: Path) -> tuple[int, ...] | None:
     """Shape that a .npy file's header states, None where there is no such header; reads no data."""
     try:
         with path.open("rb") as file:
-            return _header(io.BytesIO(file.read(HEADER_BYTES)))[0]
+            return read_header(io.BytesIO(file.read(HEADER_BYTES)))[0]
     except (OSError, ValueError):
         return None
 
@@ -38,7 +38,7 @@ def read_npy(path: Path, data: bytes, shape: tuple[int | None, ...]) -> Float32[
         )
     file = io.BytesIO(data)
     try:
-        stated, column_major, code = _header(file)
+        stated, column_major, code = read_header(file)
     except ValueError as error:
         raise FormatError(f"broken .npy header ({error})", path=path, reason="truncated") from None
     if not NUMERIC.fullmatch(code):
@@ -76,9 +76,12 @@ def _checked(array: np.ndarray, path: Path) -> Float32[np.ndarray, "..."]:
     return np.ascontiguousarray(array, dtype=np.float32)
 
 
-def _header(file: io.BytesIO) -> tuple[tuple[int, ...], bool, str]:
-    # Shape, whether columns come first, and the type's code. The header is a Python literal of a dictionary
-    # (numpy's NEP 1); it is read here, so that nothing in it can name a type other than plain numbers.
+def read_header(file: io.BytesIO) -> tuple[tuple[int, ...], bool, str]:
+    """Shape, whether columns come first, and the type's code, from the head of a .npy file; raises `ValueError`.
+
+    The header is a Python literal of a dictionary (numpy's NEP 1); it is read here, so that nothing in it can name a
+    type other than plain numbers.
+    """
     magic = file.read(8)
     if magic[:6] != MAGIC or magic[6:] not in (b"\x01\x00", b"\x02\x00"):
         raise ValueError("neither version 1.0 nor 2.0")

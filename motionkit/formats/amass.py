@@ -1,0 +1,154 @@
+"""AMASS motions (.npz): SMPL, SMPL-H and SMPL-X poses as axis–angle vectors, z up, with the subject's shape.
+
+A joint's rotation is the vector's direction and length; the pelvis is at trans + J₀, where J₀ is its rest position for
+the subject's betas, and everything turns about it. Sources: https://github.com/nghorbani/amass (arrays, notebooks),
+Loper et al., "SMPL: A Skinned Multi-Person Linear Model", 2015, Eq. 2–4 and 10 (joints), and the file listings of its
+issues 8, 49 and 68 (names of the two generations of files).
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit import kinematics
+from motionkit.errors import FormatError
+from motionkit.formats import body_frame, npz_archive, sourcefile
+from motionkit.formats.amass_layouts import BODY, LAYOUTS, POSE_PARTS, PoseLayout
+from motionkit.formats.items import ReadOptions, SourceItem
+from motionkit.formats.mean_shape import mean_shape_skeleton
+from motionkit.formats.npz_archive import NpzArchive
+from motionkit.motion import Motion, Provenance
+from motionkit.skeleton import Skeleton
+from motionkit.timegrid import TimeGrid, parse_fps
+
+MOTION_NAMES = ("_poses", "_stageii")
+FRAMERATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
+GENDERS = ("male", "female", "neutral")
+# The quarter turn about x that takes z up to y up: (x, y, z) → (x, z, −y).
+UPRIGHT = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0], np.float32)
+
+
+def accepts(path: Path) -> bool:
+    """Whether an .npz file is an AMASS motion; the shapes beside them (`shape.npz`, `…_stagei.npz`) are not."""
+    if path.stem == "shape" or path.stem.endswith("_stagei"):
+        return False
+    if path.stem.endswith(MOTION_NAMES):
+        return True
+    keys = npz_archive.peek_keys(path)
+    return "trans" in keys and ("poses" in keys or {"root_orient", "pose_body"} <= keys)
+
+
+def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
+    """Read one motion at its stated framerate: true local rotations, positions in metres, turned to y up.
+
+    Without a body model the joints are the 22 of SMPL's mean shape, and finger, jaw and eye rotations are left out.
+    Raises `FormatError`, with the reason `no-framerate` where nothing says one, `framerate` where it is none.
+    """
+    path = item.path
+    data = sourcefile.read_bytes(path)
+    archive = npz_archive.open_archive(path, data)
+    poses, layout = _read_poses(archive)
+    trans = npz_archive.read_numbers(archive, "trans", (len(poses), 3))
+    fps, stated_fps, operations = _framerate(archive, options)
+    body = _body(archive, layout)
+    rotations = axis_angle_to_quaternion(poses[:, : 3 * body.skeleton.num_joints])
+    root = body_frame.turn_to_y_up(trans + body.skeleton.offsets[0])
+    rotations[:, 0] = kinematics.quaternion_multiply(UPRIGHT, rotations[:, 0])
+    operations += [*body.operations, "turned from z up to y up: (x, y, z) → (x, z, −y)"]
+    return Motion(
+        joint_positions=kinematics.forward_kinematics(rotations, root, body.skeleton),
+        skeleton=body.skeleton,
+        timegrid=TimeGrid(fps, len(root)),
+        local_rotations=rotations,
+        root_translation=root,
+        sequence_id=item.sequence_id,
+        provenance=Provenance(
+            source_path=path.name,
+            source_sha256=sourcefile.sha256(data),
+            source_format="amass",
+            subject=path.parent.name,
+            stated_fps=stated_fps,
+            operations=tuple(operations),
+        ),
+    )
+
+
+def axis_angle_to_quaternion(vectors: Float32[np.ndarray, "frames values"]) -> Float32[np.ndarray, "frames joints 4"]:
+    """Rotation vectors in radians, three numbers a joint, as unit quaternions; vectors of no length are no turn."""
+    x, y, z = np.ascontiguousarray(vectors.reshape(len(vectors), -1, 3).transpose(2, 1, 0))
+    angle = np.sqrt(x * x + y * y + z * z)
+    half = 0.5 * angle
+    scale = np.where(angle > 1e-6, np.sin(half) / np.maximum(angle, 1e-6), 0.5)
+    quaternions = np.empty((*vectors.shape[:1], angle.shape[0], 4), np.float32)
+    for column, values in enumerate((np.cos(half), x * scale, y * scale, z * scale)):
+        quaternions[:, :, column] = values.T
+    return quaternions
+
+
+@dataclass(frozen=True)
+class _Body:
+    skeleton: Skeleton
+    operations: tuple[str, ...]
+
+
+def _body(archive: NpzArchive, layout: PoseLayout) -> _Body:
+    left_out = layout.num_joints - BODY.num_joints
+    operations = ["joints: SMPL's mean shape, no body model given"]
+    if left_out:
+        operations.append(f"rotations of {left_out} joints left out: fingers and face need a body model")
+    return _Body(mean_shape_skeleton(), tuple(operations))
+
+
+def _read_poses(archive: NpzArchive) -> tuple[Float32[np.ndarray, "frames values"], PoseLayout]:
+    if "poses" in archive:
+        poses = npz_archive.read_numbers(archive, "poses", (None, None))
+    else:
+        first = npz_archive.read_numbers(archive, "root_orient", (None, 3))
+        parts = [(key, size) for key, size in POSE_PARTS[1:] if key in archive or key == "pose_body"]
+        others = [npz_archive.read_numbers(archive, key, (len(first), size)) for key, size in parts]
+        poses = np.concatenate((first, *others), axis=1)
+    return poses, _layout(archive, poses.shape[1])
+
+
+def _layout(archive: NpzArchive, width: int) -> PoseLayout:
+    stated = _text(archive, "surface_model_type")
+    for layout in (*LAYOUTS.values(), BODY):
+        if width == 3 * layout.num_joints and (layout is BODY or stated.split("_")[0] in ("", layout.family)):
+            return layout
+    widths = ", ".join(f"{3 * layout.num_joints} ({family})" for family, layout in LAYOUTS.items())
+    raise FormatError(
+        f"poses of {width} numbers{f' for the body model {stated[:20]!r}' if stated else ''}, expected {widths} or "
+        f"{3 * BODY.num_joints} (body only)",
+        path=archive.path,
+        reason="channel-count",
+    )
+
+
+def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
+    key = next((key for key in FRAMERATE_KEYS if key in archive), None)
+    value = None if key is None else npz_archive.read_scalar(archive, key)
+    stated = "" if value is None else str(value)
+    try:
+        if not isinstance(value, (int, float)):
+            raise ValueError("no number")
+        fps = parse_fps(value)
+    except ValueError as error:
+        if options.fps is not None:
+            return options.fps, stated, [f"framerate set to {options.fps}; the file's own is unusable"]
+        raise FormatError(
+            f"{key or ' and '.join(FRAMERATE_KEYS)}: {stated or 'nothing'}, no usable framerate ({error}); give it in "
+            "a rule (--fps-rules) or with --fps",
+            path=archive.path,
+            reason="no-framerate" if key is None else "framerate",
+        ) from None
+    if options.fps is None or options.fps == fps:
+        return fps, stated, []
+    return options.fps, stated, [f"framerate set to {options.fps}; the file says {fps}"]
+
+
+def _text(archive: NpzArchive, key: str) -> str:
+    value = npz_archive.read_scalar(archive, key) if key in archive else None
+    return value.strip().lower() if isinstance(value, str) else ""

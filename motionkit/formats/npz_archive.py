@@ -1,0 +1,166 @@
+"""Members of .npz archives from strangers: sizes are bounded before anything is unpacked, objects are never unpickled.
+
+An .npz file is a zip of .npy members. Nothing is extracted to disk: a member's name is a key and never a path.
+"""
+
+import io
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit.errors import FormatError
+from motionkit.formats import npy, object_scalar, sourcefile
+
+# Deflate reaches 1,032 at most, on constant bytes; arrays of measurements stay below 10. Small members may be constant.
+MAX_RATIO = 200
+HARMLESS_BYTES = 1 << 26
+SCALAR_BYTES = 1 << 14
+BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, OverflowError, IndexError)
+
+
+@dataclass(frozen=True, eq=False)
+class NpzArchive:
+    """An open archive of `num_bytes`: its path for messages, and its members by key (without `.npy`)."""
+
+    path: Path
+    num_bytes: int
+    zipped: zipfile.ZipFile
+    members: Mapping[str, zipfile.ZipInfo]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.members
+
+
+def peek_keys(path: Path) -> frozenset[str]:
+    """Keys that a file's zip directory lists, none where it has no such directory; reads no member."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return frozenset(info.filename.removesuffix(".npy") for info in archive.infolist())
+    except (*BROKEN, NotImplementedError):
+        return frozenset()
+
+
+def open_archive(path: Path, data: bytes) -> NpzArchive:
+    """The archive in a file's bytes; raises `FormatError` (`not-what-it-says`, `truncated`, `duplicate-key`)."""
+    if not data.startswith(b"PK\x03\x04"):
+        raise FormatError(
+            f"looks like {sourcefile.describe_content(data)}, expected an .npz archive",
+            path=path,
+            reason="not-what-it-says",
+        )
+    try:
+        zipped = zipfile.ZipFile(io.BytesIO(data))
+    except (*BROKEN, NotImplementedError) as error:
+        raise FormatError(f"broken .npz archive ({error})", path=path, reason="truncated") from None
+    members: dict[str, zipfile.ZipInfo] = {}
+    for info in zipped.infolist():
+        if members.setdefault(info.filename.removesuffix(".npy"), info) is not info:
+            raise FormatError(f"holds {info.filename!r} twice", path=path, reason="duplicate-key")
+    return NpzArchive(path, len(data), zipped, members)
+
+
+def read_shape(archive: NpzArchive, key: str) -> tuple[int, ...]:
+    """Shape that a member's header states; raises `FormatError` (`missing-key`, `truncated`, `too-large`)."""
+    info = _checked_info(archive, key)
+    try:
+        return npy.read_header(io.BytesIO(_unpack(archive, info, npy.HEADER_BYTES)))[0]
+    except ValueError as error:
+        raise _broken(archive, key, error) from None
+
+
+def read_numbers(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -> Float32[np.ndarray, "..."]:
+    """A numeric member as float32 that agrees with `shape` (None: any size).
+
+    The zip directory's size and the header's shape are compared before anything is allocated. Raises `FormatError` as
+    `npy.read_npy` does, and with `missing-key` or `too-large`.
+    """
+    info = _checked_info(archive, key)
+    stated = read_shape(archive, key)
+    if np.prod(stated, dtype=object) > info.file_size:
+        raise FormatError(
+            f"{key}: the header states an array of {stated}, but the member has {info.file_size} bytes",
+            path=archive.path,
+            reason="truncated",
+        )
+    try:
+        return npy.read_npy(archive.path, _unpack(archive, info), shape)
+    except FormatError as error:
+        frame = error.frame if len(shape) > 1 else None
+        message = f"{key}: {error.message}"
+        raise FormatError(message, path=archive.path, reason=error.reason, frame=frame) from None
+
+
+def read_scalar(archive: NpzArchive, key: str) -> str | int | float | None:
+    """A member that holds one number or one string, of any type; bytes are decoded.
+
+    None where it is an object whose pickle is more than one constant (`object_scalar`): nothing is unpickled. Raises
+    `FormatError` (`missing-key`, `truncated`, `channel-count`, `not-a-number`).
+    """
+    info = _checked_info(archive, key)
+    if info.file_size > SCALAR_BYTES:
+        raise FormatError(
+            f"{key}: {info.file_size} bytes, expected one value", path=archive.path, reason="channel-count"
+        )
+    file = io.BytesIO(_unpack(archive, info))
+    try:
+        shape, _, code = npy.read_header(file)
+        if np.prod(shape, dtype=object) != 1:
+            raise FormatError(
+                f"{key}: array of shape {shape}, expected one value", path=archive.path, reason="channel-count"
+            )
+        content = file.read()
+        if code in ("|O", "O"):
+            return object_scalar.parse_scalar(content)
+        return _to_scalar(content, code)
+    except (ValueError, TypeError) as error:
+        raise _broken(archive, key, error) from None
+
+
+def _to_scalar(content: bytes, code: str) -> str | int | float:
+    dtype = np.dtype(code)
+    if dtype.kind not in "fiuUS" or dtype.itemsize != len(content):
+        raise ValueError(f"{len(content)} bytes of type {code[:20]!r}")
+    value = np.frombuffer(content, dtype)[0].item()
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _checked_info(archive: NpzArchive, key: str) -> zipfile.ZipInfo:
+    info = archive.members.get(key)
+    if info is None:
+        held = ", ".join(sorted(archive.members)[:12])
+        raise FormatError(f"no array {key!r}; it holds {held[:200]}", path=archive.path, reason="missing-key")
+    if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise FormatError(
+            f"{key}: encrypted, or compressed otherwise than numpy does", path=archive.path, reason="unreadable"
+        )
+    if info.compress_size > archive.num_bytes:
+        raise FormatError(
+            f"{key}: {info.compress_size} bytes by the zip directory, but the file has {archive.num_bytes}",
+            path=archive.path,
+            reason="truncated",
+        )
+    if info.file_size > max(HARMLESS_BYTES, MAX_RATIO * info.compress_size) or info.file_size > sourcefile.MAX_BYTES:
+        raise FormatError(
+            f"{key}: {info.compress_size} bytes that claim to unpack to {info.file_size}",
+            path=archive.path,
+            reason="too-large",
+        )
+    return info
+
+
+def _unpack(archive: NpzArchive, info: zipfile.ZipInfo, num_bytes: int = -1) -> bytes:
+    # All of a member, or its beginning; zipfile stops at the size that the directory states.
+    try:
+        with archive.zipped.open(info) as member:
+            return member.read(num_bytes)
+    except (*BROKEN, NotImplementedError) as error:
+        raise _broken(archive, info.filename, error) from None
+
+
+def _broken(archive: NpzArchive, key: str, error: Exception) -> FormatError:
+    return FormatError(f"{key}: broken array ({error})", path=archive.path, reason="truncated")
