@@ -74,19 +74,18 @@ def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
             return _called_20_fps(_crop_frames(motion, stretch, path), step_of(motion, path))
 
 
-def missing_seconds(motion: Motion, cut: Cut) -> float:
+def missing_seconds(cut: Cut, num_frames: int, fps: Fraction, stated_fps: str) -> float:
     """By how much a cropped motion is shorter than its cut asks for; 0 where a frame's rounding explains it."""
     match cut:
         case TimeCut(start, end):
-            missing = 0.0 if end is None else end - start - motion.duration_seconds
-            return missing if missing > 1.5 * motion.timegrid.seconds_between_frames else 0.0
+            missing = 0.0 if end is None else end - start - float(num_frames / fps)
+            return missing if missing > 1.5 / float(fps) else 0.0
         case StepCut():
             # The last published frame stands for `step` native ones, of which a file needs to have but the first.
-            step = int(stated_rate(motion) / PUBLISHED_FPS)
-            missing_frames = cut.num_frames - math.ceil(motion.num_frames / step)
-            return float(missing_frames * step / motion.fps)
+            step = int(stated_rate(stated_fps, fps) / PUBLISHED_FPS)
+            return float((cut.num_frames - math.ceil(num_frames / step)) * step / fps)
         case PublishedCut(stretch):
-            return 0.0 if stretch is None else (stretch.num_frames - motion.num_frames) / PUBLISHED_FPS
+            return 0.0 if stretch is None else (stretch.num_frames - num_frames) / PUBLISHED_FPS
 
 
 def step_of(motion: Motion, path: Path) -> int:
@@ -95,29 +94,29 @@ def step_of(motion: Motion, path: Path) -> int:
     A framerate that was corrected changes what a frame's time is, not which frames were published. Raises `FormatError`
     (`step`) below 20 fps, where the published code divides by zero.
     """
-    step = int(stated_rate(motion) / PUBLISHED_FPS)
-    if step < 1:
+    rate = stated_rate(motion.provenance.stated_fps, motion.fps)
+    if rate < PUBLISHED_FPS:
         raise FormatError(
-            f"{stated_rate(motion):g} frames a second; an index in HumanML3D's frames needs at least {PUBLISHED_FPS}",
+            f"{rate:g} frames a second; an index in HumanML3D's frames needs at least {PUBLISHED_FPS}",
             path=path,
             reason="step",
         )
-    return step
+    return int(rate / PUBLISHED_FPS)
 
 
-def stated_rate(motion: Motion) -> float:
+def stated_rate(stated_fps: str, fps: Fraction) -> float:
     """The framerate that a file states, unrounded where it is a number, else the one in use.
 
     BVH's `Frame Time` is printed with few digits (.00833334 s), so there the snapped rate counts.
     """
-    stated = motion.provenance.stated_fps.strip()
+    stated = stated_fps.strip()
     try:
         if stated.startswith("Frame Time:"):
             return float(parse_fps(1.0 / float(stated.removeprefix("Frame Time:"))))
         rate = float(stated)
     except (ValueError, ZeroDivisionError):
-        return float(motion.fps)
-    return rate if math.isfinite(rate) and rate > 0 else float(motion.fps)
+        return float(fps)
+    return rate if math.isfinite(rate) and rate > 0 else float(fps)
 
 
 def _crop_seconds(motion: Motion, cut: TimeCut, path: Path) -> Motion:

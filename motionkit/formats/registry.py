@@ -88,9 +88,8 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
 
 
 def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
-    status = item.path.stat()
     whole = SourceItem(item.format, item.path, item.root, sequence_id="", key=item.key, fps=item.fps)
-    motion = _read_once(whole, options, status.st_mtime_ns, status.st_size)
+    motion = _read_once(whole, options, _version(item.path))
     if item.cut is not None:
         motion = cuts.crop(motion, item.cut, item.path)
     if not item.mirrored:
@@ -102,10 +101,18 @@ def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
 
 
 @lru_cache(maxsize=1)
-def _read_once(whole: SourceItem, options: ReadOptions, modified_ns: int, num_bytes: int) -> Motion:
+def _read_once(whole: SourceItem, options: ReadOptions, version: tuple[int, int]) -> Motion:
     # The stretches of a file follow each other, and reading a file costs far more than cutting it. A file that has
     # changed since is read again.
     return FORMATS[whole.format].read(whole, options)
+
+
+def _version(path: Path) -> tuple[int, int]:
+    try:
+        status = path.stat()
+    except OSError:
+        return 0, 0  # the reader will say so
+    return status.st_mtime_ns, status.st_size
 
 
 def _file_items(options: ReadOptions) -> Callable[[Path, Path], SourceItem | None]:

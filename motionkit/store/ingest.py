@@ -235,7 +235,9 @@ class _Run:
 
 def shortfall(item: SourceItem, motion: Motion) -> FormatError | None:
     """A warning (`shortened`) where a file ends before the stretch that was wanted of it; the rest of it is kept."""
-    missing = 0.0 if item.cut is None else missing_seconds(motion, item.cut)
+    if item.cut is None:
+        return None
+    missing = missing_seconds(item.cut, motion.num_frames, motion.fps, motion.provenance.stated_fps)
     if missing <= 0.0:
         return None
     return FormatError(
