@@ -6,7 +6,6 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from motionkit.skeleton import Skeleton
 
@@ -62,6 +61,8 @@ def quaternion_to_matrix(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 
 
 def matrix_to_quaternion(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 4"]:
     """Rotation matrices → unit quaternions with w ≥ 0."""
+    from scipy.spatial.transform import Rotation  # a quarter of a second that most readers need not spend
+
     q = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
     return np.asarray(q, dtype=matrix.dtype).reshape(*matrix.shape[:-2], 4)
 

@@ -1,6 +1,5 @@
 """Motions and skeletons ↔ rows of the store's tables."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -46,12 +45,11 @@ def measure_quality(motion: Motion) -> Quality:
     return Quality(speed, floor, tuple(flag for flag, holds in odd.items() if holds))
 
 
-def sequence_row(motion: Motion, *, sequence_index: int, part: int, first_row: int) -> Row:
-    """A motion's row in the table of sequences; its segments start at row `first_row` of part `part`."""
+def motion_row(motion: Motion) -> Row:
+    """A motion's row in the table of sequences, but for its index and the place of its segments."""
     quality = measure_quality(motion)
     provenance = motion.provenance
     return {
-        "sequence_index": sequence_index,
         "sequence_id": motion.sequence_id,
         "fps_numerator": motion.fps.numerator,
         "fps_denominator": motion.fps.denominator,
@@ -88,8 +86,6 @@ def sequence_row(motion: Motion, *, sequence_index: int, part: int, first_row: i
         "floor_height_metres": quality.floor_height,
         "quality_flags": list(quality.flags),
         "operations": list(provenance.operations),
-        "part": part,
-        "first_row": first_row,
         "num_segments": num_segments(motion.num_frames),
     }
 
@@ -117,28 +113,6 @@ class Segment:
         return sum(array.nbytes for array in arrays if array is not None)
 
 
-def segments_of(motion: Motion, sequence_index: int) -> Iterator[Segment]:
-    """Cut a motion into segments, in order."""
-    for start in range(0, motion.num_frames, SEGMENT_FRAMES):
-        stop = min(start + SEGMENT_FRAMES, motion.num_frames)
-        yield Segment(
-            sequence_index=sequence_index,
-            start_frame=start,
-            num_frames=stop - start,
-            joint_positions=_channel_major(motion.joint_positions[start:stop]),
-            joint_rotations=None
-            if motion.local_rotations is None
-            else _channel_major(motion.local_rotations[start:stop]),
-            root_translation=None
-            if motion.root_translation is None
-            else _channel_major(motion.root_translation[start:stop]),
-        )
-
-
-def _channel_major(frames: Float32[np.ndarray, "frames *channels"]) -> Float32[np.ndarray, "values"]:
-    return np.ascontiguousarray(frames.reshape(len(frames), -1).T, dtype=np.float32).ravel()
-
-
 def write_frames(
     flat: Float32[np.ndarray, "values"], num_frames: int, out: Float32[np.ndarray, "frames *channels"]
 ) -> None:
@@ -153,7 +127,7 @@ def motion_from_row(
     local_rotations: Float32[np.ndarray, "frames joints 4"] | None,
     root_translation: Float32[np.ndarray, "frames 3"] | None,
 ) -> Motion:
-    """Rebuild the motion that `sequence_row` described."""
+    """Rebuild the motion that `motion_row` described."""
     return Motion(
         joint_positions=joint_positions,
         skeleton=skeleton,

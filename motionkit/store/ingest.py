@@ -1,29 +1,35 @@
 """Sources → store: scan, read by processes in order, store; what cannot be read is told and counted."""
 
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from motionkit.errors import FormatError, StoreError
 from motionkit.formats.cuts import missing_seconds
-from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, read, scan
-from motionkit.motion import Motion
+from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, scan
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map
 from motionkit.skeleton_map import SkeletonMapError, joint_map
+from motionkit.store.encode import EncodedMotion, RefusedMotion
 from motionkit.store.manifest import read_manifest
-from motionkit.store.parallel import map_in_order, usable_cores
+from motionkit.store.parallel import Engine, WorkerDied, map_in_order
+from motionkit.store.process_engine import Processes, ThisProcess, usable_cores
+from motionkit.store.read_batch import read_batch
 from motionkit.store.schema import MANIFEST_FILE
-from motionkit.store.writer import RefusedMotion, StoreWriter
+from motionkit.store.writer import StoreWriter
 
 OnError = Literal["skip", "stop"]
 
 # One process reads this much in the time that it takes to start others.
 MUCH_BYTES = 20 * 2**20
+# A worker is handed this much at once, in files of any size.
+BATCH_BYTES = 2**20
+BATCH_ITEMS = 64
 
 
 @dataclass(frozen=True)
@@ -160,28 +166,39 @@ class _Run:
 
     def _write(self, writer: StoreWriter, found: ScanResult) -> None:
         self._listener.on_start(len(found.items))
-        with writer, closing(self._read(found.items)) as results:
+        with ExitStack() as held:
+            held.enter_context(writer)
+            engine = held.enter_context(self._engine(found.items))
+            function = partial(read_batch, options=self._options)
+            results = held.enter_context(closing(map_in_order(engine, function, batches(found.items))))
             for item, result in results:
-                if isinstance(result, FormatError):
-                    self._fail(result, item)
-                else:
-                    self._add(writer, item, result)
+                self._take(writer, item, result)
                 self._listener.on_item()
             if not self._num_stored:
                 raise _Stopped
 
-    def _read(self, items: Sequence[SourceItem]) -> Generator[tuple[SourceItem, Motion | FormatError]]:
-        num_workers = self._num_workers or (usable_cores() if _is_much(items) else 1)
-        return map_in_order(partial(read_or_fault, options=self._options), items, min(num_workers, len(items)))
+    def _engine(self, items: Sequence[SourceItem]) -> Engine:
+        num_workers = min(self._num_workers or (usable_cores() if _is_much(items) else 1), len(items))
+        return ThisProcess() if num_workers == 1 else Processes(num_workers)
 
-    def _add(self, writer: StoreWriter, item: SourceItem, motion: Motion) -> None:
+    def _take(self, writer: StoreWriter, item: SourceItem, result: EncodedMotion | FormatError | WorkerDied) -> None:
+        match result:
+            case FormatError():
+                self._fail(result, item)
+            case WorkerDied():
+                message = "the process that read it ended without a word (killed, or out of memory?): --workers 1 shows"
+                self._fail(FormatError(f"{message} where", path=item.path, reason="worker-died"), item)
+            case EncodedMotion():
+                self._add(writer, item, result)
+
+    def _add(self, writer: StoreWriter, item: SourceItem, motion: EncodedMotion) -> None:
         self._check_rig(item, motion.skeleton)
         held = writer.source_sha256(motion.sequence_id)
-        if held and held == motion.provenance.source_sha256:
+        if held and held == motion.row["source_sha256"]:
             self._num_already_stored += 1
             return
         try:
-            writer.add(motion)
+            writer.add_encoded(motion)
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
@@ -190,7 +207,7 @@ class _Run:
             self._warn(shortened)
         self._num_stored += 1
         self._num_frames += motion.num_frames
-        self._duration_seconds += motion.duration_seconds
+        self._duration_seconds += motion.row["duration_seconds"]
 
     def _check_rig(self, item: SourceItem, skeleton: Skeleton) -> None:
         # Joints that no layout knows are told once, whatever the lengths of their bones; the motions are kept.
@@ -233,39 +250,47 @@ class _Run:
             raise _Stopped
 
 
-def shortfall(item: SourceItem, motion: Motion) -> FormatError | None:
+def shortfall(item: SourceItem, motion: EncodedMotion) -> FormatError | None:
     """A warning (`shortened`) where a file ends before the stretch that was wanted of it; the rest of it is kept."""
     if item.cut is None:
         return None
-    missing = missing_seconds(item.cut, motion.num_frames, motion.fps, motion.provenance.stated_fps)
+    row = motion.row
+    fps = Fraction(row["fps_numerator"], row["fps_denominator"])
+    missing = missing_seconds(item.cut, motion.num_frames, fps, row["stated_fps"])
     if missing <= 0.0:
         return None
     return FormatError(
-        f"ends {missing:.3g} s before {item.sequence_id} does; {motion.duration_seconds:.3g} s of it are kept",
+        f"ends {missing:.3g} s before {item.sequence_id} does; {row['duration_seconds']:.3g} s of it are kept",
         path=item.path,
         reason="shortened",
     )
 
 
+def batches(items: Sequence[SourceItem]) -> Iterator[list[SourceItem]]:
+    """The items in order, in batches of at most a megabyte or 64 files: a task for each small file costs more."""
+    batch: list[SourceItem] = []
+    num_bytes = 0
+    for item in items:
+        batch.append(item)
+        num_bytes += _size(item)
+        if num_bytes >= BATCH_BYTES or len(batch) == BATCH_ITEMS:
+            yield batch
+            batch, num_bytes = [], 0
+    if batch:
+        yield batch
+
+
 def _is_much(items: Sequence[SourceItem]) -> bool:
     num_bytes = 0
     for item in items:
-        num_bytes += item.path.stat().st_size if item.path.exists() else 0
+        num_bytes += _size(item)
         if num_bytes > MUCH_BYTES:
             return True
     return False
 
 
-def read_or_fault(item: SourceItem, options: ReadOptions) -> Motion | FormatError:
-    """Read one sequence; a fault is returned, so that it travels between processes like a result.
-
-    An exception that no reader foresaw becomes a fault too (`unexpected`): one odd file must not end an ingest of a
-    million.
-    """
+def _size(item: SourceItem) -> int:
     try:
-        return read(item, options)
-    except FormatError as problem:
-        return problem
-    except Exception as error:
-        text = f"{type(error).__name__}: {error}".splitlines()[0]
-        return FormatError(f"the {item.format} reader failed: {text}", path=item.path, reason="unexpected")
+        return item.path.stat().st_size
+    except OSError:
+        return 0

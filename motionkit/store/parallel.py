@@ -1,85 +1,100 @@
-"""A map over many inputs by processes: results in order, bounded memory, no orphans."""
+"""A map over many inputs by workers: results in order, bounded memory, and the input that a worker dies of is named."""
 
-import multiprocessing
-import os
-import signal
-import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing.connection import wait
-from typing import TypeVar
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from motionkit.errors import MotionkitError
 
 Input = TypeVar("Input")
 Output = TypeVar("Output")
 
-INPUTS_IN_FLIGHT_PER_WORKER = 3
+BATCHES_IN_FLIGHT_PER_WORKER = 3
+# So many workers in a row that end before one has done anything: it is not the inputs that they die of.
+DEATHS_AT_START = 3
 
 
-def usable_cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+class WorkerDied(Exception):
+    """A worker ended without a word: killed, out of memory, or crashed in a library."""
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """Workers that compute batches; a context manager that starts and ends them.
+
+    `submit` hands a batch over without waiting, `result` waits for it and raises `WorkerDied` where its worker ended; a
+    batch may be submitted again after that.
+    """
+
+    num_workers: int
+
+    def __enter__(self) -> "Engine": ...
+
+    def __exit__(self, *exception: object) -> None: ...
+
+    def submit(self, function: Callable[[Sequence[Any]], Sequence[Any]], batch: Sequence[Any]) -> object:
+        """Start computing a batch; the ticket is what `result` takes."""
+        ...
+
+    def result(self, ticket: Any) -> Sequence[Any]:
+        """The outputs of a batch, one for each of its inputs."""
+        ...
 
 
 def map_in_order(
-    function: Callable[[Input], Output], inputs: Iterable[Input], num_workers: int
-) -> Generator[tuple[Input, Output]]:
-    """Pairs (input, function(input)) in the order of the inputs, computed by `num_workers` processes.
+    engine: Engine, function: Callable[[Sequence[Input]], Sequence[Output]], batches: Iterable[Sequence[Input]]
+) -> Generator[tuple[Input, Output | WorkerDied]]:
+    """Pairs (input, output) in the order of the inputs; `function` gives one output for each input of its batch.
 
-    At most three inputs per worker are in flight, so memory does not grow with the number of inputs. With one worker
-    everything happens in this process. Workers are spawned, not forked (Arrow has threads), and end with this process,
-    also where it is killed. Raises `MotionkitError` where a worker dies, naming the input that it may have died of.
+    At most three batches per worker are in flight, so memory does not grow with the number of inputs. The inputs of a
+    batch whose worker ended are computed again, each alone; that which ends its worker again has `WorkerDied` for its
+    output. Raises `MotionkitError` where workers end before any of them has done anything.
     """
-    if num_workers <= 1:
-        for each in inputs:
-            yield each, function(each)
-        return
-    context = multiprocessing.get_context("spawn")
-    pending: deque[tuple[Input, Future[Output]]] = deque()
-    with ProcessPoolExecutor(num_workers, mp_context=context, initializer=_start_worker) as pool:
+    yield from _Map(engine, function).run(batches)
+
+
+class _Map(Generic[Input, Output]):
+    """Owns the batches in flight, oldest first."""
+
+    def __init__(self, engine: Engine, function: Callable[[Sequence[Input]], Sequence[Output]]) -> None:
+        self._engine = engine
+        self._function = function
+        self._in_flight: deque[tuple[Sequence[Input], object]] = deque()
+        self._deaths_at_start: int | None = 0
+
+    def run(self, batches: Iterable[Sequence[Input]]) -> Iterator[tuple[Input, Output | WorkerDied]]:
+        """Keep the engine's workers busy and hand out what they computed, in order."""
+        for batch in batches:
+            self._in_flight.append((batch, self._engine.submit(self._function, batch)))
+            if len(self._in_flight) >= self._engine.num_workers * BATCHES_IN_FLIGHT_PER_WORKER:
+                yield from self._oldest()
+        while self._in_flight:
+            yield from self._oldest()
+
+    def _oldest(self) -> Iterator[tuple[Input, Output | WorkerDied]]:
+        batch, ticket = self._in_flight.popleft()
         try:
-            for each in inputs:
-                pending.append((each, _submit(pool, function, each)))
-                if len(pending) >= num_workers * INPUTS_IN_FLIGHT_PER_WORKER:
-                    yield _first(pending)
-            while pending:
-                yield _first(pending)
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            outputs = self._engine.result(ticket)
+        except WorkerDied:
+            yield from ((each, self._alone(each)) for each in batch)
+            # Others may have gone with it, and nothing new may run beside an input that is under suspicion.
+            while self._in_flight:
+                yield from self._oldest()
+            return
+        self._deaths_at_start = None
+        yield from zip(batch, outputs, strict=True)
 
-
-def _submit(pool: ProcessPoolExecutor, function: Callable[[Input], Output], each: Input) -> "Future[Output]":
-    try:
-        return pool.submit(function, each)
-    except BrokenProcessPool as broken:
-        # The worker died of an input before this one, whose turn to be named comes first.
-        failed: Future[Output] = Future()
-        failed.set_exception(broken)
-        return failed
-
-
-def _first(pending: deque[tuple[Input, "Future[Output]"]]) -> tuple[Input, Output]:
-    each, future = pending.popleft()
-    try:
-        return each, future.result()
-    except BrokenProcessPool:
-        raise MotionkitError(
-            f"a worker process ended without a word while {each} was being read (killed, or out of memory?): "
-            "--workers 1 shows where"
-        ) from None
-
-
-def _start_worker() -> None:
-    # Ctrl-C is the parent's to handle; a parent that is killed takes its workers with it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
+    def _alone(self, each: Input) -> Output | WorkerDied:
+        try:
+            output: Output = self._engine.result(self._engine.submit(self._function, [each]))[0]
+        except WorkerDied as died:
+            if self._deaths_at_start is not None:
+                self._deaths_at_start += 1
+                if self._deaths_at_start == DEATHS_AT_START:
+                    raise MotionkitError(
+                        f"{DEATHS_AT_START} workers ended before they had done anything (the last one at {each}): "
+                        "killed, or out of memory? --workers 1 shows where"
+                    ) from None
+            return died
+        self._deaths_at_start = None
+        return output

@@ -3,10 +3,9 @@
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
@@ -28,6 +27,9 @@ from motionkit.store.schema import (
     part_name,
 )
 from motionkit.store.versions import upgraded
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 OPEN_ATTEMPTS = 5
 
@@ -71,7 +73,7 @@ class Store:
         return self.manifest.num_sequences
 
     @cached_property
-    def sequences(self) -> pd.DataFrame:
+    def sequences(self) -> "pd.DataFrame":
         """One row per sequence, in order of `sequence_index` (columns: motionkit.store.schema.SEQUENCES)."""
         frame: pd.DataFrame = self.sequences_table.to_pandas()
         return frame

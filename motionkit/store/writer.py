@@ -4,7 +4,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -12,6 +11,7 @@ from motionkit.errors import StoreError
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec, files
+from motionkit.store.encode import EncodedMotion, RefusedMotion, encode
 from motionkit.store.manifest import (
     PENDING_SUFFIX,
     Manifest,
@@ -36,17 +36,6 @@ from motionkit.store.schema import (
 
 TABLES = (SEQUENCES_FILE, SKELETONS_FILE)
 EMPTY = Manifest(num_sequences=0, num_segments=0, num_frames=0, num_skeletons=0, files={})
-
-
-class RefusedMotion(StoreError):
-    """A motion that may not enter a store; `reason` is a fixed slug.
-
-    `duplicate-id`, `nan`, `no-id`, `frame-time`, `not-unicode`.
-    """
-
-    def __init__(self, message: str, *, reason: str) -> None:
-        super().__init__(message)
-        self.reason = reason
 
 
 class StoreWriter:
@@ -129,7 +118,10 @@ class StoreWriter:
 
     def add(self, motion: Motion) -> int:
         """Add one motion and return its sequence index; raises `RefusedMotion` and leaves everything as it was."""
-        _check_motion(motion)
+        return self.add_encoded(encode(motion))
+
+    def add_encoded(self, motion: EncodedMotion) -> int:
+        """Add a motion that another process may have encoded; otherwise as `add`."""
         if motion.sequence_id in self._known:
             raise RefusedMotion(
                 f"the store already holds a sequence with the id {motion.sequence_id!r}: ids must differ",
@@ -137,13 +129,14 @@ class StoreWriter:
             )
         sequence_index = self._num_sequences
         part, first_row = self._parts.position
-        row = codec.sequence_row(motion, sequence_index=sequence_index, part=part, first_row=first_row)
-        self._parts.add_sequence(codec.segments_of(motion, sequence_index))
-        self._rows.append(row)
-        self._known[motion.sequence_id] = motion.provenance.source_sha256
+        self._parts.add_sequence(motion.segments(sequence_index))
+        self._rows.append(
+            {**motion.row, "sequence_index": sequence_index, "part": part, "first_row": first_row},
+        )
+        self._known[motion.sequence_id] = motion.row["source_sha256"]
         self._skeletons.setdefault(motion.skeleton.fingerprint, motion.skeleton)
         self._num_sequences += 1
-        self._num_segments += row["num_segments"]
+        self._num_segments += motion.row["num_segments"]
         self._num_frames += motion.num_frames
         if len(self._rows) == SEQUENCES_PER_ROW_GROUP:
             self._flush_rows()
@@ -250,36 +243,3 @@ def _check_target(path: Path, *, must_exist: bool, must_not_exist: bool) -> None
         foreign = sorted(entry.name for entry in path.iterdir() if entry.name not in ours)
         if foreign:
             raise StoreError(f"{path} is not a store and not empty (it holds {foreign[0]}): name an empty folder")
-
-
-def _check_motion(motion: Motion) -> None:
-    if not motion.sequence_id:
-        raise RefusedMotion("a motion needs a sequence_id to be stored", reason="no-id")
-    try:
-        "".join(_texts_of(motion)).encode()
-    except UnicodeEncodeError:
-        raise RefusedMotion(
-            f"{motion.sequence_id!a}: a name or a text is not valid Unicode: rename the file", reason="not-unicode"
-        ) from None
-    if max(motion.fps.numerator, motion.fps.denominator) >= 2**63:
-        raise RefusedMotion(f"the framerate {float(motion.fps):g} has too long a fraction", reason="frame-time")
-    arrays = {
-        "joint_positions": motion.joint_positions,
-        "local_rotations": motion.local_rotations,
-        "root_translation": motion.root_translation,
-    }
-    for name, array in arrays.items():
-        if array is None or np.isfinite(array).all():
-            continue
-        frame = int(np.nonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0][0])
-        raise RefusedMotion(
-            f"{motion.sequence_id}: {name} are not finite from frame {frame} on: mend or cut the take", reason="nan"
-        )
-
-
-def _texts_of(motion: Motion) -> list[str]:
-    """Every text that goes into the tables: file names may hold bytes that are no characters."""
-    provenance = motion.provenance
-    captions = [text for caption in motion.captions for text in (caption.text, caption.tokens)]
-    named = [value for value in vars(provenance).values() if isinstance(value, str)]
-    return [motion.sequence_id, motion.action, motion.split, *named, *provenance.operations, *captions]

@@ -15,7 +15,7 @@ import pytest
 from small_bvh import bvh_text
 
 from motionkit.motion import Motion
-from motionkit.store import Store, StoreWriter, files, ingest
+from motionkit.store import Store, StoreWriter, files, read_batch
 
 
 def ids(store: Path) -> list[str]:
@@ -203,8 +203,8 @@ def test_a_reader_that_fails_in_a_way_that_nobody_foresaw(motionkit, takes, tmp_
             raise ZeroDivisionError("division by zero")
         return original(item, options)
 
-    original = ingest.read
-    monkeypatch.setattr(ingest, "read", read)
+    original = read_batch.read
+    monkeypatch.setattr(read_batch, "read", read)
     outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--workers", 1)
     assert outcome.error_lines == [f"{takes}/beta.bvh: the bvh reader failed: ZeroDivisionError: division by zero"]
     assert ids(tmp_path / "store") == ["takes/alpha", "takes/gamma"]
@@ -248,13 +248,44 @@ def test_a_disk_that_cannot_be_written(motionkit, takes, tmp_path, monkeypatch):
     assert files_of(store) == before
 
 
+DEADLY_INGEST = textwrap.dedent(
+    """
+    import os, sys
+    from motionkit.cli.app import main
+    from motionkit.store import read_batch
+
+    read = read_batch.read
+    def deadly(item, options):
+        return os._exit(9) if item.path.stem == "beta" else read(item, options)
+    read_batch.read = deadly  # also in the workers, which import this file
+    if __name__ == "__main__":
+        sys.argv = ["motionkit", *sys.argv[1:]]
+        main()
+    """
+)
+
+
+def test_a_file_that_its_reader_dies_of(takes, tmp_path):
+    """The file is named, the others are stored."""
+    program = tmp_path / "program.py"
+    program.write_text(DEADLY_INGEST)
+    command = [sys.executable, program, "ingest", takes, "--store", tmp_path / "store", "--workers", "2"]
+    outcome = subprocess.run(command, capture_output=True, text=True, check=True)
+    (line,) = [line for line in outcome.stderr.splitlines() if not line.startswith("warning: ")]
+    assert line == (
+        f"{takes}/beta.bvh: the process that read it ended without a word (killed, or out of memory?): --workers 1 "
+        "shows where"
+    )
+    assert ids(tmp_path / "store") == ["takes/alpha", "takes/gamma"]
+
+
 SLOW_INGEST = textwrap.dedent(
     """
     import sys, time
     from motionkit.cli.app import main
     from motionkit.store import writer
 
-    add = writer.StoreWriter.add
+    add = writer.StoreWriter.add_encoded
     def slow(self, motion):
         index = add(self, motion)
         print("stored", index, flush=True)
@@ -262,7 +293,7 @@ SLOW_INGEST = textwrap.dedent(
             time.sleep(60)
         return index
     if __name__ == "__main__":
-        writer.StoreWriter.add = slow
+        writer.StoreWriter.add_encoded = slow
         sys.argv = ["motionkit", *sys.argv[1:]]
         main()
     """

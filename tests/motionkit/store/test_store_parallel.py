@@ -1,29 +1,60 @@
-"""What happens to a map over processes when one of them dies."""
+"""A map over processes: order, and what happens when one of them dies."""
 
-import multiprocessing
 import os
-import time
+from collections.abc import Sequence
 
 import pytest
 
 from motionkit.errors import MotionkitError
-from motionkit.store.parallel import map_in_order
+from motionkit.store.parallel import WorkerDied, map_in_order
+from motionkit.store.process_engine import Processes, ThisProcess
 
 
-def die_of_five(number: int) -> int:
-    if number == 5:
+def ten_times(numbers: Sequence[int]) -> list[int]:
+    return [10 * number for number in numbers]
+
+
+def ten_times_but_die_of_five(numbers: Sequence[int]) -> list[int]:
+    if 5 in numbers:
         os._exit(1)
-    return 10 * number
+    return ten_times(numbers)
 
 
-def test_results_come_in_order() -> None:
-    assert list(map_in_order(die_of_five, range(5), 2)) == [(n, 10 * n) for n in range(5)]
+def die(numbers: Sequence[int]) -> list[int]:
+    os._exit(1)
 
 
-def test_a_worker_that_dies_between_two_results_is_told() -> None:
-    results = map_in_order(die_of_five, range(100), 2)
-    assert next(results) == (0, 0)
-    while multiprocessing.active_children():
-        time.sleep(0.01)
-    with pytest.raises(MotionkitError, match=r"while [1-5] was being read .*--workers 1 shows where"):
-        list(results)
+BATCHES = [[0], [1, 2], [3, 4, 5, 6], *([number] for number in range(7, 40))]
+
+
+@pytest.mark.parametrize("engine", [ThisProcess(), Processes(2)])
+def test_results_come_in_order(engine: ThisProcess | Processes) -> None:
+    with engine:
+        assert list(map_in_order(engine, ten_times, BATCHES)) == [(n, 10 * n) for n in range(40)]
+
+
+def test_the_input_that_a_worker_dies_of_is_named_and_the_others_are_computed() -> None:
+    with Processes(2) as engine:
+        results = dict(map_in_order(engine, ten_times_but_die_of_five, BATCHES))
+    assert isinstance(results.pop(5), WorkerDied)
+    assert results == {n: 10 * n for n in range(40) if n != 5}
+
+
+def test_workers_that_die_before_anything_is_done_end_the_map() -> None:
+    with Processes(2) as engine, pytest.raises(MotionkitError, match=r"3 workers ended .* at 2\): .*--workers 1 shows"):
+        list(map_in_order(engine, die, BATCHES))
+
+
+def test_few_inputs_are_in_flight() -> None:
+    taken = []
+
+    def batches() -> object:
+        for number in range(1000):
+            taken.append(number)
+            yield [number]
+
+    with Processes(2) as engine:
+        results = map_in_order(engine, ten_times, batches())
+        for _ in range(10):
+            next(results)
+    assert len(taken) <= 10 + 3 * 2

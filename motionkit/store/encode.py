@@ -1,0 +1,125 @@
+"""Motion → what the store keeps of it, wherever its place will be: the work that ingest leaves to its workers."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit.errors import StoreError
+from motionkit.motion import Motion
+from motionkit.skeleton import Skeleton
+from motionkit.store import codec
+from motionkit.store.codec import Row, Segment
+from motionkit.store.schema import SEGMENT_FRAMES
+
+
+class RefusedMotion(StoreError):
+    """A motion that may not enter a store; `reason` is a fixed slug.
+
+    `duplicate-id`, `nan`, `no-id`, `frame-time`, `not-unicode`.
+    """
+
+    def __init__(self, message: str, *, reason: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedMotion:
+    """A motion as the store keeps it, but for its place; picklable, and nothing of it is computed again.
+
+    `row` is its row in the table of sequences without the index and the place. The arrays hold its segments one after
+    the other, each channel-major: metres, and unit quaternions w, x, y, z.
+    """
+
+    row: Row
+    skeleton: Skeleton
+    joint_positions: Float32[np.ndarray, "position_values"]
+    joint_rotations: Float32[np.ndarray, "rotation_values"] | None
+    root_translation: Float32[np.ndarray, "root_values"] | None
+
+    @property
+    def sequence_id(self) -> str:
+        """The id under which it is stored."""
+        return str(self.row["sequence_id"])
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames."""
+        return int(self.row["num_frames"])
+
+    def segments(self, sequence_index: int) -> Iterator[Segment]:
+        """Its segments of at most 256 frames, in order: views, nothing is copied."""
+        for start in range(0, self.num_frames, SEGMENT_FRAMES):
+            frames = slice(start, min(start + SEGMENT_FRAMES, self.num_frames))
+            yield Segment(
+                sequence_index=sequence_index,
+                start_frame=frames.start,
+                num_frames=frames.stop - frames.start,
+                joint_positions=self._of(frames, self.joint_positions),
+                joint_rotations=None if self.joint_rotations is None else self._of(frames, self.joint_rotations),
+                root_translation=None if self.root_translation is None else self._of(frames, self.root_translation),
+            )
+
+    def _of(self, frames: slice, flat: Float32[np.ndarray, "values"]) -> Float32[np.ndarray, "segment_values"]:
+        num_channels = flat.size // self.num_frames
+        return flat[frames.start * num_channels : frames.stop * num_channels]
+
+
+def encode(motion: Motion) -> EncodedMotion:
+    """Check a motion, describe it and bring its frames into the order in which they are stored.
+
+    Raises `RefusedMotion` for one that no store may hold.
+    """
+    _check(motion)
+    return EncodedMotion(
+        row=codec.motion_row(motion),
+        skeleton=motion.skeleton,
+        joint_positions=_channel_major(motion.joint_positions),
+        joint_rotations=None if motion.local_rotations is None else _channel_major(motion.local_rotations),
+        root_translation=None if motion.root_translation is None else _channel_major(motion.root_translation),
+    )
+
+
+def _channel_major(frames: Float32[np.ndarray, "frames *channels"]) -> Float32[np.ndarray, "values"]:
+    table = frames.reshape(len(frames), -1)
+    flat = np.empty(table.size, np.float32)
+    for start in range(0, len(table), SEGMENT_FRAMES):
+        segment = table[start : start + SEGMENT_FRAMES]
+        place = start * table.shape[1]
+        flat[place : place + segment.size].reshape(segment.shape[::-1])[...] = segment.T
+    return flat
+
+
+def _check(motion: Motion) -> None:
+    if not motion.sequence_id:
+        raise RefusedMotion("a motion needs a sequence_id to be stored", reason="no-id")
+    try:
+        "".join(_texts_of(motion)).encode()
+    except UnicodeEncodeError:
+        raise RefusedMotion(
+            f"{motion.sequence_id!a}: a name or a text is not valid Unicode: rename the file", reason="not-unicode"
+        ) from None
+    if max(motion.fps.numerator, motion.fps.denominator) >= 2**63:
+        raise RefusedMotion(f"the framerate {float(motion.fps):g} has too long a fraction", reason="frame-time")
+    arrays = {
+        "joint_positions": motion.joint_positions,
+        "local_rotations": motion.local_rotations,
+        "root_translation": motion.root_translation,
+    }
+    for name, array in arrays.items():
+        if array is None or np.isfinite(array).all():
+            continue
+        frame = int(np.nonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0][0])
+        raise RefusedMotion(
+            f"{motion.sequence_id}: {name} are not finite from frame {frame} on: mend or cut the take", reason="nan"
+        )
+
+
+def _texts_of(motion: Motion) -> list[str]:
+    """Every text that goes into the tables: file names may hold bytes that are no characters."""
+    provenance = motion.provenance
+    captions = [text for caption in motion.captions for text in (caption.text, caption.tokens)]
+    named = [value for value in vars(provenance).values() if isinstance(value, str)]
+    return [motion.sequence_id, motion.action, motion.split, *named, *provenance.operations, *captions]
