@@ -256,6 +256,7 @@ def _with_annotations(sampled: Motion, source: Motion, operation: str) -> Motion
         sampled,
         captions=source.captions,
         action=source.action,
+        style=source.style,
         split=source.split,
         sequence_id=source.sequence_id,
         provenance=source.provenance,

@@ -2,23 +2,29 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 from motionkit.export.bvh import export_bvh
 from motionkit.export.joints_npy import export_joints_npy
+from motionkit.export.pose_folder import export_humanml3d, export_kit
 from motionkit.export.selection import Outcome, Selection
+from motionkit.formats.humanml3d import HUMANML3D
+from motionkit.formats.kit import KIT
 
 
 @dataclass(frozen=True)
 class Export:
     """One kind of output: `write` fills an empty folder and yields what became of each sequence, in order.
 
+    `fps` is the framerate of all motions where none is asked for; None leaves each at its own.
     What cannot be written as asked for is found before the first frame is read and raises `UsageError`.
     """
 
     name: str
     description: str
     write: Callable[[Selection, Path], Iterator[Outcome]]
+    fps: Fraction | None = None
 
 
 EXPORTS: Mapping[str, Export] = {
@@ -26,5 +32,7 @@ EXPORTS: Mapping[str, Export] = {
     for entry in (
         Export("bvh", "a BVH file each, own skeleton and framerate", export_bvh),
         Export("joints-npy", "22 joints in metres as .npy, one framerate", export_joints_npy),
+        Export("humanml3d", "HumanML3D's folder: joints, 263 numbers, texts, splits", export_humanml3d, HUMANML3D.fps),
+        Export("kit", "KIT-ML's folder: 21 joints, 251 numbers, texts, splits", export_kit, KIT.fps),
     )
 }

@@ -11,9 +11,10 @@ from motionkit.skeleton_map import SkeletonMapError
 from motionkit.timegrid import format_fps
 
 TABLE = "motions.csv"
-# As motionkit.formats.annotations reads them.
+# As motionkit.formats.annotations reads them; sequence_id, the id in the store, is for people.
 COLUMNS = (
-    *("file", "captions", "action", "style", "subject", "split", "fps", "stated_fps", "licence", "source", "subset"),
+    *("file", "sequence_id", "captions", "action", "style", "subject", "split"),
+    *("fps", "stated_fps", "licence", "source", "subset"),
 )
 
 
@@ -24,9 +25,7 @@ def write_files(
 
     A skeleton that `write` cannot map costs its sequence, not the export.
     """
-    with (folder / TABLE).open("w", encoding="utf-8", newline="") as handle:
-        table = csv.DictWriter(handle, COLUMNS, lineterminator="\n")
-        table.writeheader()
+    with MotionTable(folder / TABLE) as table:
         for motion, name in zip(selection.motions(), names, strict=True):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -35,14 +34,34 @@ def write_files(
             except SkeletonMapError as error:
                 yield Outcome(motion.sequence_id, "skeleton", str(error))
                 continue
-            table.writerow(_table_row(motion, name))
+            table.add(motion, name)
             yield Outcome(motion.sequence_id)
 
 
-def _table_row(motion: Motion, name: PurePosixPath) -> dict[str, str]:
+class MotionTable:
+    """Writes motions.csv, a row for each file; owns the open file."""
+
+    def __init__(self, path: Path) -> None:
+        self._handle = path.open("w", encoding="utf-8", newline="")
+        self._table = csv.DictWriter(self._handle, COLUMNS, lineterminator="\n")
+        self._table.writeheader()
+
+    def __enter__(self) -> "MotionTable":
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._handle.close()
+
+    def add(self, motion: Motion, name: PurePosixPath) -> None:
+        """Add a motion that was written to `name`, a path from the table's folder."""
+        self._table.writerow(_row(motion, name))
+
+
+def _row(motion: Motion, name: PurePosixPath) -> dict[str, str]:
     provenance = motion.provenance
     return {
         "file": name.as_posix(),
+        "sequence_id": motion.sequence_id,
         "captions": _captions(motion.captions),
         "action": motion.action,
         "style": motion.style,

@@ -18,6 +18,12 @@ def flat_names(sequence_ids: Sequence[str], suffix: str = "") -> list[PurePosixP
     return _distinct(sequence_ids, [PurePosixPath(path.as_posix().replace("/", "_")) for path in below])
 
 
+def short_names(sequence_ids: Sequence[str]) -> list[PurePosixPath]:
+    """The last part of each id where these differ (`HumanML3D/000021` → `000021`), else the ids as `flat_names`."""
+    last = [PurePosixPath(_below(sequence_id, "").name) for sequence_id in sequence_ids]
+    return last if len(set(last)) == len(last) else flat_names(sequence_ids)
+
+
 def _below(sequence_id: str, suffix: str) -> PurePosixPath:
     parts = PurePosixPath(sequence_id).parts
     if not parts or parts[0] == "/" or ".." in parts or "\0" in sequence_id:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from motionkit.errors import FormatError
-from motionkit.formats import npy, sourcefile, texts
+from motionkit.formats import joints_npy, npy, sourcefile, texts
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import SMPL22, Skeleton
@@ -105,7 +105,8 @@ def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
 def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMANML3D) -> Motion:
     """Read one sequence: joints where the folder has them, else recovered from its pose vectors, in metres.
 
-    The published 6D rotations have lost their twist and are not offered as rotations. Raises `FormatError`.
+    The framerate is the published one unless the folder's `motions.json` (formats/joints_npy.py) or `options` say
+    another. The published 6D rotations have lost their twist and are not offered as rotations. Raises `FormatError`.
     """
     data = sourcefile.read_bytes(item.path)
     operations: list[str] = []
@@ -119,11 +120,12 @@ def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMA
     if unit != 1.0:
         positions = positions * np.float32(unit)
         operations.append(f"lengths × {unit:g} to metres ({'given' if options.unit_metres else 'a body 1.7 m tall'})")
-    if item.key.startswith("M"):
+    if item.key.startswith("M") and item.key[1:].isdecimal():
         operations.append(f"a mirrored copy of {item.key[1:]}, made by the dataset's authors")
-    fps = options.fps or layout.fps
-    if fps != layout.fps:
-        operations.append(f"framerate set to {fps}; the dataset says {layout.fps}")
+    stated = joints_npy.read_manifest(item.path.parents[1] / joints_npy.MANIFEST).fps or layout.fps
+    fps = options.fps or stated
+    if fps != stated:
+        operations.append(f"framerate set to {fps}; the dataset says {stated}")
     described = item.path.parents[1] / TEXTS_FOLDER / f"{item.key}.txt"
     return Motion(
         joint_positions=positions,
@@ -136,7 +138,7 @@ def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMA
             source_path=item.path.name,
             source_sha256=sourcefile.sha256(data),
             source_format=layout.name,
-            stated_fps=str(float(layout.fps)),
+            stated_fps=str(float(stated)),
             operations=tuple(operations),
         ),
     )
@@ -184,39 +186,60 @@ class Entry:
     split: str = ""
 
 
-def write_humanml3d(folder: Path, entries: Iterable[Entry], layout: Layout = HUMANML3D) -> int:
-    """Write a folder of the published form and return the number of sequences.
+class FolderWriter:
+    """Writes a folder of the published form sequence by sequence; owns the lists of names and the sums for Mean, Std.
 
-    `Mean.npy` and `Std.npy` (float64 sums; Std averaged inside each block, as published) are of the training vectors,
-    or of all where no sequence is marked train. Raises `ValueError` for a name that is repeated or no plain file name.
+    `layout.fps` says how long the sequences are, for captions that last to their end.
     """
-    for name in (JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    members: dict[str, list[str]] = {split: [] for split in ("all", *SPLITS)}
-    sums = {True: _Sums(layout.num_values), False: _Sums(layout.num_values)}
-    for entry in entries:
-        if Path(entry.name).name != entry.name or entry.name in members["all"]:
+
+    def __init__(self, folder: Path, layout: Layout = HUMANML3D) -> None:
+        self._folder = folder
+        self._layout = layout
+        self._members: dict[str, list[str]] = {split: [] for split in ("all", *SPLITS)}
+        self._names: set[str] = set()
+        self._sums = {True: _Sums(layout.num_values), False: _Sums(layout.num_values)}
+        for name in (JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+
+    def add(self, entry: Entry) -> None:
+        """Write one sequence; raises `ValueError` for a name that is repeated or no plain file name."""
+        if Path(entry.name).name != entry.name or entry.name in self._names:
             raise ValueError(f"{entry.name!r} is not a plain file name, or is repeated")
-        np.save(folder / JOINTS_FOLDER / f"{entry.name}.npy", entry.joint_positions, allow_pickle=False)
+        self._names.add(entry.name)
+        np.save(self._folder / JOINTS_FOLDER / f"{entry.name}.npy", entry.joint_positions, allow_pickle=False)
         if entry.vectors is not None:
-            np.save(folder / VECTORS_FOLDER / f"{entry.name}.npy", entry.vectors, allow_pickle=False)
-            sums[entry.split == "train"].add(entry.vectors)
-        duration = len(entry.joint_positions) / float(layout.fps)
+            np.save(self._folder / VECTORS_FOLDER / f"{entry.name}.npy", entry.vectors, allow_pickle=False)
+            self._sums[entry.split == "train"].add(entry.vectors)
         if entry.captions:
-            lines = texts.format_texts(entry.captions, duration)
-            (folder / TEXTS_FOLDER / f"{entry.name}.txt").write_text(lines, encoding="utf-8")
-        members["all"].append(entry.name)
+            lines = texts.format_texts(entry.captions, len(entry.joint_positions) / float(self._layout.fps))
+            (self._folder / TEXTS_FOLDER / f"{entry.name}.txt").write_text(lines, encoding="utf-8")
+        self._members["all"].append(entry.name)
         if entry.split in SPLITS:
-            members[entry.split].append(entry.name)
-    members["train_val"] = [*members["train"], *members["val"]]
-    for split, names in members.items():
-        (folder / f"{split}.txt").write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
-    chosen = sums[True] if sums[True].count else sums[False]
-    if chosen.count:
-        mean, std = chosen.statistics(layout)
-        np.save(folder / "Mean.npy", mean, allow_pickle=False)
-        np.save(folder / "Std.npy", std, allow_pickle=False)
-    return len(members["all"])
+            self._members[entry.split].append(entry.name)
+
+    def finish(self) -> int:
+        """Write the splits, `Mean.npy` and `Std.npy`; returns the number of sequences.
+
+        The statistics (float64 sums; Std averaged inside each block, as published) are of the training vectors, or of
+        all where no sequence is marked train.
+        """
+        members = {**self._members, "train_val": [*self._members["train"], *self._members["val"]]}
+        for split, names in members.items():
+            (self._folder / f"{split}.txt").write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
+        chosen = self._sums[True] if self._sums[True].count else self._sums[False]
+        if chosen.count:
+            mean, std = chosen.statistics(self._layout)
+            np.save(self._folder / "Mean.npy", mean, allow_pickle=False)
+            np.save(self._folder / "Std.npy", std, allow_pickle=False)
+        return len(self._names)
+
+
+def write_humanml3d(folder: Path, entries: Iterable[Entry], layout: Layout = HUMANML3D) -> int:
+    """Write a folder of the published form with `FolderWriter` and return the number of sequences."""
+    writer = FolderWriter(folder, layout)
+    for entry in entries:
+        writer.add(entry)
+    return writer.finish()
 
 
 class _Sums:

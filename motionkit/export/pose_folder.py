@@ -1,0 +1,123 @@
+"""A folder of HumanML3D's or KIT-ML's form at any framerate: processed joints, pose vectors, texts, splits, Mean, Std.
+
+The published pipeline runs on every clip: resampled (anti-aliased), mapped to the layout, one skeleton, floor, origin,
+facing Z+, pose vectors, and joints recovered from them. T poses at the new framerate give T − 1 rows of both, as
+published. Source: https://github.com/EricGuo5513/HumanML3D, motion_representation.ipynb.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from motionkit.export.files import TABLE, MotionTable
+from motionkit.export.names import short_names
+from motionkit.export.selection import Outcome, Selection
+from motionkit.export.templates import render
+from motionkit.features import humanml3d, humanml3d_processing
+from motionkit.formats import joints_npy
+from motionkit.formats.humanml3d import HUMANML3D, JOINTS_FOLDER, Entry, FolderWriter, Layout
+from motionkit.formats.kit import KIT
+from motionkit.motion import Motion
+from motionkit.skeleton_map import SkeletonMapError, map_joints
+from motionkit.timegrid import format_fps
+
+README = "README.md"
+MIN_POSES = 2
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One published dataset: its layout, how many of its units a unit of the layout's skeleton is, and its loader.
+
+    `loader_min_frames` is what text-to-motion's data loader needs; it drops shorter clips without a word.
+    """
+
+    layout: Layout
+    units_per_skeleton_unit: float
+    loader_min_frames: int
+
+
+# KIT21 is in heights of a body, KIT-ML's files are in thousandths of it.
+HUMANML3D_KIND = Kind(HUMANML3D, 1.0, 40)
+KIT_KIND = Kind(KIT, 1000.0, 24)
+
+
+def export_humanml3d(selection: Selection, folder: Path) -> Iterator[Outcome]:
+    """Write a folder of HumanML3D's form: 22 joints in metres, vectors of 263 numbers, at the selection's framerate."""
+    return _export(selection, folder, HUMANML3D_KIND)
+
+
+def export_kit(selection: Selection, folder: Path) -> Iterator[Outcome]:
+    """Write a folder of KIT-ML's form: 21 joints in thousandths of a body's height, vectors of 251 numbers."""
+    return _export(selection, folder, KIT_KIND)
+
+
+def _export(selection: Selection, folder: Path, kind: Kind) -> Iterator[Outcome]:
+    (fps,) = selection.framerates
+    names = short_names(selection.sequence_ids)
+    return _write(selection, names, folder, replace(kind, layout=replace(kind.layout, fps=fps)))
+
+
+def _write(selection: Selection, names: Sequence[PurePosixPath], folder: Path, kind: Kind) -> Iterator[Outcome]:
+    writer = FolderWriter(folder, kind.layout)
+    lengths: list[int] = []
+    with MotionTable(folder / TABLE) as table:
+        for motion, name in zip(selection.motions(), names, strict=True):
+            entry = _entry(motion, str(name), kind)
+            if isinstance(entry, Outcome):
+                yield entry
+                continue
+            writer.add(entry)
+            table.add(motion, PurePosixPath(JOINTS_FOLDER, f"{name}.npy"))
+            lengths.append(len(entry.joint_positions))
+            yield Outcome(motion.sequence_id)
+    writer.finish()
+    _describe(folder, kind, lengths)
+
+
+def _entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
+    """A motion's joints and vectors, or why there are none."""
+    layout = kind.layout.skeleton.name
+    if motion.num_frames < MIN_POSES:
+        message = f"{motion.num_frames} pose at {format_fps(motion.fps)} fps; pose vectors need at least {MIN_POSES}"
+        return Outcome(motion.sequence_id, "too-short", message)
+    try:
+        joints = map_joints(motion, layout)
+    except SkeletonMapError as error:
+        return Outcome(motion.sequence_id, "skeleton", str(error))
+    target = humanml3d_processing.standard_bone_lengths(layout) * np.float32(kind.units_per_skeleton_unit)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        vectors = humanml3d.vectors(humanml3d_processing.process(joints, layout, target), layout)
+    if not np.isfinite(vectors).all():
+        return Outcome(motion.sequence_id, "degenerate", "the legs of frame 0 have no length: nothing says the scale")
+    return Entry(name, humanml3d.positions(vectors, layout), vectors, motion.captions, motion.split)
+
+
+def _describe(folder: Path, kind: Kind, lengths: Sequence[int]) -> None:
+    """What the folder is, for readers (`motions.json`) and for people (`README.md`)."""
+    layout = kind.layout
+    published = {HUMANML3D.name: HUMANML3D, KIT.name: KIT}[layout.name].fps
+    manifest = {
+        "fps": format_fps(layout.fps),
+        "layout": layout.skeleton.name,
+        "unit_metres": layout.unit_metres,
+        "vectors": humanml3d.CONVENTION,
+        "published_fps": format_fps(published),
+    }
+    (folder / joints_npy.MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    text = render(
+        "pose_folder.md.j2",
+        layout=layout,
+        fps=f"{float(layout.fps):.6g}",
+        published_fps=f"{float(published):.6g}",
+        is_published=layout.fps == published,
+        smoothing_seconds=float(Fraction(humanml3d.SMOOTHING_FRAMES) / layout.fps),
+        num_sequences=len(lengths),
+        loader_min_frames=kind.loader_min_frames,
+        num_under_minimum=sum(length < kind.loader_min_frames for length in lengths),
+    )
+    (folder / README).write_text(text, encoding="utf-8")
