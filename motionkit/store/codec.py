@@ -8,46 +8,17 @@ import numpy as np
 from jaxtyping import Float32
 
 from motionkit.motion import Caption, Motion, Provenance
+from motionkit.quality import measure
 from motionkit.skeleton import Feet, Skeleton
 from motionkit.store.schema import SEGMENT_FRAMES
 from motionkit.timegrid import TimeGrid
 
-# Above these a sequence is flagged, not refused: real captures hold glitches and floors that are off, and the reader
-# decides. No hand or foot in the CMU database passes 30 m/s except in single-frame glitches.
-MAX_PLAUSIBLE_SPEED = 30.0
-MAX_PLAUSIBLE_FLOOR_HEIGHT = 0.25
-
 Row = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Quality:
-    """What can be said about a motion's frames without judging them: metres per second, metres, and flags."""
-
-    max_joint_speed: float
-    floor_height: float
-    flags: tuple[str, ...]
-
-
-def measure_quality(motion: Motion) -> Quality:
-    """Highest speed of any joint between two frames (m/s), height of its lowest point (m), and what looks odd."""
-    positions = motion.joint_positions
-    speed = 0.0
-    if motion.num_frames > 1:
-        step = np.diff(positions, axis=0)
-        speed = float(np.sqrt(np.einsum("tjc,tjc->tj", step, step).max()) * float(motion.fps))
-    floor = float(positions[..., 1].min())
-    odd = {
-        "single_frame": motion.num_frames == 1,
-        "joint_speed": speed > MAX_PLAUSIBLE_SPEED,
-        "floor_height": abs(floor) > MAX_PLAUSIBLE_FLOOR_HEIGHT,
-    }
-    return Quality(speed, floor, tuple(flag for flag, holds in odd.items() if holds))
 
 
 def motion_row(motion: Motion) -> Row:
     """A motion's row in the table of sequences, but for its index and the place of its segments."""
-    quality = measure_quality(motion)
+    quality = measure(motion)
     provenance = motion.provenance
     return {
         "sequence_id": motion.sequence_id,
@@ -84,6 +55,15 @@ def motion_row(motion: Motion) -> Row:
         "source_format": provenance.source_format,
         "max_joint_speed_metres_per_second": quality.max_joint_speed,
         "floor_height_metres": quality.floor_height,
+        "num_teleports": quality.num_teleports,
+        "first_teleport_seconds": quality.first_teleport_seconds,
+        "jitter_metres_per_second_cubed": quality.jitter,
+        "frozen_seconds": quality.frozen_seconds,
+        "frozen_start_seconds": quality.frozen_start_seconds,
+        "held_share": quality.held_share,
+        "foot_skate_metres_per_second": quality.foot_skate,
+        "foot_skate_share": quality.foot_skate_share,
+        "bone_length_drift": quality.bone_length_drift,
         "quality_flags": list(quality.flags),
         "operations": list(provenance.operations),
         "num_segments": num_segments(motion.num_frames),

@@ -8,9 +8,21 @@ READABLE_VERSIONS = (1, FORMAT_VERSION)
 
 _SCHEMAS = {SEQUENCES_FILE: SEQUENCES, SKELETONS_FILE: SKELETONS}
 
+_QUALITY = (
+    "num_teleports",
+    "first_teleport_seconds",
+    "jitter_metres_per_second_cubed",
+    "frozen_seconds",
+    "frozen_start_seconds",
+    "held_share",
+    "foot_skate_metres_per_second",
+    "foot_skate_share",
+    "bone_length_drift",
+)
+
 # What each version added to a table. A column that is added later needs a value that says "not known": null where it
 # may be null, else the empty string or list.
-_ADDED = {2: {SEQUENCES_FILE: ("style",), SKELETONS_FILE: ("layout_map",)}}
+_ADDED = {2: {SEQUENCES_FILE: ("style", *_QUALITY), SKELETONS_FILE: ("layout_map",)}}
 
 
 def table_schema(name: str, version: int) -> pa.Schema:

@@ -131,8 +131,10 @@ def test_quality_is_measured_in_metres_and_seconds(tmp_path, make_motion):
     frame = Store.open(tmp_path / "store").sequences
     assert list(frame["max_joint_speed_metres_per_second"][:2]) == [0.0, pytest.approx(60.0)]
     assert list(frame["floor_height_metres"][:2]) == [-0.5, -0.5]
+    assert list(frame["num_teleports"][:2]) == [0, 1]
+    assert frame["first_teleport_seconds"][1] == pytest.approx(6 / 120)
     assert list(frame["quality_flags"][0]) == ["floor_height"]
-    assert list(frame["quality_flags"][1]) == ["joint_speed", "floor_height"]
+    assert {"joint_speed", "teleport", "floor_height"} <= set(frame["quality_flags"][1])
     assert "single_frame" in frame["quality_flags"][2]
 
 

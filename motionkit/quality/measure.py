@@ -1,0 +1,79 @@
+"""All figures of one motion, and the flags that follow from them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from motionkit.motion import Motion
+from motionkit.quality.bones import bone_length_drift
+from motionkit.quality.feet import foot_skate
+from motionkit.quality.jitter import jitter
+from motionkit.quality.steps import measure_steps, squared_lengths
+
+# Above these a sequence is flagged, not refused: real captures hold glitches and floors that are off, and the reader
+# decides. docs/quality.md says where each figure comes from, docs/results/quality.md what it hits in real captures.
+MAX_JOINT_SPEED = 30.0
+MAX_FLOOR_HEIGHT = 0.25
+MAX_JITTER = 300.0
+MAX_FROZEN_SECONDS = 0.25
+MAX_FOOT_SKATE_SHARE = 0.5
+MAX_BONE_LENGTH_DRIFT = 0.1
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What can be said about a motion's frames without judging them, and what looks odd.
+
+    Speeds in m/s, jitter in m/s³, heights in metres, times in seconds from the first frame; None is what cannot be
+    measured: too short or too slow a take, a skeleton without known feet, no jump, no held frame. Everything is finite.
+    """
+
+    max_joint_speed: float
+    num_teleports: int
+    first_teleport_seconds: float | None
+    jitter: float | None
+    frozen_seconds: float
+    frozen_start_seconds: float | None
+    held_share: float
+    foot_skate: float | None
+    foot_skate_share: float | None
+    floor_height: float
+    bone_length_drift: float | None
+    flags: tuple[str, ...]
+
+
+def measure(motion: Motion) -> Quality:
+    """Measure a motion whose numbers are finite: a pure function of its frames, framerate and skeleton.
+
+    Flags: `single_frame`, `joint_speed`, `teleport`, `jitter`, `frozen`, `foot_skate`, `floor_height`, `bone_length`.
+    """
+    positions, fps = motion.joint_positions, float(motion.fps)
+    steps = measure_steps(squared_lengths(np.diff(positions, axis=0)), fps)
+    noise = jitter(positions, fps)
+    skate = foot_skate(motion)
+    floor = float(positions[..., 1].min())
+    drift = bone_length_drift(positions, motion.skeleton, fps)
+    odd = {
+        "single_frame": motion.num_frames == 1,
+        "joint_speed": steps.max_speed > MAX_JOINT_SPEED,
+        "teleport": steps.num_jumps > 0,
+        "jitter": noise is not None and noise > MAX_JITTER,
+        "frozen": steps.frozen_seconds >= MAX_FROZEN_SECONDS,
+        "foot_skate": skate is not None and skate.share > MAX_FOOT_SKATE_SHARE,
+        "floor_height": abs(floor) > MAX_FLOOR_HEIGHT,
+        "bone_length": drift is not None and drift > MAX_BONE_LENGTH_DRIFT,
+    }
+    return Quality(
+        max_joint_speed=steps.max_speed,
+        num_teleports=steps.num_jumps,
+        first_teleport_seconds=steps.first_jump_seconds,
+        jitter=noise,
+        frozen_seconds=steps.frozen_seconds,
+        frozen_start_seconds=steps.frozen_start_seconds,
+        held_share=steps.held_share,
+        foot_skate=None if skate is None else skate.speed,
+        foot_skate_share=None if skate is None else skate.share,
+        floor_height=floor,
+        bone_length_drift=drift,
+        flags=tuple(flag for flag, holds in odd.items() if holds),
+    )
