@@ -8,6 +8,7 @@ from motionkit.formats import (
     amass,
     asfamc,
     bvh,
+    c3d,
     deepmimic,
     humanact12,
     humanml3d,
@@ -82,6 +83,14 @@ FORMATS: Mapping[str, Format] = {
             read=lambda item, options: asfamc.read_asfamc(item.path, options),
             suffixes=(".amc",),
             begins=b":FULLY-SPECIFIED",
+        ),
+        Format(
+            name="c3d",
+            description="C3D (.c3d): markers without bones; a --skeleton-map makes the 22 joints of them",
+            framerate="POINT:RATE",
+            rotations=False,
+            read=lambda item, options: c3d.read_c3d(item.path, options),
+            suffixes=(".c3d",),
         ),
         Format(
             name="deepmimic",

@@ -1,0 +1,219 @@
+"""C3D markers: points of a capture without bones, at the point rate, in metres and y up.
+
+A motion of markers has the first marker as its root and all others as the root's children, with offsets of zero: a
+skeleton that says nothing but their names. A `--skeleton-map` makes the 22 joints from them. Source: "The C3D File
+Format User Guide", Motion Lab Systems 2021, https://www.c3d.org (units, screen axes, residuals, the lists of points
+that are no positions).
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from motionkit.errors import FormatError
+from motionkit.formats import bvh_channels, sourcefile
+from motionkit.formats.c3d_file import C3dFile, parse_c3d
+from motionkit.formats.items import ReadOptions
+from motionkit.motion import Motion, Provenance
+from motionkit.skeleton import Skeleton
+from motionkit.timegrid import TimeGrid, parse_fps
+
+UNITS = {"mm": 0.001, "cm": 0.01, "dm": 0.1, "m": 1.0, "in": 0.0254, "inch": 0.0254, "ft": 0.3048}
+# Linear filling of 0.1 s is off by a·t²/8: 6 mm at 5 m/s².
+MAX_GAP_SECONDS = Fraction(1, 10)
+MAX_METRES = 1e5
+# Vicon's models put angles, forces and the like among the points, and list them.
+NO_POSITIONS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
+# From the axis that points up to a turn (det +1) that makes it +y.
+TURNS = {
+    "+X": ((1, 0, 2), (-1, 1, 1)),
+    "-X": ((1, 0, 2), (1, -1, 1)),
+    "+Y": ((0, 1, 2), (1, 1, 1)),
+    "-Y": ((0, 1, 2), (1, -1, -1)),
+    "+Z": ((0, 2, 1), (1, 1, -1)),
+    "-Z": ((0, 2, 1), (1, -1, 1)),
+}
+ASSUMED_UP = "+Z"
+
+
+@dataclass(frozen=True)
+class _Markers:
+    names: tuple[str, ...]
+    positions: Float64[np.ndarray, "frames markers 3"]
+    operations: tuple[str, ...]
+
+
+def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read the markers of one file as positions in metres, y up; unlabelled ones and model outputs are left out.
+
+    Up is the axis that POINT:Y_SCREEN names, +Z where it names none; the unit is POINT:UNITS, mm where it says nothing.
+    Of a marker that was not seen (residual −1, or NaN, or exactly 0, 0, 0) gaps up to 0.1 s are filled linearly, at the
+    ends with the nearest position; one with a longer gap is dropped. All of it is in the operation log. Raises
+    `FormatError`, with the reason `gaps` where no marker remains.
+    """
+    options = options or ReadOptions()
+    data = sourcefile.read_bytes(path)
+    file = parse_c3d(data, path)
+    stated = file.numbers("POINT:RATE")
+    rate = stated[0] if stated else file.header_rate
+    fps, log = _framerate(rate, options.fps, path)
+    markers = _without_gaps(_labelled(file, path), fps, path)
+    unit, why = _unit(file, options, path)
+    up, axis_log = _up(file, path)
+    positions = _metres(markers, unit, up, path)
+    skeleton = Skeleton(
+        name="markers",
+        joint_names=markers.names,
+        parents=(-1, *([0] * (len(markers.names) - 1))),
+        offsets=np.zeros((len(markers.names), 3), np.float32),
+    )
+    log += [*markers.operations, f"lengths × {unit:g} to metres ({why})", *axis_log]
+    subjects = file.texts("SUBJECTS:NAMES")
+    return Motion(
+        joint_positions=positions,
+        skeleton=skeleton,
+        timegrid=TimeGrid(fps, len(positions)),
+        sequence_id=path.stem,
+        provenance=Provenance(
+            source_path=path.name,
+            source_sha256=sourcefile.sha256(data),
+            source_format="c3d",
+            subject=subjects[0] if len(subjects) == 1 else "",
+            stated_fps=f"POINT:RATE {rate:g}",
+            operations=tuple(log),
+        ),
+    )
+
+
+def _framerate(rate: float, given: Fraction | None, path: Path) -> tuple[Fraction, list[str]]:
+    if given is not None:
+        return given, [f"framerate set to {given}; the file says {rate:g}"] if rate != given else []
+    try:
+        return parse_fps(float(rate)), []
+    except ValueError as error:
+        raise FormatError(f"POINT:RATE {rate:g} ({error}); give --fps", path=path, reason="frame-time") from None
+
+
+def _labelled(file: C3dFile, path: Path) -> _Markers:
+    # Markers with a label that are positions, NaN where they were not seen.
+    num_points = file.points.shape[1]
+    numbered = sorted(name for name in file.parameters if re.fullmatch(r"POINT:LABELS\d*", name))
+    labels = [label for name in sorted(numbered, key=len) for label in file.texts(name)][:num_points]
+    labels += [""] * (num_points - len(labels))
+    other = {label for group in NO_POSITIONS for label in file.texts(f"POINT:{group}") if label}
+    unlabelled = [not label or label.startswith("*") for label in labels]
+    operations = []
+    if all(unlabelled):
+        labels, unlabelled = [f"marker_{number + 1}" for number in range(num_points)], [False] * num_points
+        operations.append("markers numbered: none has a label")
+    kept = [point for point in range(num_points) if not unlabelled[point] and labels[point] not in other]
+    if any(unlabelled):
+        operations.append(f"{sum(unlabelled)} unlabelled trajectories left out")
+    modelled = [label for label in labels if label in other]
+    if modelled:
+        operations.append(f"no positions, left out: {_some(modelled)}")
+    if not kept:
+        raise FormatError("no point is a labelled marker", path=path, reason="no-markers")
+    names, renamed = bvh_channels.unique_names(_without_subject([labels[point] for point in kept]))
+    points = file.points[:, kept]
+    positions = points[..., :3].copy()
+    if np.isinf(positions).any():
+        frame = int(np.nonzero(np.isinf(positions))[0][0])
+        raise FormatError("infinite, expected a position", path=path, reason="range", frame=frame)
+    positions[(points[..., 3] < 0) | ~positions.any(axis=-1) | np.isnan(points).any(axis=-1)] = np.nan
+    return _Markers(names, positions, (*operations, *renamed))
+
+
+def _without_subject(labels: list[str]) -> list[str]:
+    # "Anna:LFHD", where all are Anna's.
+    prefixes = {label.partition(":")[0] if ":" in label else "" for label in labels}
+    return [label.partition(":")[2] for label in labels] if len(prefixes) == 1 and "" not in prefixes else labels
+
+
+def _without_gaps(markers: _Markers, fps: Fraction, path: Path) -> _Markers:
+    missing = np.isnan(markers.positions[..., 0])
+    longest = _longest_gaps(missing)
+    dropped = (longest > int(MAX_GAP_SECONDS * fps)) | missing.all(axis=0)
+    if dropped.all():
+        raise FormatError(
+            f"every one of {len(markers.names)} markers is missing for longer than {float(MAX_GAP_SECONDS):g} s at "
+            "once; fill the gaps in the capture software",
+            path=path,
+            reason="gaps",
+        )
+    operations = list(markers.operations)
+    if dropped.any():
+        gaps = [f"{markers.names[marker]} ({longest[marker] / float(fps):.2f} s)" for marker in np.flatnonzero(dropped)]
+        operations.append(f"markers dropped, not seen for longer than {float(MAX_GAP_SECONDS):g} s: {_some(gaps)}")
+    positions, missing = markers.positions[:, ~dropped].copy(), missing[:, ~dropped]
+    frames = np.arange(len(positions), dtype=np.float64)
+    for marker in np.flatnonzero(missing.any(axis=0)):
+        seen = ~missing[:, marker]
+        for axis in range(3):
+            positions[~seen, marker, axis] = np.interp(frames[~seen], frames[seen], positions[seen, marker, axis])
+    if missing.any():
+        operations.append(
+            f"gaps filled linearly: {int(missing.sum())} positions of {int(missing.any(axis=0).sum())} markers, the "
+            f"longest {int(longest[~dropped].max())} frames"
+        )
+    names = tuple(name for name, gone in zip(markers.names, dropped.tolist(), strict=True) if not gone)
+    return _Markers(names, positions, tuple(operations))
+
+
+def _longest_gaps(missing: Bool[np.ndarray, "frames markers"]) -> Int64[np.ndarray, "markers"]:
+    # Frames since each marker was last seen; the greatest is its longest gap.
+    frames = np.arange(1, len(missing) + 1)[:, None]
+    last_seen = np.maximum.accumulate(np.where(missing, 0, frames), axis=0)
+    return np.asarray((frames - last_seen).max(axis=0), np.int64)
+
+
+def _unit(file: C3dFile, options: ReadOptions, path: Path) -> tuple[float, str]:
+    stated = file.texts("POINT:UNITS")
+    if options.unit_metres is not None:
+        return options.unit_metres, "given"
+    if not stated or not stated[0]:
+        return UNITS["mm"], "POINT:UNITS says nothing: mm, as is usual"
+    if stated[0].lower() not in UNITS:
+        raise FormatError(
+            f"POINT:UNITS is {stated[0][:20]!r}, expected one of {', '.join(UNITS)}; say how long a unit is with "
+            "--unit-metres",
+            path=path,
+            reason="unit",
+        )
+    return UNITS[stated[0].lower()], f"POINT:UNITS is {stated[0]}"
+
+
+def _up(file: C3dFile, path: Path) -> tuple[str, list[str]]:
+    stated = next(iter(file.texts("POINT:Y_SCREEN")), "").upper()
+    up = f"+{stated}" if stated in ("X", "Y", "Z") else stated or ASSUMED_UP
+    if up not in TURNS:
+        raise FormatError(
+            f"POINT:Y_SCREEN is {stated[:20]!r}, expected one of {', '.join(TURNS)}", path=path, reason="parameters"
+        )
+    why = f"POINT:Y_SCREEN is {stated}" if stated else "POINT:Y_SCREEN says nothing: z up, as is usual"
+    axis = up.lower().replace("+", "").replace("-", "−")
+    return up, [] if up == "+Y" else [f"turned from {axis} up to y up ({why})"]
+
+
+def _metres(markers: _Markers, unit: float, up: str, path: Path) -> Float32[np.ndarray, "frames markers 3"]:
+    order, signs = TURNS[up]
+    positions = markers.positions[..., order] * (np.array(signs, np.float64) * unit)
+    bad = ~(np.abs(positions) < MAX_METRES)
+    if bad.any():
+        frame, marker, _ = (int(index[0]) for index in np.nonzero(bad))
+        raise FormatError(
+            f"marker {markers.names[marker]} is {positions[frame, marker].tolist()} m from the origin",
+            path=path,
+            reason="range",
+            frame=frame,
+        )
+    return np.ascontiguousarray(positions, dtype=np.float32)
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
