@@ -7,6 +7,7 @@ from pathlib import Path
 from motionkit.errors import UsageError
 
 KEYS = ("store", "runs", "results")
+OPTIONAL_KEYS = ("body_models",)
 
 
 def default_path(key: str) -> Path:
@@ -16,17 +17,27 @@ def default_path(key: str) -> Path:
     """
     if key not in KEYS:
         raise KeyError(key)
+    return _stated_path(key) or Path(key)
+
+
+def optional_path(key: str) -> Path | None:
+    """Path of `body_models` where the environment or motionkit.toml states one; raises as `default_path` does."""
+    if key not in OPTIONAL_KEYS:
+        raise KeyError(key)
+    return _stated_path(key)
+
+
+def _stated_path(key: str) -> Path | None:
     from_environment = os.environ.get(f"MOTIONKIT_{key.upper()}")
     if from_environment:
         return Path(from_environment)
     config = Path("motionkit.toml")
-    if config.is_file():
-        try:
-            value = tomllib.loads(config.read_text(encoding="utf-8")).get(key)
-        except ValueError as error:
-            raise UsageError(f"{config}: {error}") from None
-        if value is not None:
-            if not isinstance(value, str):
-                raise UsageError(f"{config}: {key} must be a path in quotes, not {value!r}")
-            return Path(value)
-    return Path(key)
+    if not config.is_file():
+        return None
+    try:
+        value = tomllib.loads(config.read_text(encoding="utf-8")).get(key)
+    except ValueError as error:
+        raise UsageError(f"{config}: {error}") from None
+    if value is not None and not isinstance(value, str):
+        raise UsageError(f"{config}: {key} must be a path in quotes, not {value!r}")
+    return None if value is None else Path(value)

@@ -9,7 +9,7 @@ import typer
 
 from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.errors import FormatError, MotionkitError, UsageError
-from motionkit.settings import default_path
+from motionkit.settings import default_path, optional_path
 from motionkit.timegrid import parse_fps
 
 if TYPE_CHECKING:
@@ -67,6 +67,14 @@ def ingest(
             help="TOML that says how a rig becomes the 22 joints (docs/formats.md). May be given several times."
         ),
     ] = None,
+    body_models: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of your own SMPL, SMPL-H or SMPL-X models (.npz), for AMASS's joints. "
+            "[default: MOTIONKIT_BODY_MODELS, else SMPL's mean shape]",
+            show_default=False,
+        ),
+    ] = None,
     on_error: Annotated[
         OnError,
         typer.Option(
@@ -97,6 +105,7 @@ def ingest(
         options,
         index=_index_options(index, texts, splits, mirrored, compat, captions),
         skeleton_maps=tuple(read_skeleton_map(path) for path in skeleton_map or ()),
+        body_models=_body_models(body_models),
     )
     teller = _Teller()
     with progress() as display:
@@ -135,6 +144,13 @@ def _options(format: str, captions: Path | None, fps: str | None, unit_metres: f
     except ValueError as error:
         raise UsageError(f"--fps {fps}: {error}") from None
     return ReadOptions(format=format, fps=rate, unit_metres=unit_metres, captions=captions)
+
+
+def _body_models(given: Path | None) -> Path | None:
+    folder = given or optional_path("body_models")
+    if folder is not None and not folder.is_dir():
+        raise UsageError(f"--body-models {folder}: no such folder")
+    return None if folder is None else folder.resolve()
 
 
 def _index_options(

@@ -16,7 +16,8 @@ from jaxtyping import Float32
 from motionkit import kinematics
 from motionkit.errors import FormatError
 from motionkit.formats import body_frame, npz_archive, sourcefile
-from motionkit.formats.amass_layouts import BODY, LAYOUTS, POSE_PARTS, PoseLayout
+from motionkit.formats.amass_layouts import BODY, LAYOUTS, POSE_PARTS, SMPLH, PoseLayout
+from motionkit.formats.body_model import find_body_model
 from motionkit.formats.items import ReadOptions, SourceItem
 from motionkit.formats.mean_shape import mean_shape_skeleton
 from motionkit.formats.npz_archive import NpzArchive
@@ -53,7 +54,7 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     poses, layout = _read_poses(archive)
     trans = npz_archive.read_numbers(archive, "trans", (len(poses), 3))
     fps, stated_fps, operations = _framerate(archive, options)
-    body = _body(archive, layout)
+    body = _body(archive, layout, options)
     rotations = axis_angle_to_quaternion(poses[:, : 3 * body.skeleton.num_joints])
     root = body_frame.turn_to_y_up(trans + body.skeleton.offsets[0])
     rotations[:, 0] = kinematics.quaternion_multiply(UPRIGHT, rotations[:, 0])
@@ -94,12 +95,40 @@ class _Body:
     operations: tuple[str, ...]
 
 
-def _body(archive: NpzArchive, layout: PoseLayout) -> _Body:
-    left_out = layout.num_joints - BODY.num_joints
-    operations = ["joints: SMPL's mean shape, no body model given"]
-    if left_out:
-        operations.append(f"rotations of {left_out} joints left out: fingers and face need a body model")
-    return _Body(mean_shape_skeleton(), tuple(operations))
+def _body(archive: NpzArchive, layout: PoseLayout, options: ReadOptions) -> _Body:
+    if options.body_models is None:
+        operations = ["joints: SMPL's mean shape, no body model given"]
+        if layout is not BODY:
+            left_out = layout.num_joints - BODY.num_joints
+            operations.append(f"rotations of {left_out} joints left out (hands, face): they need a body model")
+        return _Body(mean_shape_skeleton(), tuple(operations))
+    gender, betas = _gender(archive), _betas(archive)
+    family = layout if layout is not BODY else LAYOUTS.get(_family(archive), SMPLH)
+    model = find_body_model(options.body_models, family, gender)
+    rest = model.rest_joints(betas)[: layout.num_joints]
+    used = min(len(betas), model.shape_directions.shape[-1])
+    fallback = "" if model.gender == gender else f" (the file's gender: {gender or 'unknown'})"
+    line = f"joints: {model.family} {model.gender}{fallback}, {used} betas"
+    return _Body(layout.skeleton(f"{model.family}-{model.gender}", rest), (line,))
+
+
+def _gender(archive: NpzArchive) -> str:
+    # Older releases print bytes into a string: "b'male'".
+    gender = _text(archive, "gender").removeprefix("b'").removesuffix("'")
+    return next((known for known in GENDERS if gender in (known, known[0])), "")
+
+
+def _betas(archive: NpzArchive) -> Float32[np.ndarray, "betas"]:
+    if "betas" not in archive:
+        return np.zeros(0, np.float32)
+    shape = npz_archive.read_shape(archive, "betas")
+    betas = npz_archive.read_numbers(archive, "betas", (None,) if len(shape) == 1 else (None, None))
+    if betas.ndim == 2 and (betas != betas[0]).any():
+        raise FormatError(
+            f"betas of shape {shape} that change, expected one body", path=archive.path, reason="channel-count"
+        )
+    one: Float32[np.ndarray, betas] = np.atleast_2d(betas)[0]
+    return one
 
 
 def _read_poses(archive: NpzArchive) -> tuple[Float32[np.ndarray, "frames values"], PoseLayout]:
@@ -114,9 +143,9 @@ def _read_poses(archive: NpzArchive) -> tuple[Float32[np.ndarray, "frames values
 
 
 def _layout(archive: NpzArchive, width: int) -> PoseLayout:
-    stated = _text(archive, "surface_model_type")
+    stated = _family(archive)
     for layout in (*LAYOUTS.values(), BODY):
-        if width == 3 * layout.num_joints and (layout is BODY or stated.split("_")[0] in ("", layout.family)):
+        if width == 3 * layout.num_joints and (layout is BODY or stated in ("", layout.family)):
             return layout
     widths = ", ".join(f"{3 * layout.num_joints} ({family})" for family, layout in LAYOUTS.items())
     raise FormatError(
@@ -147,6 +176,11 @@ def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str
     if options.fps is None or options.fps == fps:
         return fps, stated, []
     return options.fps, stated, [f"framerate set to {options.fps}; the file says {fps}"]
+
+
+def _family(archive: NpzArchive) -> str:
+    # The body model that a file names, without a variant's suffix ("smplx_locked_head").
+    return _text(archive, "surface_model_type").split("_")[0]
 
 
 def _text(archive: NpzArchive, key: str) -> str:

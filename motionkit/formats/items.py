@@ -31,8 +31,8 @@ class ReadOptions:
 
     `fps` and `unit_metres` (metres per file unit) replace whatever the file or its annotations say; `captions` is a CSV
     file of annotations that replaces those found beside the motions. `skeleton_maps` are the user's tables as
-    `skeleton_families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along. `index` picks
-    stretches of a source's files.
+    `skeleton_families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along.
+    `body_models` is the user's folder of SMPL-family models. `index` picks stretches of a source's files.
     """
 
     format: str = "auto"
@@ -40,6 +40,7 @@ class ReadOptions:
     unit_metres: float | None = None
     captions: Path | None = None
     skeleton_maps: tuple[str, ...] = ()
+    body_models: Path | None = None
     index: IndexOptions | None = None
 
 

@@ -3,13 +3,13 @@ from pathlib import Path
 import pytest
 
 from motionkit.errors import UsageError
-from motionkit.settings import default_path
+from motionkit.settings import default_path, optional_path
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    for key in ("STORE", "RUNS", "RESULTS"):
+    for key in ("STORE", "RUNS", "RESULTS", "BODY_MODELS"):
         monkeypatch.delenv(f"MOTIONKIT_{key}", raising=False)
     return tmp_path
 
@@ -23,6 +23,14 @@ def test_the_environment_goes_before_the_file_and_the_file_before_the_name(
     assert default_path("runs") == Path("runs")
     monkeypatch.setenv("MOTIONKIT_STORE", "/scratch/store")
     assert default_path("store") == Path("/scratch/store")
+
+
+def test_body_models_have_no_default(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert optional_path("body_models") is None
+    (folder / "motionkit.toml").write_text('body_models = "/data/models"\n')
+    assert optional_path("body_models") == Path("/data/models")
+    monkeypatch.setenv("MOTIONKIT_BODY_MODELS", "/scratch/models")
+    assert optional_path("body_models") == Path("/scratch/models")
 
 
 @pytest.mark.parametrize(
