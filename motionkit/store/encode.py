@@ -11,6 +11,7 @@ from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
 from motionkit.store.codec import Row, Segment
+from motionkit.store.resolution import at_resolution
 from motionkit.store.schema import SEGMENT_FRAMES
 
 
@@ -68,11 +69,12 @@ class EncodedMotion:
 
 
 def encode(motion: Motion) -> EncodedMotion:
-    """Check a motion, describe it and bring its frames into the order in which they are stored.
+    """Check a motion, round it to 2^-22, describe it, and bring its frames into the order in which they are stored.
 
     Raises `RefusedMotion` for one that no store may hold.
     """
     _check(motion)
+    motion = at_resolution(motion)
     return EncodedMotion(
         row=codec.motion_row(motion),
         skeleton=motion.skeleton,
@@ -122,4 +124,4 @@ def _texts_of(motion: Motion) -> list[str]:
     provenance = motion.provenance
     captions = [text for caption in motion.captions for text in (caption.text, caption.tokens)]
     named = [value for value in vars(provenance).values() if isinstance(value, str)]
-    return [motion.sequence_id, motion.action, motion.split, *named, *provenance.operations, *captions]
+    return [motion.sequence_id, motion.action, motion.style, motion.split, *named, *provenance.operations, *captions]

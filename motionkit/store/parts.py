@@ -1,4 +1,4 @@
-"""Segments → immutable part files: row groups of 256–512 segments, sequences contiguous and within one part."""
+"""Segments → immutable part files: row groups of 16–32 segments, sequences contiguous and within one part."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -25,7 +25,7 @@ from motionkit.store.schema import (
 class PartWriter:
     """Owns the part being written and the row group being filled; finished parts are in `finished`.
 
-    A row group ends at the first sequence boundary after 256 segments, or after 512 inside a long sequence; a part ends
+    A row group ends at the first sequence boundary after 16 segments, or after 32 inside a long sequence; a part ends
     at the first such boundary after `part_bytes`. So memory is bounded by one row group.
     """
 

@@ -1,7 +1,8 @@
 """What the store's files hold: Arrow schemas, sizes, and how Parquet is written.
 
 Numbers are measured choices (docs/store.md): zstd 3 with BYTE_STREAM_SPLIT on channel-major float lists is the smallest
-that still decodes at memory speed; dictionaries make float columns larger; the row group is pyarrow's unit of access.
+that still decodes at memory speed; dictionaries make float columns larger; the row group is pyarrow's unit of access,
+so a small one makes single reads quick, and 16 segments cost 0.5 % of size against 256.
 """
 
 from pathlib import Path
@@ -9,12 +10,14 @@ from typing import Any
 
 import pyarrow as pa
 
+from motionkit.store.resolution import RESOLUTION_BITS
+
 FORMAT_NAME = "motionkit-store"
 FORMAT_VERSION = 2
 
 SEGMENT_FRAMES = 256
-MIN_ROW_GROUP_SEGMENTS = 256
-MAX_ROW_GROUP_SEGMENTS = 512
+MIN_ROW_GROUP_SEGMENTS = 16
+MAX_ROW_GROUP_SEGMENTS = 32
 PART_BYTES = 256 * 2**20
 SEQUENCES_PER_ROW_GROUP = 4096
 
@@ -93,6 +96,12 @@ SEQUENCES = pa.schema(
     ]
 )
 
+
+def _floats(name: str, unit: str, *, nullable: bool) -> pa.Field:
+    metadata = {"unit": unit, "resolution": f"2^-{RESOLUTION_BITS}"}
+    return pa.field(name, FLOAT_LIST, nullable=nullable, metadata=metadata)
+
+
 # Float lists are channel-major inside a segment: all frames of channel 0, then of channel 1 …; channel = 3·joint + axis
 # for positions, 4·joint + component (w, x, y, z) for rotations, the axis for the root's translation.
 SEGMENTS = pa.schema(
@@ -100,9 +109,9 @@ SEGMENTS = pa.schema(
         _required("sequence_index", pa.int32()),
         _required("start_frame", pa.int32()),
         _required("num_frames", pa.int16()),
-        _required("joint_positions", FLOAT_LIST),
-        pa.field("joint_rotations", FLOAT_LIST),
-        pa.field("root_translation", FLOAT_LIST),
+        _floats("joint_positions", "metre", nullable=False),
+        _floats("joint_rotations", "unit quaternion", nullable=True),
+        _floats("root_translation", "metre", nullable=True),
     ]
 )
 KEY_COLUMNS = ("sequence_index", "start_frame", "num_frames")

@@ -17,7 +17,7 @@ MakeMotion = Callable[..., Motion]
 
 @pytest.fixture(scope="session")
 def make_motion() -> MakeMotion:
-    """`make_motion(id, num_frames, …)`: random joints (and rotations), the same for the same id."""
+    """`make_motion(id, num_frames, …)`: random joints (and rotations) on the store's grid, the same for the same id."""
 
     def make(
         sequence_id: str,
@@ -30,14 +30,16 @@ def make_motion() -> MakeMotion:
     ) -> Motion:
         generator = np.random.default_rng(sum(sequence_id.encode()))
         joints = skeleton.num_joints
+
+        def numbers(*shape: int) -> np.ndarray:
+            return (np.rint(generator.standard_normal(shape) * 2**22) / 2**22).astype(np.float32)
+
         return Motion(
-            joint_positions=generator.standard_normal((num_frames, joints, 3)).astype(np.float32),
+            joint_positions=numbers(num_frames, joints, 3),
             skeleton=skeleton,
             timegrid=TimeGrid(fps, num_frames, start_seconds=0.25),
-            local_rotations=generator.standard_normal((num_frames, joints, 4)).astype(np.float32)
-            if rotations
-            else None,
-            root_translation=generator.standard_normal((num_frames, 3)).astype(np.float32) if rotations else None,
+            local_rotations=numbers(num_frames, joints, 4) if rotations else None,
+            root_translation=numbers(num_frames, 3) if rotations else None,
             captions=(Caption("a person waves"), Caption("ends", 0.5, 1.0, "ends/VERB")),
             action="wave",
             split=split,

@@ -1,0 +1,164 @@
+"""Layouts of float columns in Parquet: size against raw float32, encoding and decoding speed, on real captures.
+
+Every variant holds the same segments of at most 256 frames as plain lists of float32 that any Parquet reader takes;
+what comes out is compared, bit by bit, with what went in (or with what was rounded, where the variant rounds).
+
+    python benchmarks/store/size.py captures/cmu captures/bandai-namco captures/mixed-bvh [--every 5] [--json]
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich.table import Table
+
+from motionkit.console import stdout
+from motionkit.formats.registry import ReadOptions, read, scan
+from motionkit.store.schema import FLOAT_LIST, MIN_ROW_GROUP_SEGMENTS, SEGMENT_FRAMES, segment_writer_options
+
+# One segment of one column, channels by frames.
+Block = np.ndarray
+Blocks = list[Block]
+STORE_OPTIONS = {
+    name: value for name, value in segment_writer_options().items() if not name.startswith(("use_byte", "write_"))
+}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to write the blocks; `prepare` changes them first, `order` flattens one."""
+
+    name: str
+    options: dict[str, Any] = field(default_factory=lambda: dict(STORE_OPTIONS))
+    split_bytes: bool = True
+    row_group_segments: int = MIN_ROW_GROUP_SEGMENTS
+    order: str = "C"
+    prepare: Callable[[Blocks], Blocks] = lambda blocks: blocks
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Bytes on disk against raw float32, and megabytes of raw float32 per second of processor time."""
+
+    ratio: float
+    encode_mb_per_second: float
+    decode_mb_per_second: float
+
+
+def on_grid(bits: int) -> Callable[[Blocks], Blocks]:
+    scale = np.float32(2.0**bits)
+    return lambda blocks: [np.rint(block * scale) / scale for block in blocks]
+
+
+def continuous_signs(blocks: Blocks) -> Blocks:
+    """q and −q are one rotation: each frame takes the sign that is nearer to the frame before."""
+    made = []
+    for block in blocks:
+        turns = block.reshape(-1, 4, block.shape[1])
+        flips = np.where(np.einsum("jct,jct->jt", turns[..., 1:], turns[..., :-1]) < 0, -1, 1)
+        signs = np.cumprod(np.insert(flips, 0, 1, axis=1), axis=1)
+        made.append((turns * signs[:, None]).reshape(block.shape).astype(np.float32))
+    return made
+
+
+def variants(rotations: bool) -> list[Variant]:
+    zstd = {"compression": "zstd", "use_dictionary": False}
+    signs = [Variant("continuous signs of quaternions", prepare=continuous_signs)] if rotations else []
+    return [
+        Variant("pyarrow's defaults: snappy, dictionary", {}, split_bytes=False),
+        Variant("zstd 3", {**zstd, "compression_level": 3}, split_bytes=False),
+        Variant("zstd 3, bytes split, frame after frame", order="F"),
+        Variant("zstd 3, bytes split, channel after channel, 256 segments", row_group_segments=256),
+        Variant("the same, 16 segments"),
+        *signs,
+        Variant("zstd 1", {**zstd, "compression_level": 1}),
+        Variant("zstd 9", {**zstd, "compression_level": 9}),
+        Variant("pages of 8 MiB", {**STORE_OPTIONS, "data_page_size": 2**23}),
+        *(
+            Variant(f"on a grid of 2^-{bits}{' (the store)' * (bits == 22)}", prepare=on_grid(bits))
+            for bits in (24, 22, 20)
+        ),
+    ]
+
+
+def measure(variant: Variant, blocks: Blocks) -> Figures:
+    blocks = variant.prepare(blocks)
+    flat = [block.ravel(order="F" if variant.order == "F" else "C") for block in blocks]
+    num_bytes = sum(values.nbytes for values in flat)
+    schema = pa.schema([pa.field("values", FLOAT_LIST, nullable=False)])
+    split = {"use_byte_stream_split": ["values.list.element"]} if variant.split_bytes else {}
+    sink = pa.BufferOutputStream()
+    begun = time.process_time()
+    with pq.ParquetWriter(sink, schema, write_statistics=False, **variant.options, **split) as writer:
+        for start in range(0, len(flat), variant.row_group_segments):
+            writer.write_table(_table(flat[start : start + variant.row_group_segments], schema))
+    encoded = time.process_time() - begun
+    content = sink.getvalue()
+    file = pq.ParquetFile(pa.BufferReader(content))
+    begun = time.process_time()
+    for group in range(file.num_row_groups):
+        file.read_row_group(group, use_threads=False)
+    decoded = time.process_time() - begun
+    found = file.read()["values"].combine_chunks().values.to_numpy()
+    np.testing.assert_array_equal(found, np.concatenate(flat))
+    return Figures(content.size / num_bytes, num_bytes / 1e6 / encoded, num_bytes / 1e6 / decoded)
+
+
+def _table(flat: Sequence[np.ndarray], schema: pa.Schema) -> pa.Table:
+    offsets = np.cumsum([0, *(values.size for values in flat)], dtype=np.int64)
+    lists = pa.LargeListArray.from_arrays(pa.array(offsets), pa.array(np.concatenate(flat)), type=FLOAT_LIST)
+    return pa.Table.from_arrays([lists], schema=schema)
+
+
+def blocks_of(sources: list[Path], every: int) -> dict[str, Blocks]:
+    """Every n-th sequence's segments, as their files say them: nothing rounded yet."""
+    options = ReadOptions()
+    blocks: dict[str, Blocks] = {"joint_positions": [], "joint_rotations": []}
+    for item in scan(sources, options).items[::every]:
+        motion = read(item, options)
+        for column, frames in (
+            ("joint_positions", motion.joint_positions),
+            ("joint_rotations", motion.local_rotations),
+        ):
+            if frames is not None:
+                table = frames.reshape(len(frames), -1)
+                starts = range(0, len(table), SEGMENT_FRAMES)
+                blocks[column] += [np.ascontiguousarray(table[start : start + SEGMENT_FRAMES].T) for start in starts]
+    return blocks
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sources", type=Path, nargs="+", help="files or folders, as for motionkit ingest")
+    parser.add_argument("--every", type=int, default=5, help="take every n-th sequence")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    report: dict[str, Any] = {"every": arguments.every, "columns": {}}
+    for column, blocks in blocks_of(arguments.sources, arguments.every).items():
+        figures = {
+            variant.name: vars(measure(variant, blocks)) for variant in variants(rotations=column == "joint_rotations")
+        }
+        report["columns"][column] = {"raw_mb": sum(block.nbytes for block in blocks) / 1e6, "variants": figures}
+    if arguments.json:
+        print(json.dumps(report, indent=2))
+        return
+    for column, found in report["columns"].items():
+        table = Table(title=f"{column}: {found['raw_mb']:.0f} MB of float32, one core")
+        table.add_column("layout")
+        for heading in ("of raw", "encode MB/s", "decode MB/s"):
+            table.add_column(heading, justify="right")
+        for name, row in found["variants"].items():
+            numbers = (row["encode_mb_per_second"], row["decode_mb_per_second"])
+            table.add_row(name, f"{row['ratio']:.3f}", *(f"{number:,.0f}" for number in numbers))
+        stdout.print(table)
+
+
+if __name__ == "__main__":
+    main()
