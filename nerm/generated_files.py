@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from motionkit.errors import UsageError
+from motionkit.formats import npz, npz_skeleton
 from motionkit.formats.bvh import write_bvh
 from motionkit.generation import GenerationRequest
-from motionkit.motion import Motion
+from motionkit.motion import Caption, Motion
 from motionkit.motionfield import FramerateConditioned, MotionField
 from motionkit.skeleton import Skeleton
 from motionkit.timegrid import TimeGrid
@@ -32,6 +33,16 @@ class GeneratedSample:
     skeleton: Skeleton
     caption: str
     action: str
+
+    @property
+    def captions(self) -> tuple[Caption, ...]:
+        """The text that was asked for, if there was one."""
+        return (Caption(self.caption),) if self.caption else ()
+
+    def motion(self, fps: Fraction) -> Motion:
+        """The poses as a motion at their uniform framerate."""
+        grid = TimeGrid(fps, len(self.seconds), float(self.seconds[0]))
+        return Motion(self.joint_positions, self.skeleton, grid, captions=self.captions, action=self.action)
 
     def description(self) -> dict[str, Any]:
         """What was made, as plain values."""
@@ -77,36 +88,29 @@ def file_name(index: int, request: GenerationRequest) -> str:
 
 
 def write_npz_file(path: Path, sample: GeneratedSample) -> None:
-    """Write a .npz that appears whole or not at all, readable with allow_pickle=False.
+    """Write a .npz of `motionkit.formats.npz`'s schema, which appears whole or not at all.
 
-    Arrays: joint_positions float32 [T, J, 3] metres, seconds float64 [T], joint_names, parents, caption, action; and,
-    for a uniform framerate, fps with its exact fps_numerator and fps_denominator.
+    Poses at arbitrary instants have `time_seconds` and no `fps`. Beside the schema: `duration_seconds`, the interval
+    that was asked for.
     """
-    arrays: dict[str, Any] = {
-        "joint_positions": sample.joint_positions,
-        "seconds": sample.seconds,
-        "duration_seconds": np.float64(sample.duration_seconds),
-        "joint_names": np.array(sample.skeleton.joint_names),
-        "parents": np.array(sample.skeleton.parents, dtype=np.int64),
-        "caption": np.array(sample.caption),
-        "action": np.array(sample.action),
-    }
-    if sample.fps is not None:
-        arrays |= {
-            "fps": np.float64(float(sample.fps)),
-            "fps_numerator": np.int64(sample.fps.numerator),
-            "fps_denominator": np.int64(sample.fps.denominator),
+    if sample.fps is None:
+        arrays = {
+            "joint_positions": sample.joint_positions,
+            "time_seconds": sample.seconds,
+            **npz_skeleton.skeleton_arrays(sample.skeleton),
+            **npz.caption_arrays(sample.captions),
+            "action": np.array(sample.action),
         }
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp.npz")
-    np.savez(temporary, **arrays)
-    temporary.replace(path)
+    else:
+        arrays = npz.motion_arrays(sample.motion(sample.fps))
+    npz.write_arrays(path, {**arrays, "duration_seconds": np.float64(sample.duration_seconds)})
 
 
 def write_bvh_file(path: Path, sample: GeneratedSample) -> None:
     """Write a .bvh that appears whole or not at all; raises `UsageError` for poses without a uniform framerate."""
     if sample.fps is None:
         raise UsageError("a BVH file has one framerate: write arbitrary instants as npz")
-    motion = Motion(sample.joint_positions, sample.skeleton, TimeGrid(sample.fps, len(sample.seconds)))
+    motion = sample.motion(sample.fps)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     write_bvh(motion, temporary)
     temporary.replace(path)

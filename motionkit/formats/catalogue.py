@@ -16,6 +16,7 @@ from motionkit.formats import (
     kit,
     lafan1,
     npy,
+    npz,
     style100,
 )
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
@@ -148,6 +149,16 @@ FORMATS: Mapping[str, Format] = {
             suffixes=(".npy",),
             accepts=joints_npy.accepts,
             begins=npy.MAGIC,
+            writes=True,
+        ),
+        Format(
+            name="npz",
+            description="this project's .npz: joint_positions, a clock, anything else that is known",
+            framerate="fps_numerator/fps_denominator, fps, or time_seconds",
+            rotations=True,
+            read=lambda item, options: npz.read_npz(item.path, options),
+            suffixes=(".npz",),
+            accepts=npz.accepts,
             writes=True,
         ),
     )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from motionkit.errors import FormatError
 from motionkit.formats import npy, object_scalar, sourcefile
@@ -119,6 +119,53 @@ def read_scalar(archive: NpzArchive, key: str) -> str | int | float | None:
         return _to_scalar(content, code)
     except (ValueError, TypeError) as error:
         raise _broken(archive, key, error) from None
+
+
+def read_exact(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -> Float64[np.ndarray, "..."]:
+    """A numeric member as float64 that agrees with `shape` (None: any size); NaN and empty arrays are let through.
+
+    For clocks, indices and bounds. Raises `FormatError` as `read_numbers` does.
+    """
+    return _read_plain(archive, key, shape, "fiu").astype(np.float64)
+
+
+def read_strings(archive: NpzArchive, key: str) -> tuple[str, ...]:
+    """A member of strings in one list (a single string is a list of one); raises `FormatError` as `read_numbers`."""
+    found = _read_plain(archive, key, None, "US").ravel()
+    try:
+        return tuple(str(value.decode() if isinstance(value, bytes) else value) for value in found.tolist())
+    except UnicodeDecodeError as error:
+        raise _broken(archive, key, error) from None
+
+
+def _read_plain(archive: NpzArchive, key: str, shape: tuple[int | None, ...] | None, kinds: str) -> np.ndarray:
+    info = _checked_info(archive, key)
+    file = io.BytesIO(_unpack(archive, info))
+    try:
+        stated, column_major, code = npy.read_header(file)
+        if "O" in code:
+            raise FormatError(
+                f"{key}: array of Python objects, which are not loaded, because they can run code",
+                path=archive.path,
+                reason="object-array",
+            )
+        dtype = np.dtype(code)
+        content = file.read()
+        if dtype.kind not in kinds or np.prod(stated, dtype=object) * dtype.itemsize != len(content):
+            raise ValueError(f"{len(content)} bytes for an array of {stated} of type {code[:20]!r}")
+        flat = np.frombuffer(content, dtype) if dtype.itemsize else np.zeros(stated, dtype)
+        found = flat.reshape(stated, order="F" if column_major else "C")
+    except (ValueError, TypeError) as error:
+        raise _broken(archive, key, error) from None
+    if shape is not None and not _agrees(found.shape, shape):
+        expected = ", ".join("any" if size is None else str(size) for size in shape)
+        message = f"{key}: array of shape {found.shape}, expected ({expected})"
+        raise FormatError(message, path=archive.path, reason="channel-count")
+    return found
+
+
+def _agrees(stated: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
+    return len(stated) == len(shape) and all(n is None or n == m for n, m in zip(shape, stated, strict=True))
 
 
 def _to_scalar(content: bytes, code: str) -> str | int | float:

@@ -261,7 +261,8 @@ def _stated(item: SourceItem, row: Annotation) -> SourceItem:
         stated_fps=row.stated_fps or item.stated_fps,
         licence=row.licence or item.licence,
         source=row.source or item.source,
-        subset=row.subset or item.subset,
+        # A folder's name is no subset of a source that the row names itself.
+        subset=row.subset or ("" if row.source else item.subset),
     )
 
 

@@ -9,9 +9,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from motionkit.errors import UsageError
+from motionkit.errors import FormatError, UsageError
 from motionkit.formats.bvh import read_bvh
+from motionkit.formats.npz import read_npz
 from motionkit.generation import GenerationRequest
+from motionkit.motion import Caption
 from motionkit.motionfield import Poses, check_times
 from motionkit.skeleton import SMPL22
 from nerm.commands.generate import generate
@@ -70,26 +72,30 @@ def test_texts_become_a_batch_of_files(run_command, tmp_path):
     with np.load(tmp_path / "made" / names[2], allow_pickle=False) as arrays:
         assert arrays["joint_positions"].shape == (864, 22, 3)
         assert arrays["joint_positions"].dtype == np.float32
-        np.testing.assert_allclose(arrays["seconds"], np.arange(864) / 144)
-        assert (float(arrays["fps"]), str(arrays["caption"])) == (144.0, "A jump!")
+        np.testing.assert_allclose(arrays["time_seconds"], np.arange(864) / 144)
+        assert (float(arrays["fps"]), str(arrays["captions"][0])) == (144.0, "A jump!")
         assert tuple(arrays["joint_names"]) == SMPL22.joint_names
+    motion = read_npz(tmp_path / "made" / names[2])
+    assert (motion.fps, motion.captions) == (Fraction(144), (Caption("A jump!"),))
 
 
 def test_a_fractional_framerate_stays_exact(run_command, tmp_path):
     run_command("a walk", "--fps", "24000/1001", "--seconds", "2", "--out", "made")
     with np.load(tmp_path / "made" / "0000-a-walk.npz", allow_pickle=False) as arrays:
         assert (int(arrays["fps_numerator"]), int(arrays["fps_denominator"])) == (24000, 1001)
-        assert len(arrays["seconds"]) == 48
-        np.testing.assert_allclose(np.diff(arrays["seconds"]), 1001 / 24000)
+        assert len(arrays["time_seconds"]) == 48
+        np.testing.assert_allclose(np.diff(arrays["time_seconds"]), 1001 / 24000)
 
 
 def test_arbitrary_instants(run_command, tmp_path):
     result = run_command("--unconditional", "--times", "0.5,1.25,0", "--seconds", "2", "--out", "made", "--seed", "4")
     assert result.stdout.strip() == "made/0000-unconditional.npz"
     with np.load(tmp_path / "made" / "0000-unconditional.npz", allow_pickle=False) as arrays:
-        np.testing.assert_allclose(arrays["seconds"], [0.5, 1.25, 0.0])
+        np.testing.assert_allclose(arrays["time_seconds"], [0.5, 1.25, 0.0])
         np.testing.assert_allclose(arrays["joint_positions"][:, 0, 2], [4.5, 5.25, 4.0])
         assert "fps" not in arrays
+    with pytest.raises(FormatError, match="do not ascend"):
+        read_npz(tmp_path / "made" / "0000-unconditional.npz")
 
 
 def test_bvh_reads_back(run_command, tmp_path):

@@ -18,6 +18,7 @@ from motionkit.formats.asfamc import read_asfamc
 from motionkit.formats.bvh import read_bvh
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.joints_npy import read_joints_npy, read_manifest
+from motionkit.formats.npz import read_npz
 from motionkit.formats.texts import read_texts
 from tests.motionkit.formats.samples import ASF, amc_text, bvh_text
 
@@ -34,6 +35,12 @@ def npy_bytes() -> bytes:
     return file.getvalue()
 
 
+def npz_bytes() -> bytes:
+    file = io.BytesIO()
+    np.savez(file, joint_positions=np.zeros((3, 22, 3), np.float32), fps=30.0, captions=np.array(["walks"]))
+    return file.getvalue()
+
+
 def _asf_beside(path: Path) -> None:
     (path.parent / "07.asf").write_text(ASF)
     read_asfamc(path, OPTIONS)
@@ -44,6 +51,7 @@ READERS: dict[str, tuple[bytes, Callable[[Path], object]]] = {
     "amc": (amc_text().encode(), _asf_beside),
     "asf": (ASF.encode(), read_asf),
     "npy": (npy_bytes(), lambda path: read_joints_npy(path, OPTIONS)),
+    "npz": (npz_bytes(), lambda path: read_npz(path, OPTIONS)),
     "txt": (b"a person walks#a/DET person/NOUN walk/VERB#0.0#1.5\nfast#fast/ADV#0.0#0.0\n", read_texts),
     "csv": (b'file,caption,fps\nwalk.bvh,"a person, walking",120\nrun.bvh,run,30000/1001\n', read_annotations),
     "json": (b'{"fps": "30000/1001", "layout": "smpl22", "unit_metres": 1.0}', read_manifest),

@@ -1,0 +1,213 @@
+"""The project's own .npz: one motion as named numpy arrays, without Python objects.
+
+`joint_positions` [T, J, 3] in metres, y up, and a clock are required: `fps_numerator` and `fps_denominator`, or `fps`,
+or `time_seconds` [T], evenly spaced; all that are there must agree. Everything else is optional: `local_rotations`
+[T, J, 4] unit quaternions (w, x, y, z), `root_translation` [T, 3]; the skeleton (formats/npz_skeleton.py); `captions`
+[C], `caption_seconds` [C, 2] (NaN: to the end), `caption_tokens` [C]; single strings `action`, `style`, `split`,
+`sequence_id`, `source`, `subset`, `licence`, `subject`, `stated_fps`; `operations` [K]. Written with all of these, a
+motion comes back as it was.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit.errors import FormatError
+from motionkit.formats import clock, npz_archive, npz_skeleton, sourcefile
+from motionkit.formats.items import ReadOptions
+from motionkit.formats.npz_archive import NpzArchive
+from motionkit.motion import Caption, Motion, Provenance
+from motionkit.timegrid import TimeGrid, format_fps, parse_fps
+
+PROVENANCE = ("source", "subset", "licence", "subject")
+# Quaternions of float16 are off unit length by 1e-3.
+MAX_LENGTH_ERROR = 0.01
+
+
+def accepts(path: Path) -> bool:
+    """Whether an .npz file holds joint_positions by its directory; a broken one passes, so that reading it says how."""
+    keys = npz_archive.peek_keys(path)
+    return not keys or "joint_positions" in keys
+
+
+def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read one motion; lengths are multiplied by `options.unit_metres`, `options.fps` replaces the clock's framerate.
+
+    Raises `FormatError`, with the reason `no-framerate` where there is no clock and `frame-time` for uneven stamps.
+    """
+    options = options or ReadOptions()
+    data = sourcefile.read_bytes(path)
+    archive = npz_archive.open_archive(path, data)
+    positions = npz_archive.read_numbers(archive, "joint_positions", (None, None, 3))
+    grid, stated_fps, operations = _clock(archive, len(positions), options)
+    skeleton = npz_skeleton.read_skeleton(archive, positions)
+    motion = Motion(
+        joint_positions=positions,
+        skeleton=skeleton,
+        timegrid=grid,
+        local_rotations=_rotations(archive, positions.shape[:2]),
+        root_translation=_optional(archive, "root_translation", (len(positions), 3)),
+        captions=_captions(archive),
+        action=_text(archive, "action"),
+        style=_text(archive, "style"),
+        split=_text(archive, "split"),
+        sequence_id=_text(archive, "sequence_id") or path.stem,
+        provenance=Provenance(
+            **{name: _text(archive, name) for name in PROVENANCE},
+            source_path=path.name,
+            source_sha256=sourcefile.sha256(data),
+            source_format="npz",
+            stated_fps=stated_fps,
+            operations=(*_texts(archive, "operations"), *operations),
+        ),
+    )
+    unit = options.unit_metres or 1.0
+    return motion if unit == 1.0 else _scaled(motion, unit).logged(f"lengths × {unit:g} to metres (given)")
+
+
+def write_npz(motion: Motion, path: Path) -> None:
+    """Write a motion with all it knows; what `read_npz` gives back differs in the file's own name and hash alone."""
+    write_arrays(path, motion_arrays(motion))
+
+
+def motion_arrays(motion: Motion) -> dict[str, Any]:
+    """The arrays of one motion by the names of the schema; what the motion does not know is left out."""
+    provenance = motion.provenance
+    texts = {"action": motion.action, "style": motion.style, "split": motion.split, "sequence_id": motion.sequence_id}
+    texts |= {name: getattr(provenance, name) for name in (*PROVENANCE, "stated_fps")}
+    arrays: dict[str, Any] = {
+        "joint_positions": motion.joint_positions,
+        "time_seconds": motion.timegrid.seconds(),
+        "fps": np.float64(float(motion.fps)),
+        "fps_numerator": np.int64(motion.fps.numerator),
+        "fps_denominator": np.int64(motion.fps.denominator),
+        "local_rotations": motion.local_rotations,
+        "root_translation": motion.root_translation,
+        **npz_skeleton.skeleton_arrays(motion.skeleton),
+        **caption_arrays(motion.captions),
+        **{name: np.array(text) for name, text in texts.items() if text},
+        "operations": np.array(provenance.operations) if provenance.operations else None,
+    }
+    return {name: array for name, array in arrays.items() if array is not None}
+
+
+def caption_arrays(captions: Sequence[Caption]) -> dict[str, Any]:
+    """`captions`, their seconds (NaN: to the end), and their tokens if any has some; nothing where there are none."""
+    if not captions:
+        return {}
+    ends = [np.nan if caption.end_seconds is None else caption.end_seconds for caption in captions]
+    arrays = {
+        "captions": np.array([caption.text for caption in captions]),
+        "caption_seconds": np.stack(([caption.start_seconds for caption in captions], ends), axis=1),
+    }
+    if any(caption.tokens for caption in captions):
+        arrays["caption_tokens"] = np.array([caption.tokens for caption in captions])
+    return arrays
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write an .npz that appears whole or not at all, readable with `allow_pickle=False`."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with temporary.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+    temporary.replace(path)
+
+
+def _clock(archive: NpzArchive, num_frames: int, options: ReadOptions) -> tuple[TimeGrid, str, list[str]]:
+    stated, words = _stated_fps(archive)
+    seconds = None
+    if "time_seconds" in archive:
+        seconds = npz_archive.read_exact(archive, "time_seconds", (num_frames,))
+        if options.fps is None:
+            grid = clock.grid_of_seconds(seconds, archive.path, stated)
+            stated, words = grid.fps, words or f"time_seconds: {format_fps(grid.fps)}"
+    fps = options.fps or stated
+    if fps is None:
+        raise FormatError(
+            "none of fps, fps_numerator and fps_denominator, time_seconds says the framerate; add one, or use --fps",
+            path=archive.path,
+            reason="no-framerate",
+        )
+    start = float(seconds[0]) if seconds is not None and np.isfinite(seconds[0]) else 0.0
+    replaced = stated is not None and stated != fps
+    operations = [f"framerate set to {fps}; the file says {stated}"] if replaced else []
+    return TimeGrid(fps, num_frames, start), _text(archive, "stated_fps") or words, operations
+
+
+def _stated_fps(archive: NpzArchive) -> tuple[Fraction | None, str]:
+    try:
+        if "fps_numerator" in archive and "fps_denominator" in archive:
+            pair = [npz_archive.read_exact(archive, f"fps_{part}", ()) for part in ("numerator", "denominator")]
+            fps = parse_fps(Fraction(*(int(part) for part in pair)))
+            return fps, f"fps: {format_fps(fps)}"
+        if "fps" in archive:
+            value = npz_archive.read_scalar(archive, "fps")
+            if value is None:
+                raise ValueError("a Python object, which is not loaded")
+            return parse_fps(value), f"fps: {value}"
+    except (ValueError, OverflowError, ZeroDivisionError) as error:
+        raise FormatError(f"fps: {error}", path=archive.path, reason="frame-time") from None
+    return None, ""
+
+
+def _rotations(archive: NpzArchive, shape: tuple[int, ...]) -> Float32[np.ndarray, "frames joints 4"] | None:
+    rotations = _optional(archive, "local_rotations", (*shape, 4))
+    if rotations is not None:
+        error = np.abs(np.linalg.norm(rotations, axis=-1) - 1.0).max(axis=1)
+        if error.max() > MAX_LENGTH_ERROR:
+            raise FormatError(
+                f"local_rotations: a quaternion's length is off 1 by {error.max():.3g}, expected unit quaternions",
+                path=archive.path,
+                reason="range",
+                frame=int(np.argmax(error > MAX_LENGTH_ERROR)),
+            )
+    return rotations
+
+
+def _captions(archive: NpzArchive) -> tuple[Caption, ...]:
+    texts = _texts(archive, "captions")
+    tokens = _texts(archive, "caption_tokens") or ("",) * len(texts)
+    if len(tokens) != len(texts):
+        message = f"{len(tokens)} caption_tokens for {len(texts)} captions"
+        raise FormatError(message, path=archive.path, reason="channel-count")
+    if "caption_seconds" not in archive:
+        return tuple(Caption(text, tokens=words) for text, words in zip(texts, tokens, strict=True))
+    bounds = npz_archive.read_exact(archive, "caption_seconds", (len(texts), 2))
+    if not np.isfinite(bounds[:, 0]).all() or np.isinf(bounds[:, 1]).any():
+        raise FormatError("caption_seconds: a start that is no number", path=archive.path, reason="text")
+    return tuple(
+        Caption(text, start, None if np.isnan(end) else end, words)
+        for text, (start, end), words in zip(texts, bounds.tolist(), tokens, strict=True)
+    )
+
+
+def _optional(archive: NpzArchive, key: str, shape: tuple[int, ...]) -> Float32[np.ndarray, "..."] | None:
+    return npz_archive.read_numbers(archive, key, shape) if key in archive else None
+
+
+def _texts(archive: NpzArchive, key: str) -> tuple[str, ...]:
+    return npz_archive.read_strings(archive, key) if key in archive else ()
+
+
+def _text(archive: NpzArchive, key: str) -> str:
+    return next(iter(_texts(archive, key)), "")
+
+
+def _scaled(motion: Motion, unit: float) -> Motion:
+    factor, skeleton = np.float32(unit), motion.skeleton
+    return replace(
+        motion,
+        joint_positions=motion.joint_positions * factor,
+        root_translation=None if motion.root_translation is None else motion.root_translation * factor,
+        skeleton=replace(
+            skeleton,
+            offsets=skeleton.offsets * factor,
+            end_sites=tuple((joint, (x * unit, y * unit, z * unit)) for joint, (x, y, z) in skeleton.end_sites),
+        ),
+    )
