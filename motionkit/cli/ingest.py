@@ -89,12 +89,16 @@ def ingest(
         int | None,
         typer.Option(min=1, help="Processes that read; by default all cores, one for few files.", show_default=False),
     ] = None,
+    engine: Annotated[
+        str,
+        typer.Option(help="local; ray: a Ray on this machine, or that of RAY_ADDRESS; ray://HOST:PORT: a Ray cluster."),
+    ] = "local",
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Read motions of any known format into a store, at their native framerates.
 
     A store that exists is added to: sequences that it holds from equal files are left alone, and the same id from
-    another file is refused. The store is the same whatever the number of workers.
+    another file is refused. The store is the same whatever the engine and the number of workers.
     """
     from motionkit.skeleton_families import read_skeleton_map
     from motionkit.store.ingest import Listener
@@ -117,6 +121,7 @@ def ingest(
             on_error=on_error.value,
             overwrite=overwrite,
             num_workers=workers,
+            engine=engine,
             listener=Listener(
                 on_start=lambda num_items: display.update(task, description="ingest", total=num_items),
                 on_item=lambda: display.advance(task),

@@ -16,9 +16,10 @@ from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map
 from motionkit.skeleton_map import SkeletonMapError, joint_map
 from motionkit.store.encode import EncodedMotion, RefusedMotion
+from motionkit.store.engines import LOCAL, check_engine, make_engine
 from motionkit.store.manifest import read_manifest
 from motionkit.store.parallel import Engine, WorkerDied, map_in_order
-from motionkit.store.process_engine import Processes, ThisProcess, usable_cores
+from motionkit.store.process_engine import usable_cores
 from motionkit.store.read_batch import read_batch
 from motionkit.store.schema import MANIFEST_FILE
 from motionkit.store.writer import StoreWriter
@@ -94,17 +95,20 @@ def ingest(
     on_error: OnError = "skip",
     overwrite: bool = False,
     num_workers: int | None = None,
+    engine: str = LOCAL,
     listener: Listener | None = None,
 ) -> IngestReport:
     """Read every sequence of the sources into a store, which is made, added to, or (`overwrite`) replaced.
 
-    The store is the same, byte for byte, whatever the number of workers; without one given, all cores read, or one
-    where the sources are so small that starting processes would take longer. Under `skip` the good sequences are
+    The store is the same, byte for byte, whatever the number of workers and whichever `engine` (`local`, `ray`,
+    `ray://HOST:PORT`) runs them; without a number given, all cores read, or one where the sources are so small that
+    starting processes would take longer. Under `skip` the good sequences are
     stored; under `stop` the first problem ends the ingest and the store stays as it was. A sequence that the store
     holds from an equal file is counted and left alone; one with the same id from another file is a problem. Raises
     `UsageError` for sources or options that make no sense and `StoreError` for a store that cannot be written.
     """
-    run = _Run(store, options or ReadOptions(), on_error, num_workers, listener or Listener())
+    check_engine(engine)
+    run = _Run(store, options or ReadOptions(), on_error, engine, num_workers, listener or Listener())
     return run.ingest(sources, overwrite)
 
 
@@ -116,11 +120,18 @@ class _Run:
     """One ingest: owns its counts and the problems met."""
 
     def __init__(
-        self, store: Path, options: ReadOptions, on_error: OnError, num_workers: int | None, listener: Listener
+        self,
+        store: Path,
+        options: ReadOptions,
+        on_error: OnError,
+        engine: str,
+        num_workers: int | None,
+        listener: Listener,
     ) -> None:
         self._store = store
         self._options = options
         self._on_error = on_error
+        self._engine_name = engine
         self._num_workers = num_workers
         self._listener = listener
         self._problems: list[FormatError] = []
@@ -178,8 +189,10 @@ class _Run:
                 raise _Stopped
 
     def _engine(self, items: Sequence[SourceItem]) -> Engine:
-        num_workers = min(self._num_workers or (usable_cores() if _is_much(items) else 1), len(items))
-        return ThisProcess() if num_workers == 1 else Processes(num_workers)
+        if self._engine_name != LOCAL:
+            return make_engine(self._engine_name, self._num_workers)
+        num_workers = self._num_workers or (usable_cores() if _is_much(items) else 1)
+        return make_engine(LOCAL, min(num_workers, len(items)))
 
     def _take(self, writer: StoreWriter, item: SourceItem, result: EncodedMotion | FormatError | WorkerDied) -> None:
         match result:

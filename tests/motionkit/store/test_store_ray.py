@@ -1,0 +1,87 @@
+"""Ingest by a local Ray of two workers: the same store, byte for byte, and clear words where Ray is not to be had."""
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from motionkit.errors import MissingExtraError, UsageError
+from motionkit.store.engines import check_engine
+from motionkit.store.ingest import ingest
+from motionkit.store.parallel import WorkerDied, map_in_order
+from motionkit.store.ray_engine import RayEngine
+
+BVH = """HIERARCHY
+ROOT Hips
+{{
+  OFFSET 0 90 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT Head
+  {{
+    OFFSET 0 70 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {{
+      OFFSET 0 10 0
+    }}
+  }}
+}}
+MOTION
+Frames: {num_frames}
+Frame Time: 0.01
+{frames}
+"""
+
+
+@pytest.fixture(scope="module")
+def ray() -> Iterator[RayEngine]:
+    with RayEngine(None, 2) as engine:
+        yield engine
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    for take in range(70):
+        frames = "\n".join(f"{frame} 90 0 {take} 0 {frame / 7:.6f} 0 {frame} 0" for frame in range(1, 20 + 9 * take))
+        text = BVH.format(num_frames=19 + 9 * take, frames=frames)
+        (folder / f"take-{take:02d}.bvh").write_text(text if take % 20 != 13 else text[:-200])
+    return folder
+
+
+def test_results_come_in_order_and_the_input_that_a_worker_dies_of_is_named(ray: RayEngine) -> None:
+    # Inside the test, so that it travels by value: Ray's workers cannot import test modules.
+    def ten_times_but_die_of_five(numbers: Sequence[int]) -> list[int]:
+        return os._exit(1) if 5 in numbers else [10 * number for number in numbers]
+
+    batches = [[0], [1, 2], [3, 4, 5, 6], *([number] for number in range(7, 20))]
+    results = dict(map_in_order(ray, ten_times_but_die_of_five, batches))
+    assert isinstance(results.pop(5), WorkerDied)
+    assert list(results.items()) == [(n, 10 * n) for n in range(20) if n != 5]
+
+
+def test_the_store_does_not_depend_on_the_engine(ray: RayEngine, takes: Path, tmp_path: Path) -> None:
+    reports = {
+        name: ingest([takes], tmp_path / name, engine=engine, num_workers=workers)
+        for name, engine, workers in (("alone", "local", 1), ("local", "local", 2), ("ray", "ray", None))
+    }
+    assert {report.num_stored for report in reports.values()} == {67}
+    assert {tuple(map(str, report.problems)) for report in reports.values()} == {
+        tuple(map(str, reports["alone"].problems))
+    }
+    assert len({(tmp_path / name / "manifest.json").read_bytes() for name in reports}) == 1
+
+
+def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'motionkit\[ray\]'"), RayEngine(None, 2):
+        pass
+
+
+@pytest.mark.parametrize("name", ["dask", "ray:", "ray://", "ray://host", "ray://:10001", "ray://host:port"])
+def test_engines_that_are_none(name: str) -> None:
+    with pytest.raises(UsageError, match="expected local, ray"):
+        check_engine(name)
