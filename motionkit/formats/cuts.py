@@ -61,13 +61,14 @@ Cut = TimeCut | StepCut | PublishedCut
 def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
     """The stretch as a motion whose clock starts at 0; a file that ends early gives what there is of it.
 
+    The motion's captions are the stretch's own; those of a `StepCut` are in seconds of 20 frames and become true ones.
     Raises `FormatError`: `beyond-end` where the file ends before the stretch starts, `step` for a framerate below 20.
     """
     match cut:
         case TimeCut():
             return _crop_seconds(motion, cut, path)
         case StepCut():
-            return _crop_frames(motion, cut, path)
+            return _with_true_seconds(_crop_frames(motion, cut, path), step_of(motion, path))
         case PublishedCut(stretch):
             if stretch is None:
                 return _called_20_fps(motion, 1)
@@ -132,6 +133,23 @@ def _crop_frames(motion: Motion, cut: StepCut, path: Path) -> Motion:
     trim = f" after a trim of {cut.trim_frames}" if cut.trim_frames else ""
     asked = f"[{cut.start_frame}, {cut.end_frame}) of every {step}th frame{trim}"
     return _stretch(motion, start, stop, asked, path)
+
+
+def _with_true_seconds(motion: Motion, step: int) -> Motion:
+    # A caption's second is 20 published frames, that is 20·step native ones.
+    factor = float(PUBLISHED_FPS * step / motion.fps)
+    if factor == 1.0 or all((each.start_seconds, each.end_seconds) == (0.0, None) for each in motion.captions):
+        return motion
+    captions = tuple(
+        replace(
+            caption,
+            start_seconds=caption.start_seconds * factor,
+            end_seconds=None if caption.end_seconds is None else caption.end_seconds * factor,
+        )
+        for caption in motion.captions
+    )
+    line = f"captions' seconds × {factor:.6g}: they were counted at {float(motion.fps / step):g} fps called 20"
+    return replace(motion, captions=captions).logged(line)
 
 
 def _stretch(motion: Motion, start: int, stop: int, asked: str, path: Path) -> Motion:

@@ -64,6 +64,7 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
         options = replace(options, fps=item.fps)
     if item.cut is None and not item.mirrored:
         motion = FORMATS[item.format].read(item, options)
+        motion = replace(motion, captions=item.captions or motion.captions)
     else:
         motion = _read_stretch(item, options)
     provenance = replace(
@@ -79,7 +80,6 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
         motion,
         skeleton=with_layout_map(motion.skeleton, options.skeleton_maps),
         sequence_id=item.sequence_id,
-        captions=item.captions or motion.captions,
         action=item.action or motion.action,
         style=item.style or motion.style,
         split=item.split or motion.split,
@@ -90,6 +90,7 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
 def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
     whole = SourceItem(item.format, item.path, item.root, sequence_id="", key=item.key, fps=item.fps)
     motion = _read_once(whole, options, _version(item.path))
+    motion = replace(motion, captions=item.captions or motion.captions)
     if item.cut is not None:
         motion = cuts.crop(motion, item.cut, item.path)
     if not item.mirrored:

@@ -6,6 +6,7 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from typing import Literal
 
@@ -280,13 +281,18 @@ def shortfall(item: SourceItem, motion: EncodedMotion) -> FormatError | None:
 
 
 def batches(items: Sequence[SourceItem]) -> Iterator[list[SourceItem]]:
-    """The items in order, in batches of at most a megabyte or 64 files: a task for each small file costs more."""
+    """The items in order, in batches of a megabyte or 64 items: a task for each small file costs more.
+
+    Stretches of one file come into one batch, so that one worker reads it once.
+    """
     batch: list[SourceItem] = []
     num_bytes = 0
-    for item in items:
+    for item, following in zip_longest(items, items[1:]):
+        if not batch or batch[-1].path != item.path:
+            num_bytes += _size(item)
         batch.append(item)
-        num_bytes += _size(item)
-        if num_bytes >= BATCH_BYTES or len(batch) == BATCH_ITEMS:
+        file_goes_on = following is not None and following.path == item.path
+        if (num_bytes >= BATCH_BYTES and not file_goes_on) or len(batch) == BATCH_ITEMS:
             yield batch
             batch, num_bytes = [], 0
     if batch:

@@ -5,6 +5,7 @@ which frames of its file it is.
 """
 
 import json
+import os
 import shutil
 from itertools import pairwise
 from pathlib import Path
@@ -12,9 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motionkit.formats.items import SourceItem
 from motionkit.skeleton import SMPL22
 from motionkit.skeleton_map import rest_positions
 from motionkit.store import Store
+from motionkit.store.ingest import batches
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 TEXT = "a person stands#a/DET person/NOUN stand/VERB#0.0#0.0\nthen rises#then/ADV rise/VERB#0.5#1.0\n"
@@ -101,7 +104,9 @@ def test_clips_at_their_native_framerates(motionkit, amass, humanml3d, tmp_path)
         assert frame_numbers(store, f"humanml3d/{name}") == list(range(start, stop)), name
         assert (motion.fps, motion.timegrid.start_seconds) == (FPS[name], 0.0)
         assert [caption.text for caption in motion.captions] == ["a person stands", "then rises"]
-        assert (motion.captions[1].start_seconds, motion.captions[1].end_seconds) == (0.5, 1.0)
+        factor = {"000004": 14 / 15, "000005": 0.96}.get(name, 1.0)
+        assert motion.captions[1].start_seconds == pytest.approx(0.5 * factor)
+        assert motion.captions[1].end_seconds == pytest.approx(factor)
     rows = store.sequences.set_index("sequence_id")
     assert rows["split"].to_dict() == {
         "humanml3d/000000": "train", "humanml3d/000001": "", "humanml3d/000002": "train", "humanml3d/000003": "train",
@@ -112,7 +117,9 @@ def test_clips_at_their_native_framerates(motionkit, amass, humanml3d, tmp_path)
     )
     assert rows["subset"]["humanml3d/000005"] == "Transitions_mocap"
     assert set(rows["source"]) == {"humanml3d"}
-    assert "frames [441, 721) of 1000, 2.94 s to 4.80667 s of the file" in rows["operations"]["humanml3d/000004"][-1]
+    log = rows["operations"]["humanml3d/000004"]
+    assert "frames [441, 721) of 1000, 2.94 s to 4.80667 s of the file" in log[-2]
+    assert log[-1] == "captions' seconds × 0.933333: they were counted at 21.4286 fps called 20"
     assert outcome.stderr.splitlines() == [
         f"warning: {amass}/CMU/CMU/01/01_01_poses.npy: ends 0.15 s before humanml3d/000003 does; 0.817 s of it are kept"
     ]
@@ -276,6 +283,17 @@ def test_an_index_that_is_none(motionkit, amass, tmp_path):
     assert outcome.code == 1
     assert len(outcome.error_lines) == 1
     assert "expected an index: HumanML3D's index.csv" in outcome.stderr
+
+
+def test_stretches_of_one_file_are_one_workers(tmp_path):
+    items = []
+    for name, num_bytes, count in (("a", 2**19, 3), ("b", 2**20, 4), ("c", 2**20, 1), ("d", 1, 130)):
+        path = tmp_path / name
+        path.touch()
+        os.truncate(path, num_bytes)
+        items += [SourceItem("amass", path, tmp_path, f"{name}{number}") for number in range(count)]
+    sizes = [[item.sequence_id[0] for item in batch] for batch in batches(items)]
+    assert sizes == [["a"] * 3 + ["b"] * 4, ["c"], ["d"] * 64, ["d"] * 64, ["d"] * 2]
 
 
 def test_workers_make_the_same_store(motionkit, amass, humanml3d, tmp_path):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from motionkit.errors import FormatError
 from motionkit.formats.cuts import Cut, PublishedCut, StepCut, TimeCut, crop, missing_seconds, stated_rate, step_of
-from motionkit.motion import Motion, Provenance
+from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import SMPL22
 from motionkit.timegrid import TimeGrid, parse_fps
 
@@ -166,3 +166,20 @@ def test_a_crop_keeps_what_else_is_known():
     cropped = crop(motion, StepCut(0, 2), PATH)
     assert (cropped.action, cropped.sequence_id, cropped.skeleton) == ("walk", "x", SMPL22)
     assert cropped.num_frames == math.prod((2, 3))
+
+
+@pytest.mark.parametrize(
+    ("stated", "fps", "factor"),
+    [("120", 120, 1.0), ("59.9999885", 60, 2 / 3), ("150", 150, 14 / 15), ("250", 250, 0.96), ("60", 120, 0.5)],
+)
+def test_seconds_of_captions_become_true_ones(stated, fps, factor):
+    # The second published second begins at published frame 20, native frame 20·step.
+    captions = (Caption("all of it"), Caption("a part", 1.0, 2.0), Caption("the rest", 2.0))
+    motion = replace(take(1000, stated, fps=Fraction(fps)), captions=captions)
+    whole, part, rest = crop(motion, StepCut(0, 60), PATH).captions
+    assert whole == captions[0]
+    assert (part.start_seconds, part.end_seconds) == pytest.approx((factor, 2 * factor))
+    assert (rest.start_seconds, rest.end_seconds) == (pytest.approx(2 * factor), None)
+    logged = crop(motion, StepCut(0, 60), PATH).provenance.operations
+    assert any("captions' seconds" in line for line in logged) == (factor != 1.0)
+    assert crop(motion, PublishedCut(StepCut(0, 60)), PATH).captions == captions
