@@ -77,7 +77,7 @@ def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
 
     Raises `FormatError` for a file that is no such table; a bad row becomes one of the table's `problems`.
     """
-    folder = (folder or path.parent).resolve()
+    folder = Path(os.path.normpath((folder or path.parent).absolute()))  # links stay, as in the paths of a scan
     text = sourcefile.decode(sourcefile.read_bytes(path), path)
     reader = csv.DictReader(io.StringIO(text, newline=""), restkey="", strict=True)
     rows: dict[Path, Annotation] = {}

@@ -3,8 +3,7 @@
 `scan` looks at names and folders only, `read` opens one sequence: so ingest can scan once and read in many processes.
 """
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -13,6 +12,7 @@ from motionkit.errors import FormatError, UsageError
 from motionkit.formats import annotations, cuts
 from motionkit.formats.annotations import Annotation, AnnotationTable
 from motionkit.formats.catalogue import FORMATS, Format
+from motionkit.formats.folders import walk
 from motionkit.formats.indexes import search
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.mirror import mirror
@@ -145,7 +145,9 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     beside: list[AnnotationTable] = []
     found: list[ScanResult] = []
     licences: dict[Path, str] = {}
-    for folder, files in [(root, [root / source.name])] if source.is_file() else _walk(root):
+    unlisted: list[OSError] = []
+    one = [(root, [root / source.name])] if source.is_file() else None
+    for folder, files in one or walk(root, _is_claimed, unlisted.append):
         licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
         if given is None:
             tables_here, broken = _tables(folder)
@@ -159,13 +161,19 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     problems = [problem for result in found for problem in result.problems]
     warnings = [warning for result in found for warning in result.warnings]
     problems += [problem for table in beside for problem in table.problems]
+    problems += [_unlisted(error) for error in unlisted]
     if source.is_dir():  # of a single file, the other rows of its folder's table are not missing
         known = {item.path for item in items}
         rows = [(table, path, row) for table in beside for path, row in table.rows.items()]
         problems += [_no_motion(table, path, row) for table, path, row in rows if path not in known]
     captioned = [root] if given is not None and given.has_captions else []
-    captioned += [table.path.parent.resolve() for table in beside if table.has_captions]
+    captioned += [table.path.parent for table in beside if table.has_captions]
     return ScanResult(tuple(items), tuple(problems), (*warnings, *_motions_without_caption(items, captioned)))
+
+
+def _unlisted(error: OSError) -> FormatError:
+    message = f"the folder cannot be listed ({error.strerror or error})"
+    return FormatError(message, path=error.filename or "", reason="unreadable")
 
 
 def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> list[FormatError]:
@@ -182,14 +190,8 @@ def _no_motion(table: AnnotationTable, path: Path, row: Annotation) -> FormatErr
     return FormatError(message, path=table.path, reason="caption-without-motion", line=row.line)
 
 
-def _walk(root: Path) -> Iterator[tuple[Path, list[Path]]]:
-    # Folders in sorted order; a folder that a folder format claims is not entered.
-    for name, folders, files in os.walk(root):
-        folder = Path(name)
-        folders[:] = sorted(entry for entry in folders if not entry.startswith((".", "__")))
-        if any(entry.claims is not None and entry.claims(folder) for entry in FORMATS.values()):
-            folders.clear()
-        yield folder, [folder / entry for entry in sorted(files) if not entry.startswith(".")]
+def _is_claimed(folder: Path) -> bool:
+    return any(entry.claims is not None and entry.claims(folder) for entry in FORMATS.values())
 
 
 def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, options: ReadOptions) -> ScanResult:

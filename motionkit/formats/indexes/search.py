@@ -3,7 +3,6 @@
 Names are walked, files are not opened: of a folder of all AMASS only the files that an index names are read.
 """
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from pathlib import Path
 from motionkit.errors import FormatError, UsageError
 from motionkit.formats import texts
 from motionkit.formats.cuts import PublishedCut, StepCut
+from motionkit.formats.folders import walk
 from motionkit.formats.indexes import humanml3d_index
 from motionkit.formats.indexes.catalogue import read_index
 from motionkit.formats.indexes.datasets import Key, dataset_of, file_key
@@ -88,7 +88,8 @@ def _find_files(sources: Sequence[Path], wanted: set[Key]) -> dict[Key, list[tup
         if not source.is_dir():
             raise UsageError(f"{source} is not a folder; an index names files below a folder")
         root = source.resolve()
-        for path in _walk(root):
+        # A folder that cannot be listed has no files to find; what the index then misses is told.
+        for path in (path for _, files in walk(root, lambda folder: False, lambda error: None) for path in files):
             # The source may itself be a dataset's folder.
             parts = path.relative_to(root).parts
             named = (root.name, *parts)
@@ -98,14 +99,6 @@ def _find_files(sources: Sequence[Path], wanted: set[Key]) -> dict[Key, list[tup
     for paths in found.values():
         paths.sort(key=_preference)
     return found
-
-
-def _walk(root: Path) -> Iterator[Path]:
-    for name, folders, files in os.walk(root):
-        folders[:] = sorted(folder for folder in folders if not folder.startswith("."))
-        for file in sorted(files):
-            if not file.startswith("."):
-                yield Path(name, file)
 
 
 def _preference(place: tuple[Path, Path]) -> int:
