@@ -58,6 +58,13 @@ def ingest(
         typer.Option(help="Of the index's stretches the frames that HumanML3D published, not every native one."),
     ] = None,
     fps: Annotated[str | None, typer.Option(help="Framerate that replaces what files say: 120, 30000/1001.")] = None,
+    fps_rules: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="TOML of framerates that files state wrongly (docs/formats.md); goes before the shipped one. "
+            "May be given several times."
+        ),
+    ] = None,
     unit_metres: Annotated[
         float | None, typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.")
     ] = None,
@@ -100,6 +107,7 @@ def ingest(
     A store that exists is added to: sequences that it holds from equal files are left alone, and the same id from
     another file is refused. The store is the same whatever the engine and the number of workers.
     """
+    from motionkit.formats.framerate_rules import read_rules
     from motionkit.skeleton_families import read_skeleton_map
     from motionkit.store.ingest import Listener
     from motionkit.store.ingest import ingest as ingest_sources
@@ -109,6 +117,7 @@ def ingest(
         options,
         index=_index_options(index, texts, splits, mirrored, compat, captions),
         skeleton_maps=tuple(read_skeleton_map(path) for path in skeleton_map or ()),
+        fps_rules=tuple(rule for path in fps_rules or () for rule in read_rules(path)),
         body_models=_body_models(body_models),
     )
     teller = _Teller()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from motionkit.errors import FormatError
 from motionkit.formats.cuts import Cut
+from motionkit.formats.framerate_rules import FramerateRule
 from motionkit.motion import Caption
 
 
@@ -32,7 +33,8 @@ class ReadOptions:
     `fps` and `unit_metres` (metres per file unit) replace whatever the file or its annotations say; `captions` is a CSV
     file of annotations that replaces those found beside the motions. `skeleton_maps` are the user's tables as
     `skeleton_families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along.
-    `body_models` is the user's folder of SMPL-family models. `index` picks stretches of a source's files.
+    `fps_rules` are the user's corrections of framerates, before the shipped ones (`framerate_rules`). `body_models` is
+    the user's folder of SMPL-family models. `index` picks stretches of a source's files.
     """
 
     format: str = "auto"
@@ -40,6 +42,7 @@ class ReadOptions:
     unit_metres: float | None = None
     captions: Path | None = None
     skeleton_maps: tuple[str, ...] = ()
+    fps_rules: tuple[FramerateRule, ...] = ()
     body_models: Path | None = None
     index: IndexOptions | None = None
 

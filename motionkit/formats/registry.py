@@ -9,7 +9,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 
 from motionkit.errors import FormatError, UsageError
-from motionkit.formats import annotations, cuts
+from motionkit.formats import annotations, cuts, framerate_rules
 from motionkit.formats.annotations import Annotation, AnnotationTable
 from motionkit.formats.catalogue import FORMATS, Format
 from motionkit.formats.folders import walk
@@ -20,6 +20,9 @@ from motionkit.motion import Motion
 from motionkit.skeleton_families import with_layout_map
 
 __all__ = ["FORMATS", "Format", "ReadOptions", "ScanResult", "SourceItem", "read", "scan"]
+
+# Reasons for which a file is refused where only its framerate is missing or unusable.
+NO_FRAMERATE = frozenset({"no-framerate", "framerate", "frame-time"})
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
@@ -63,7 +66,7 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
     if options.fps is None and item.fps is not None:
         options = replace(options, fps=item.fps)
     if item.cut is None and not item.mirrored:
-        motion = FORMATS[item.format].read(item, options)
+        motion = _read_file(item, options)
         motion = replace(motion, captions=item.captions or motion.captions)
     else:
         motion = _read_stretch(item, options)
@@ -87,6 +90,22 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
     )
 
 
+def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
+    # All of a file, its framerate corrected by a rule unless the user has given one.
+    if options.fps is not None:
+        return FORMATS[item.format].read(item, options)
+    rules = framerate_rules.matching_rules(item.path, item.root, (*options.fps_rules, *framerate_rules.shipped_rules()))
+    try:
+        motion = FORMATS[item.format].read(item, options)
+    except FormatError as problem:
+        rule = next((rule for rule in rules if rule.stated is None), None)
+        if rule is None or problem.reason not in NO_FRAMERATE:
+            raise
+        motion = FORMATS[item.format].read(item, replace(options, fps=rule.fps))
+        return motion.logged(f"framerate by rule ({rule.where})")
+    return framerate_rules.corrected(motion, rules)
+
+
 def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
     whole = SourceItem(item.format, item.path, item.root, sequence_id="", key=item.key, fps=item.fps)
     motion = _read_once(whole, options, _version(item.path))
@@ -105,7 +124,7 @@ def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
 def _read_once(whole: SourceItem, options: ReadOptions, version: tuple[int, int]) -> Motion:
     # The stretches of a file follow each other, and reading a file costs far more than cutting it. A file that has
     # changed since is read again.
-    return FORMATS[whole.format].read(whole, options)
+    return _read_file(whole, options)
 
 
 def _version(path: Path) -> tuple[int, int]:
