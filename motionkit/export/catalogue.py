@@ -6,6 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from motionkit.export.bvh import export_bvh
+from motionkit.export.joints_csv import export_joints_csv
 from motionkit.export.joints_npy import export_joints_npy
 from motionkit.export.npz import export_npz
 from motionkit.export.pose_folder import export_humanml3d, export_kit
@@ -34,6 +35,7 @@ EXPORTS: Mapping[str, Export] = {
         Export("bvh", "a BVH file each, own skeleton and framerate", export_bvh),
         Export("joints-npy", "22 joints in metres as .npy, one framerate", export_joints_npy),
         Export("npz", "an .npz file each, everything that is known", export_npz),
+        Export("csv", "a table of joint positions each, with time stamps", export_joints_csv),
         Export("humanml3d", "HumanML3D's folder: joints, 263 numbers, texts, splits", export_humanml3d, HUMANML3D.fps),
         Export("kit", "KIT-ML's folder: 21 joints, 251 numbers, texts, splits", export_kit, KIT.fps),
     )

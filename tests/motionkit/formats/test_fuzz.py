@@ -17,6 +17,7 @@ from motionkit.formats.asf import read_asf
 from motionkit.formats.asfamc import read_asfamc
 from motionkit.formats.bvh import read_bvh
 from motionkit.formats.items import ReadOptions
+from motionkit.formats.joints_csv import read_joints_csv
 from motionkit.formats.joints_npy import read_joints_npy, read_manifest
 from motionkit.formats.npz import read_npz
 from motionkit.formats.texts import read_texts
@@ -51,6 +52,7 @@ READERS: dict[str, tuple[bytes, Callable[[Path], object]]] = {
     "amc": (amc_text().encode(), _asf_beside),
     "asf": (ASF.encode(), read_asf),
     "npy": (npy_bytes(), lambda path: read_joints_npy(path, OPTIONS)),
+    "joints.csv": (b"time_seconds,a_x,a_y,a_z\n0.0,1,2,3\n0.5,1,2,3.5\n", read_joints_csv),
     "npz": (npz_bytes(), lambda path: read_npz(path, OPTIONS)),
     "txt": (b"a person walks#a/DET person/NOUN walk/VERB#0.0#1.5\nfast#fast/ADV#0.0#0.0\n", read_texts),
     "csv": (b'file,caption,fps\nwalk.bvh,"a person, walking",120\nrun.bvh,run,30000/1001\n', read_annotations),

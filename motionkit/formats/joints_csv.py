@@ -1,0 +1,183 @@
+"""Joint positions as a CSV table: a row a frame, `time_seconds` or `frame`, then JOINT_x, JOINT_y, JOINT_z in metres.
+
+The header names the joints; those of a standard layout, in any order, are that layout, all others hang from the first
+(a table has no bones; an .npz has). `frame` counts frames and needs a framerate from an annotation CSV or an option.
+"""
+
+import csv
+import io
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+from jaxtyping import Float64
+
+from motionkit.errors import FormatError
+from motionkit.formats import clock, sourcefile
+from motionkit.formats.items import ReadOptions
+from motionkit.formats.npz_skeleton import bones_of_pose
+from motionkit.motion import Motion, Provenance
+from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.timegrid import TimeGrid, format_fps
+
+TIME, FRAME = "time_seconds", "frame"
+AXES = ("x", "y", "z")
+HEADER_BYTES = 1 << 20
+MAX_METRES = 1e9
+
+
+def accepts(path: Path) -> bool:
+    """Whether a CSV's first row has a clock and at least one joint; reads no further."""
+    try:
+        with path.open("rb") as file:
+            line = file.readline(HEADER_BYTES).decode("utf-8-sig", "replace").strip()
+    except OSError:
+        return False
+    names = [name.strip('" ') for name in line.replace(";", ",").replace("\t", ",").split(",")]
+    return (TIME in names or FRAME in names) and any(name.endswith("_x") for name in names)
+
+
+def read_joints_csv(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read one table as positions in metres; `options.unit_metres` multiplies them, `options.fps` replaces the clock.
+
+    Raises `FormatError` (`annotations` for a broken header, `channel-count`, `not-a-number`, `nan`, `frame-time` …).
+    """
+    options = options or ReadOptions()
+    data = sourcefile.read_bytes(path)
+    names = _header(data, path)
+    joints = _joints(names, path)
+    table = _table(data, names, path)
+    grid, stated, operations = _clock(table, names, options, path)
+    skeleton, order = _skeleton(joints)
+    columns = [names.index(f"{joint}_{axis}") for joint in order for axis in AXES]
+    positions = table[:, columns].reshape(len(table), len(order), 3).astype(np.float32)
+    unit = options.unit_metres or 1.0
+    if unit != 1.0:
+        positions *= np.float32(unit)
+        operations.append(f"lengths × {unit:g} to metres (given)")
+    if skeleton is None:
+        parents = (-1, *(0,) * (len(order) - 1))
+        skeleton = Skeleton(path.stem, order, parents, bones_of_pose(positions[0], parents))
+    return Motion(
+        joint_positions=positions,
+        skeleton=skeleton,
+        timegrid=grid,
+        sequence_id=path.stem,
+        provenance=Provenance(
+            source_path=path.name,
+            source_sha256=sourcefile.sha256(data),
+            source_format="csv",
+            stated_fps=stated,
+            operations=tuple(operations),
+        ),
+    )
+
+
+def write_joints_csv(motion: Motion, path: Path) -> None:
+    """Write `time_seconds` and the positions in metres with all digits of float32."""
+    arrays = {TIME: motion.timegrid.seconds()}
+    for joint, name in enumerate(motion.skeleton.joint_names):
+        for axis, letter in enumerate(AXES):
+            arrays[f"{name}_{letter}"] = np.ascontiguousarray(motion.joint_positions[:, joint, axis])
+    pc.write_csv(pa.table(arrays), path)
+
+
+def _header(data: bytes, path: Path) -> tuple[str, ...]:
+    text = sourcefile.decode(data[:HEADER_BYTES].partition(b"\n")[0], path)
+    if ";" in text or "\t" in text:
+        raise FormatError(
+            "columns are separated by ';' or tabs, expected commas, and points in numbers (1.5, not 1,5)",
+            path=path,
+            reason="not-a-number",
+            line=1,
+        )
+    try:
+        return tuple(name.strip() for name in next(csv.reader(io.StringIO(text), strict=True), []))
+    except csv.Error as error:
+        raise FormatError(f"the first row is no header ({error})", path=path, reason="annotations", line=1) from None
+
+
+def _joints(names: tuple[str, ...], path: Path) -> tuple[str, ...]:
+    """Joint names in order of appearance; every joint has three columns and no other columns are there."""
+    joints = tuple(dict.fromkeys(name[:-2] for name in names if name[-2:] in ("_x", "_y", "_z")))
+    expected = {f"{joint}_{axis}" for joint in joints for axis in AXES}
+    odd = sorted(expected.symmetric_difference(set(names) - {TIME, FRAME}))
+    if not joints or odd or len(set(names)) != len(names):
+        what = f"{odd[0]!r} is one too many or missing" if odd else "a column is there twice, or there is no joint"
+        raise FormatError(
+            f"{what}; expected {TIME} or {FRAME} and three columns JOINT_x, JOINT_y, JOINT_z for each joint",
+            path=path,
+            reason="channel-count",
+            line=1,
+        )
+    return joints
+
+
+def _table(data: bytes, names: tuple[str, ...], path: Path) -> Float64[np.ndarray, "frames columns"]:
+    try:
+        table = pc.read_csv(
+            pa.BufferReader(data),
+            read_options=pc.ReadOptions(column_names=list(names), skip_rows=1, use_threads=False),
+            convert_options=pc.ConvertOptions(column_types=dict.fromkeys(names, pa.float64()), null_values=[]),
+        )
+    except (pa.ArrowException, ValueError) as error:
+        message = str(error).splitlines()[0]
+        reason = "channel-count" if "Expected" in message and "columns" in message else "not-a-number"
+        hint = "" if reason == "channel-count" else "; numbers have points (1.5), not commas"
+        raise FormatError(f"{message[:160]}{hint}", path=path, reason=reason) from None
+    if not table.num_rows:
+        raise FormatError("0 frames, expected at least one row below the header", path=path, reason="no-frames")
+    values = np.stack([table[name].to_numpy() for name in names], axis=1)
+    for reason, bad in (("nan", ~np.isfinite(values)), ("range", np.abs(values) > MAX_METRES)):
+        if bad.any():
+            frame, column = np.argwhere(bad)[0].tolist()
+            message = f"{values[frame, column]} in column {names[column]!r}"
+            raise FormatError(message, path=path, reason=reason, frame=frame)
+    return values
+
+
+def _clock(
+    table: Float64[np.ndarray, "frames columns"], names: tuple[str, ...], options: ReadOptions, path: Path
+) -> tuple[TimeGrid, str, list[str]]:
+    if FRAME in names:
+        steps = np.diff(table[:, names.index(FRAME)])
+        if (steps != 1).any():
+            frame = int(np.argmax(steps != 1)) + 1
+            raise FormatError("frames do not count up by one", path=path, reason="frame-number", frame=frame)
+    if TIME not in names:
+        if options.fps is None:
+            raise FormatError(
+                f"frames are counted, but nothing says the framerate; write {TIME}, put a column fps into an "
+                "annotation CSV, or use --fps",
+                path=path,
+                reason="no-framerate",
+            )
+        return TimeGrid(options.fps, len(table)), "", []
+    seconds = table[:, names.index(TIME)]
+    if options.fps is not None:
+        return _given_clock(seconds, options.fps, path)
+    grid = clock.grid_of_seconds(seconds, path)
+    return grid, f"{TIME}: {format_fps(grid.fps)}", []
+
+
+def _given_clock(seconds: Float64[np.ndarray, "frames"], fps: Fraction, path: Path) -> tuple[TimeGrid, str, list[str]]:
+    grid = TimeGrid(fps, len(seconds), float(seconds[0]))
+    try:
+        stated = clock.grid_of_seconds(seconds, path).fps
+    except FormatError:
+        return grid, "", [f"framerate set to {fps}; the file's time stamps say none"]
+    return (
+        grid,
+        f"{TIME}: {format_fps(stated)}",
+        ([] if stated == fps else [f"framerate set to {fps}; the file says {stated}"]),
+    )
+
+
+def _skeleton(joints: tuple[str, ...]) -> tuple[Skeleton | None, tuple[str, ...]]:
+    """A standard skeleton that has just these joints, and the order in which to take the columns."""
+    for skeleton in STANDARD_SKELETONS.values():
+        if set(joints) == set(skeleton.joint_names):
+            return skeleton, skeleton.joint_names
+    return None, joints
