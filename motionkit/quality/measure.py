@@ -8,7 +8,8 @@ from motionkit.motion import Motion
 from motionkit.quality.bones import bone_length_drift
 from motionkit.quality.feet import foot_skate
 from motionkit.quality.jitter import jitter
-from motionkit.quality.steps import measure_steps, squared_lengths
+from motionkit.quality.steps import longest_steps, measure_steps, squared_lengths
+from motionkit.quality.upsampled import effective_fps
 
 # Above these a sequence is flagged, not refused: real captures hold glitches and floors that are off, and the reader
 # decides. docs/quality.md says where each figure comes from, docs/results/quality.md what it hits in real captures.
@@ -25,7 +26,8 @@ class Quality:
     """What can be said about a motion's frames without judging them, and what looks odd.
 
     Speeds in m/s, jitter in m/s³, heights in metres, times in seconds from the first frame; None is what cannot be
-    measured: too short or too slow a take, a skeleton without known feet, no jump, no held frame. Everything is finite.
+    measured: too short or too slow a take, a skeleton without known feet, no jump, no held frame. `effective_fps` is
+    the framerate that the frames bear witness to, at most the file's. Everything is finite.
     """
 
     max_joint_speed: float
@@ -39,20 +41,24 @@ class Quality:
     foot_skate_share: float | None
     floor_height: float
     bone_length_drift: float | None
+    effective_fps: float | None
     flags: tuple[str, ...]
 
 
 def measure(motion: Motion) -> Quality:
     """Measure a motion whose numbers are finite: a pure function of its frames, framerate and skeleton.
 
-    Flags: `single_frame`, `joint_speed`, `teleport`, `jitter`, `frozen`, `foot_skate`, `floor_height`, `bone_length`.
+    Flags: `single_frame`, `joint_speed`, `teleport`, `jitter`, `frozen`, `foot_skate`, `floor_height`, `bone_length`,
+    `upsampled`.
     """
     positions, fps = motion.joint_positions, float(motion.fps)
-    steps = measure_steps(squared_lengths(np.diff(positions, axis=0)), fps)
+    squared = squared_lengths(np.diff(positions, axis=0))
+    steps = measure_steps(squared, fps)
     noise = jitter(positions, fps)
     skate = foot_skate(motion)
     floor = float(positions[..., 1].min())
     drift = bone_length_drift(positions, motion.skeleton, fps)
+    captured = effective_fps(positions, longest_steps(squared), fps)
     odd = {
         "single_frame": motion.num_frames == 1,
         "joint_speed": steps.max_speed > MAX_JOINT_SPEED,
@@ -62,6 +68,7 @@ def measure(motion: Motion) -> Quality:
         "foot_skate": skate is not None and skate.share > MAX_FOOT_SKATE_SHARE,
         "floor_height": abs(floor) > MAX_FLOOR_HEIGHT,
         "bone_length": drift is not None and drift > MAX_BONE_LENGTH_DRIFT,
+        "upsampled": captured is not None and captured < fps,
     }
     return Quality(
         max_joint_speed=steps.max_speed,
@@ -75,5 +82,6 @@ def measure(motion: Motion) -> Quality:
         foot_skate_share=None if skate is None else skate.share,
         floor_height=floor,
         bone_length_drift=drift,
+        effective_fps=captured,
         flags=tuple(flag for flag, holds in odd.items() if holds),
     )

@@ -36,18 +36,25 @@ def measure_steps(squared: Float32[np.ndarray, "steps joints"], fps: float) -> S
     """What the squared lengths of every joint's steps (m²) between neighbouring frames say."""
     if not len(squared):
         return Steps(0.0, 0, None, 0.0, 0.0, None)
-    longest = squared.max(axis=1)
+    longest = longest_steps(squared)
     jumps = _jumps(np.sqrt(squared), fps)
-    starts, lengths = _runs(longest <= SAME_METRES**2)
+    starts, lengths = _runs(longest == 0.0)
     most = int(lengths.argmax()) if len(lengths) else 0
     return Steps(
-        max_speed=float(np.sqrt(longest.max()) * fps),
+        max_speed=float(longest.max() * fps),
         num_jumps=len(jumps),
         first_jump_seconds=float((jumps[0] + 1) / fps) if len(jumps) else None,
         held_share=float(lengths.sum() / len(squared)),
         frozen_seconds=float(lengths[most] / fps) if len(lengths) else 0.0,
         frozen_start_seconds=float(starts[most] / fps) if len(lengths) else None,
     )
+
+
+def longest_steps(squared: Float32[np.ndarray, "steps joints"]) -> Float32[np.ndarray, "steps"]:
+    """Longest step (m) of any joint between neighbouring frames; 0 where no joint moves by more than 1 µm."""
+    longest: Float32[np.ndarray, steps] = np.sqrt(squared.max(axis=1))
+    longest[longest <= SAME_METRES] = 0.0
+    return longest
 
 
 def jump_speed(fps: float) -> float:

@@ -64,6 +64,7 @@ def motion_row(motion: Motion) -> Row:
         "foot_skate_metres_per_second": quality.foot_skate,
         "foot_skate_share": quality.foot_skate_share,
         "bone_length_drift": quality.bone_length_drift,
+        "effective_fps": quality.effective_fps,
         "quality_flags": list(quality.flags),
         "operations": list(provenance.operations),
         "num_segments": num_segments(motion.num_frames),

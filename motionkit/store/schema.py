@@ -88,6 +88,7 @@ SEQUENCES = pa.schema(
         pa.field("foot_skate_metres_per_second", pa.float64()),
         pa.field("foot_skate_share", pa.float64()),
         pa.field("bone_length_drift", pa.float64()),
+        pa.field("effective_fps", pa.float64()),
         _required("quality_flags", pa.list_(_required("element", pa.string()))),
         _required("operations", pa.list_(_required("element", pa.string()))),
         _required("part", pa.int32()),

@@ -18,6 +18,7 @@ _QUALITY = (
     "foot_skate_metres_per_second",
     "foot_skate_share",
     "bone_length_drift",
+    "effective_fps",
 )
 
 # What each version added to a table. A column that is added later needs a value that says "not known": null where it
