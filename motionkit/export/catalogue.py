@@ -9,6 +9,7 @@ from motionkit.export.bvh import export_bvh
 from motionkit.export.joints_csv import export_joints_csv
 from motionkit.export.joints_npy import export_joints_npy
 from motionkit.export.npz import export_npz
+from motionkit.export.parquet import export_parquet
 from motionkit.export.pose_folder import export_humanml3d, export_kit
 from motionkit.export.selection import Outcome, Selection
 from motionkit.formats.humanml3d import HUMANML3D
@@ -38,5 +39,6 @@ EXPORTS: Mapping[str, Export] = {
         Export("csv", "a table of joint positions each, with time stamps", export_joints_csv),
         Export("humanml3d", "HumanML3D's folder: joints, 263 numbers, texts, splits", export_humanml3d, HUMANML3D.fps),
         Export("kit", "KIT-ML's folder: 21 joints, 251 numbers, texts, splits", export_kit, KIT.fps),
+        Export("parquet", "Parquet by split with a dataset card: datasets, pandas, polars, duckdb", export_parquet),
     )
 }
