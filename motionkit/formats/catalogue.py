@@ -19,6 +19,7 @@ from motionkit.formats import (
     npy,
     npz,
     style100,
+    uestc,
 )
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.motion import Motion
@@ -102,6 +103,15 @@ FORMATS: Mapping[str, Format] = {
             read=lambda item, options: deepmimic.read_deepmimic(item.path, options),
             suffixes=(".txt", ".json"),
             accepts=deepmimic.accepts,
+        ),
+        Format(
+            name="uestc",
+            description="UESTC as ACTOR uses it (.npz, SMPL poses, action, view and subject in the name)",
+            framerate="30, by definition",
+            rotations=True,
+            read=lambda item, options: uestc.read_uestc(item.path, options),
+            suffixes=(".npz", ".pkl"),
+            accepts=uestc.accepts,
         ),
         Format(
             name="amass",

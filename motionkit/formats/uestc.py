@@ -1,0 +1,166 @@
+"""UESTC as ACTOR uses it: SMPL poses that VIBE estimated from the videos, 40 actions, 118 subjects, 30 fps.
+
+They are published in one Python pickle, which is not loaded here, because a pickle can run code; docs/formats.md shows
+the lines that turn it into one .npz a sequence, `a1_d2_p003_c2_color.npz`, with `pose` [T, 72] (axis–angle vectors of
+SMPL's 24 joints in the camera's frame, y down) and, where wanted, `trans` [T, 3] metres and `betas` [T, 10]. Sources:
+https://github.com/Mathux/ACTOR, src/datasets/uestc.py (arrays, view rotations, sets); the README of the UESTC RGB-D
+database (names, 30 Hz, sides and views).
+"""
+
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit import kinematics
+from motionkit.errors import FormatError
+from motionkit.formats import npz_archive, sourcefile
+from motionkit.formats.amass import axis_angle_to_quaternion
+from motionkit.formats.amass_layouts import SMPL
+from motionkit.formats.body_model import find_body_model
+from motionkit.formats.items import ReadOptions
+from motionkit.formats.mean_shape import mean_shape_skeleton
+from motionkit.formats.npz_archive import NpzArchive
+from motionkit.motion import Motion, Provenance
+from motionkit.skeleton import Skeleton
+from motionkit.timegrid import TimeGrid
+
+FPS = Fraction(30)
+PICKLE = "vibe_cache_refined.pkl"
+NAME = re.compile(r"a(?P<action>\d{1,2})_d(?P<view>\d)_p(?P<subject>\d{1,3})_c(?P<side>\d)(_\w+)?", re.IGNORECASE)
+FRONT_SIDE = "1"
+MOVING_VIEW = 8
+TRAIN_SUBJECTS = frozenset(
+    (
+        *(1, 2, 6, 12, 13, 16, 21, 24, 28, 29, 30, 31, 33, 35, 39, 41, 42, 45, 47, 50, 52, 54, 55, 57, 59, 61, 63, 64),
+        *(67, 69, 70, 71, 73, 77, 81, 84, 86, 87, 88, 90, 91, 93, 96, 99, 102, 103, 104, 107, 108, 112, 113),
+    )
+)
+NUM_SUBJECTS = 118
+ACTIONS = (
+    *("punching-and-knee-lifting", "marking-time-and-knee-lifting", "jumping-jack", "squatting", "forward-lunging"),
+    *("left-lunging", "left-stretching", "raising-hand-and-jumping", "left-kicking", "rotation-clapping"),
+    *("front-raising", "pulling-chest-expanders", "punching", "wrist-circling", "single-dumbbell-raising"),
+    *("shoulder-raising", "elbow-circling", "dumbbell-one-arm-shoulder-pressing", "arm-circling"),
+    *("dumbbell-shrugging", "pinching-back", "head-anticlockwise-circling", "shoulder-abduction"),
+    *("deltoid-muscle-stretching", "straight-forward-flexion", "spinal-stretching", "dumbbell-side-bend"),
+    *("standing-opposite-elbow-to-knee-crunch", "standing-rotation", "overhead-stretching", "upper-back-stretching"),
+    *("knee-to-chest", "knee-circling", "alternate-knee-lifting", "bent-over-twist", "rope-skipping"),
+    *("standing-toe-touches", "standing-gastrocnemius-calf", "single-leg-lateral-hopping", "high-knees-running"),
+)
+# Half a turn about x: the camera's y points down and its z away from it.
+FROM_CAMERA = np.array([0.0, 1.0, 0.0, 0.0], np.float32)
+
+
+@dataclass(frozen=True)
+class _Name:
+    action: str
+    subject: int
+    view: int
+    front: bool
+
+    @property
+    def split(self) -> str:
+        # The moving camera's own view belongs to neither set.
+        if (self.view == MOVING_VIEW and not self.front) or not 1 <= self.subject <= NUM_SUBJECTS:
+            return ""
+        return "train" if self.subject in TRAIN_SUBJECTS else "test"
+
+
+def accepts(path: Path) -> bool:
+    """Whether a file is a converted sequence by its name, or the pickle, which is refused with what to do."""
+    return path.name == PICKLE or (path.suffix.lower() == ".npz" and NAME.fullmatch(path.stem) is not None)
+
+
+def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read one converted sequence: true local rotations, positions in metres, y up, turned to the front view.
+
+    The joints are the 22 of SMPL's mean shape, or with `options.body_models` those of the neutral SMPL model with the
+    sequence's mean betas. The pelvis is at `trans`, which counts from the first frame; without that it stays in place.
+    Action, subject and ACTOR's split come from the name. Raises `FormatError`, with the reason `pickle` for the
+    published file itself.
+    """
+    options = options or ReadOptions()
+    if path.suffix.lower() != ".npz":
+        raise FormatError(
+            "a Python pickle, which can run code when it is loaded and is not; docs/formats.md, UESTC, shows the lines "
+            "that turn it into .npz files",
+            path=path,
+            reason="pickle",
+        )
+    name = _parse_name(path)
+    data = sourcefile.read_bytes(path)
+    archive = npz_archive.open_archive(path, data)
+    pose = npz_archive.read_numbers(archive, "pose", (None, 3 * SMPL.num_joints))
+    skeleton, operations = _skeleton(archive, len(pose), options)
+    trans = np.zeros((len(pose), 3), np.float32)
+    if "trans" in archive:
+        trans = npz_archive.read_numbers(archive, "trans", (len(pose), 3))
+    else:
+        operations.append("no translation in the file: the pelvis stays in place")
+    turn, turned = _to_front(name)
+    operations += turned
+    rotations = axis_angle_to_quaternion(pose[:, : 3 * skeleton.num_joints])
+    rotations[:, 0] = kinematics.quaternion_multiply(turn, rotations[:, 0])
+    root = kinematics.quaternion_rotate(turn, trans)
+    fps = options.fps or FPS
+    operations += [f"framerate set to {fps}; the data set's is {FPS}"] if fps != FPS else []
+    return Motion(
+        joint_positions=kinematics.forward_kinematics(rotations, root, skeleton),
+        skeleton=skeleton,
+        timegrid=TimeGrid(fps, len(pose)),
+        local_rotations=rotations,
+        root_translation=root,
+        action=name.action,
+        split=name.split,
+        sequence_id=path.stem,
+        provenance=Provenance(
+            source_path=path.name,
+            source_sha256=sourcefile.sha256(data),
+            source_format="uestc",
+            subject=f"p{name.subject:03}",
+            stated_fps=str(FPS),
+            operations=tuple(operations),
+        ),
+    )
+
+
+def _parse_name(path: Path) -> _Name:
+    match = NAME.fullmatch(path.stem)
+    if match is None or int(match["action"]) >= len(ACTIONS):
+        raise FormatError(
+            "expected a name such as a1_d2_p003_c2_color with an action from 0 to 39", path=path, reason="name"
+        )
+    return _Name(ACTIONS[int(match["action"])], int(match["subject"]), int(match["view"]), match["side"] == FRONT_SIDE)
+
+
+def _skeleton(archive: NpzArchive, num_frames: int, options: ReadOptions) -> tuple[Skeleton, list[str]]:
+    if options.body_models is None:
+        left_out = SMPL.num_joints - mean_shape_skeleton().num_joints
+        return mean_shape_skeleton(), [
+            "joints: SMPL's mean shape, no body model given",
+            f"rotations of {left_out} joints left out (hands): they need a body model",
+        ]
+    betas = np.zeros(10, np.float32)
+    if "betas" in archive:
+        betas = npz_archive.read_numbers(archive, "betas", (num_frames, 10)).mean(axis=0)
+    rest = find_body_model(options.body_models, SMPL, "").rest_joints(betas)[: SMPL.num_joints]
+    return SMPL.skeleton("smpl", rest), ["joints: the neutral SMPL model with the mean of the file's betas"]
+
+
+def _to_front(name: _Name) -> tuple[Float32[np.ndarray, "4"], list[str]]:
+    # Cameras of the side stand at multiples of 45 degrees; the front one, and the one that moves, are not turned back.
+    upright = "turned from the camera's frame to y up: (x, y, z) → (x, −y, −z)"
+    if name.front:
+        return FROM_CAMERA, [upright]
+    if name.view == MOVING_VIEW:
+        return FROM_CAMERA, [upright, "the camera moves in this view: the heading is relative to it"]
+    half = -name.view * np.pi / 8
+    back = np.array([np.cos(half), 0.0, np.sin(half), 0.0], np.float32)
+    return kinematics.quaternion_multiply(FROM_CAMERA, back), [
+        f"turned by {-45 * name.view}° about the camera's y to the front view",
+        upright,
+    ]
