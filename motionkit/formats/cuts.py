@@ -32,27 +32,28 @@ class TimeCut:
 class StepCut:
     """Frames [start_frame, end_frame) among every step-th of a file, without the first `trim_frames` of them.
 
-    All native frames in between are kept: [(trim + start)·step, (trim + end)·step).
+    All native frames in between are kept: [(trim + start)·step, (trim + end)·step); `end_frame` None is the file's end.
+    `seen_fps` is the framerate that HumanML3D's code saw, where files of another release may state another one.
     """
 
     start_frame: int
-    end_frame: int
+    end_frame: int | None
     trim_frames: int = 0
+    seen_fps: float | None = None
 
-    @property
-    def num_frames(self) -> int:
-        """Number of frames among every step-th."""
-        return self.end_frame - self.start_frame
+    def step(self, stated_fps: str, fps: Fraction) -> int:
+        """HumanML3D's step, int(fps / 20), by the framerate that the file states, to the last digit; 0 below 20 fps.
+
+        A framerate that was corrected changes what a frame's time is, not which frames were published.
+        """
+        return int((self.seen_fps or stated_rate(stated_fps, fps)) / PUBLISHED_FPS)
 
 
 @dataclass(frozen=True)
 class PublishedCut:
-    """The frames that HumanML3D published: every step-th of a stretch, or of a whole file that is not thinned (None).
+    """The frames that HumanML3D published: every step-th of a stretch, called 20 fps whatever they are."""
 
-    They are called 20 fps, as published, whatever they are.
-    """
-
-    stretch: StepCut | None
+    stretch: StepCut
 
 
 Cut = TimeCut | StepCut | PublishedCut
@@ -68,11 +69,9 @@ def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
         case TimeCut():
             return _crop_seconds(motion, cut, path)
         case StepCut():
-            return _with_true_seconds(_crop_frames(motion, cut, path), step_of(motion, path))
+            return _with_true_seconds(_crop_frames(motion, cut, path), _step(motion, cut, path))
         case PublishedCut(stretch):
-            if stretch is None:
-                return _called_20_fps(motion, 1)
-            return _called_20_fps(_crop_frames(motion, stretch, path), step_of(motion, path))
+            return _called_20_fps(_crop_frames(motion, stretch, path), _step(motion, stretch, path))
 
 
 def missing_seconds(cut: Cut, num_frames: int, fps: Fraction, stated_fps: str) -> float:
@@ -81,28 +80,14 @@ def missing_seconds(cut: Cut, num_frames: int, fps: Fraction, stated_fps: str) -
         case TimeCut(start, end):
             missing = 0.0 if end is None else end - start - float(num_frames / fps)
             return missing if missing > 1.5 / float(fps) else 0.0
-        case StepCut():
+        case StepCut(start_frame, end_frame):
             # The last published frame stands for `step` native ones, of which a file needs to have but the first.
-            step = int(stated_rate(stated_fps, fps) / PUBLISHED_FPS)
-            return float((cut.num_frames - math.ceil(num_frames / step)) * step / fps)
-        case PublishedCut(stretch):
-            return 0.0 if stretch is None else (stretch.num_frames - num_frames) / PUBLISHED_FPS
-
-
-def step_of(motion: Motion, path: Path) -> int:
-    """HumanML3D's step, int(fps / 20), from the framerate that the file states, to the last digit.
-
-    A framerate that was corrected changes what a frame's time is, not which frames were published. Raises `FormatError`
-    (`step`) below 20 fps, where the published code divides by zero.
-    """
-    rate = stated_rate(motion.provenance.stated_fps, motion.fps)
-    if rate < PUBLISHED_FPS:
-        raise FormatError(
-            f"{rate:g} frames a second; an index in HumanML3D's frames needs at least {PUBLISHED_FPS}",
-            path=path,
-            reason="step",
-        )
-    return int(rate / PUBLISHED_FPS)
+            step = cut.step(stated_fps, fps)
+            found = math.ceil(num_frames / step)
+            return 0.0 if end_frame is None else float((end_frame - start_frame - found) * step / fps)
+        case PublishedCut(StepCut(start_frame, end_frame)):
+            return 0.0 if end_frame is None else (end_frame - start_frame - num_frames) / PUBLISHED_FPS
+    raise AssertionError(cut)
 
 
 def stated_rate(stated_fps: str, fps: Fraction) -> float:
@@ -127,11 +112,26 @@ def _crop_seconds(motion: Motion, cut: TimeCut, path: Path) -> Motion:
     return _stretch(motion, start, stop, f"{cut.start_seconds:g} s to {end}", path)
 
 
+def _step(motion: Motion, cut: StepCut, path: Path) -> int:
+    step = cut.step(motion.provenance.stated_fps, motion.fps)
+    if step < 1:
+        raise FormatError(
+            f"{stated_rate(motion.provenance.stated_fps, motion.fps):g} frames a second; an index in HumanML3D's "
+            f"frames needs at least {PUBLISHED_FPS}",
+            path=path,
+            reason="step",
+        )
+    return step
+
+
 def _crop_frames(motion: Motion, cut: StepCut, path: Path) -> Motion:
-    step = step_of(motion, path)
-    start, stop = ((cut.trim_frames + frame) * step for frame in (cut.start_frame, cut.end_frame))
+    step = _step(motion, cut, path)
+    if (cut.start_frame, cut.end_frame, cut.trim_frames) == (0, None, 0):
+        return motion
+    start = (cut.trim_frames + cut.start_frame) * step
+    stop = motion.num_frames if cut.end_frame is None else (cut.trim_frames + cut.end_frame) * step
     trim = f" after a trim of {cut.trim_frames}" if cut.trim_frames else ""
-    asked = f"[{cut.start_frame}, {cut.end_frame}) of every {step}th frame{trim}"
+    asked = f"[{cut.start_frame}, {cut.end_frame or ''}) of every {step}th frame{trim}"
     return _stretch(motion, start, stop, asked, path)
 
 

@@ -211,6 +211,19 @@ def test_the_source_may_be_one_dataset_and_there_may_be_several(motionkit, amass
     assert set(Store.open(tmp_path / "s").sequences["sequence_id"]) == {"humanml3d/000000", "humanml3d/009707"}
 
 
+def test_a_dataset_may_be_a_link_and_links_in_circles_end(motionkit, amass, humanml3d, tmp_path):
+    (amass / "KIT").rename(tmp_path / "elsewhere")
+    (amass / "KIT").symlink_to(tmp_path / "elsewhere")
+    (amass / "KIT/3/up").symlink_to(amass)
+    (amass / "again").symlink_to(amass)
+    (amass / "dangling").symlink_to(tmp_path / "nowhere")
+    outcome = motionkit("ingest", amass, "--index", humanml3d / "index.csv", "--store", tmp_path / "s", "--workers", 1)
+    assert (outcome.code, outcome.error_lines) == (0, [])
+    rows = Store.open(tmp_path / "s").sequences.set_index("sequence_id")
+    assert len(rows) == 7
+    assert rows["source_path"]["humanml3d/000000"] == "KIT/3/kick_poses.npy"
+
+
 def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
     said = [{"seg_id": "00001_0", "text": "A person kicks.", "start": 0.0, "end": 6.0}]
     part = [{"seg_id": "00002_0", "text": "A part.", "start": 1.0, "end": 2.5}]

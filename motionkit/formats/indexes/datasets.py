@@ -15,10 +15,14 @@ ENDINGS = ("_poses", "_stageii")
 
 @dataclass(frozen=True)
 class Dataset:
-    """One dataset: its folder's name in AMASS' first release and the frames that HumanML3D trims off its files."""
+    """One dataset: its folder's name in AMASS' first release, and how HumanML3D read its files.
+
+    `trim_frames` are dropped before it counts; `seen_fps` is what its code saw where a file may say something else.
+    """
 
     name: str
     trim_frames: int = 0
+    seen_fps: float | None = None
 
 
 def dataset_of(parts: Sequence[str]) -> tuple[Dataset, int] | None:
@@ -56,7 +60,7 @@ def _known() -> Mapping[str, Dataset]:
     table = tomllib.loads(resources.files(__package__).joinpath("datasets.toml").read_text(encoding="utf-8"))
     known: dict[str, Dataset] = {}
     for entry in table["dataset"]:
-        dataset = Dataset(entry["name"], entry.get("trim_frames", 0))
+        dataset = Dataset(entry["name"], entry.get("trim_frames", 0), entry.get("seen_fps"))
         known |= {_plain(name): dataset for name in (entry["name"], *entry.get("also", ()))}
     return known
 

@@ -12,11 +12,12 @@ from pathlib import Path
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
 from motionkit.formats.cuts import StepCut
-from motionkit.formats.indexes.datasets import dataset_of
+from motionkit.formats.indexes.datasets import Dataset, dataset_of
 from motionkit.formats.indexes.entries import Entry, Index, sequence_name, source_parts, unique
 
 NAME = "humanml3d"
 COLUMNS = ("source_path", "start_frame", "end_frame", "new_name")
+HUMANACT12 = "humanact12"
 WHOLE_FILE = -1
 # Cells beyond the last column.
 EXTRA = "\0"
@@ -71,16 +72,17 @@ def _entry(row: Mapping[str, str | None], path: Path, line: int) -> Entry:
     name = sequence_name((row["new_name"] or "").strip().removesuffix(".npy"), path, "new_name", line)
     start, end = (_frame(row, column, path, line) for column in ("start_frame", "end_frame"))
     found = dataset_of(parts)
-    if found is not None and found[0].name == "humanact12" and (start, end) == (0, WHOLE_FILE):
-        return Entry(name, parts, place, line)
-    if not 0 <= start < end:
+    dataset = found[0] if found else Dataset("")
+    whole = dataset.name == HUMANACT12 and (start, end) == (0, WHOLE_FILE)
+    if not whole and not 0 <= start < end:
         raise FormatError(
-            f"frames [{start}, {end}); expected 0 <= start_frame < end_frame (0 and -1 for humanact12)",
+            f"frames [{start}, {end}); expected 0 <= start_frame < end_frame (0 and -1 for {HUMANACT12})",
             path=path,
             reason="index-entry",
             line=line,
         )
-    return Entry(name, parts, place, line, StepCut(start, end, found[0].trim_frames if found else 0))
+    cut = StepCut(start, None if whole else end, dataset.trim_frames, dataset.seen_fps)
+    return Entry(name, parts, place, line, cut)
 
 
 def _frame(row: Mapping[str, str | None], column: str, path: Path, line: int) -> int:

@@ -74,9 +74,7 @@ def _chosen(index: Index, options: IndexOptions) -> Index:
     elif not any(entry.mirrored for entry in entries):
         raise UsageError(f"{index.path} has no mirrored sequences, and captions that would not fit their mirror images")
     if options.published:
-        entries = [
-            replace(entry, cut=PublishedCut(entry.cut if isinstance(entry.cut, StepCut) else None)) for entry in entries
-        ]
+        entries = [replace(entry, cut=PublishedCut(entry.cut)) for entry in entries if isinstance(entry.cut, StepCut)]
     name = f"{index.name}-20fps" if options.published else index.name
     return replace(index, name=name, entries=tuple(entries))
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.errors import FormatError
-from motionkit.formats.cuts import Cut, PublishedCut, StepCut, TimeCut, crop, missing_seconds, stated_rate, step_of
+from motionkit.formats.cuts import Cut, PublishedCut, StepCut, TimeCut, crop, missing_seconds, stated_rate
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import SMPL22
 from motionkit.timegrid import TimeGrid, parse_fps
@@ -51,7 +51,7 @@ def frames_of(motion: Motion) -> list[int]:
 )
 def test_the_native_frames_of_published_frames_10_to_20(stated, step, first, stop):
     motion = take(400, stated)
-    assert step_of(motion, PATH) == step
+    assert StepCut(10, 20).step(stated, motion.fps) == step
     cropped = crop(motion, StepCut(10, 20), PATH)
     assert frames_of(cropped) == list(range(first, stop))
     assert cropped.fps == parse_fps(stated)
@@ -101,9 +101,22 @@ def test_the_published_frames_are_every_step_th_called_20_fps():
 
 
 def test_a_whole_file_that_was_published_as_it_is():
-    motion = crop(take(8, "15"), PublishedCut(None), PATH)
-    assert frames_of(motion) == list(range(8))
-    assert motion.fps == 20
+    # HumanAct12, which a rule puts at 15 fps: a caption's second is 20 of its frames.
+    cut = StepCut(0, None, seen_fps=20.0)
+    motion = replace(take(8, "20", fps=Fraction(15)), captions=(Caption("a part", 0.15, 0.3),))
+    native, published = crop(motion, cut, PATH), crop(motion, PublishedCut(cut), PATH)
+    assert frames_of(native) == frames_of(published) == list(range(8))
+    assert (native.fps, published.fps) == (15, 20)
+    assert (native.captions[0].start_seconds, native.captions[0].end_seconds) == pytest.approx((0.2, 0.4))
+    assert published.captions == motion.captions
+    assert missed(native, cut) == missed(published, PublishedCut(cut)) == 0.0
+
+
+def test_another_release_states_what_the_published_code_did_not_see():
+    # TotalCapture: SMPL+H files say 60, SMPL-X files of the same frames 120, and a rule puts them right.
+    seen = crop(take(400, "60.0"), StepCut(10, 20, 20), PATH)
+    cut = StepCut(10, 20, 20, seen_fps=60.0)
+    assert frames_of(crop(take(400, "120.0", fps=Fraction(60)), cut, PATH)) == frames_of(seen) == list(range(90, 120))
 
 
 @given(
