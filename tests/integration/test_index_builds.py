@@ -278,6 +278,8 @@ def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
         (("--index", "index.csv", "--splits", "texts"), "has none of train.txt"),
         (("--index", "kitml.json", "--compat", "humanml3d-20fps"), "only HumanML3D's index.csv has frames at 20 fps"),
         (("--index", "babel.json", "--mirrored"), "has no mirrored sequences"),
+        (("babel.json", "--index", "index.csv"), "babel.json is not a folder"),
+        (("nowhere", "--index", "index.csv"), "nowhere is not a folder"),
     ],
 )
 def test_requests_that_make_no_sense(motionkit, amass, humanml3d, monkeypatch, arguments, message):
@@ -288,6 +290,20 @@ def test_requests_that_make_no_sense(motionkit, amass, humanml3d, monkeypatch, a
     assert outcome.code == 2
     assert message in outcome.stderr
     assert not Path("s").exists()
+
+
+def test_humanact12_at_15_fps_by_a_rule(motionkit, amass, humanml3d, tmp_path):
+    rules = tmp_path / "rules.toml"
+    rules.write_text('[[rule]]\nfiles = "humanact12/**/*.npy"\nfps = 15\n')
+    outcome = motionkit(
+        "ingest", amass, "--index", humanml3d / "index.csv", "--texts", humanml3d / "texts", "--fps-rules", rules,
+        "--store", tmp_path / "s", "--workers", 1,
+    )  # fmt: skip
+    assert outcome.code == 0
+    motion = Store.open(tmp_path / "s").read("humanml3d/000001")
+    assert (motion.fps, motion.num_frames, motion.provenance.stated_fps) == (15, 64, "20")
+    # Half a published second is 10 frames.
+    assert motion.captions[1].start_seconds == pytest.approx(10 / 15)
 
 
 def test_an_index_that_is_none(motionkit, amass, tmp_path):

@@ -92,7 +92,7 @@ def read_json_index(path: Path) -> Mapping[str, Any]:
     """The object of a JSON index, sequence name → what is said about it; raises `FormatError` (`index`, `encoding`)."""
     text = sourcefile.decode(sourcefile.read_bytes(path), path)
     try:
-        value = json.loads(text)
+        value = json.loads(text, object_pairs_hook=_once_each)
     except json.JSONDecodeError as error:
         raise FormatError(f"not JSON ({error.msg})", path=path, reason="index", line=error.lineno) from None
     except (RecursionError, ValueError) as error:
@@ -101,6 +101,15 @@ def read_json_index(path: Path) -> Mapping[str, Any]:
         raise FormatError(
             "expected an object of sequence names, as the annotations of KIT-ML or BABEL are", path=path, reason="index"
         )
+    return value
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    # JSON allows a name twice, of which Python would keep the last without a word.
+    value = dict(pairs)
+    if len(value) != len(pairs):
+        twice = next(name for number, (name, _) in enumerate(pairs) if name in dict(pairs[:number]))
+        raise ValueError(f"{twice[:40]!r} is there twice")
     return value
 
 

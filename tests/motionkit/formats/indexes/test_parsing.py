@@ -1,26 +1,35 @@
 """Indexes as values: the published ones, and what is wrong with bad ones, line by line."""
 
+import csv
 import json
+import math
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit.errors import FormatError
 from motionkit.formats.cuts import StepCut, TimeCut
 from motionkit.formats.indexes.catalogue import read_index
+from motionkit.formats.indexes.datasets import stem
 from motionkit.formats.indexes.entries import Index
 from motionkit.motion import Caption
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def annotations(captures: Path) -> Path:
     folder = captures / "annotations"
     if not folder.is_dir():
         pytest.skip(f"needs the published indexes in {folder}")
     return folder
+
+
+@pytest.fixture(scope="module")
+def published(annotations: Path) -> Index:
+    return read_index(annotations / "humanml3d-index.csv")
 
 
 def read(tmp_path: Path, text: str | bytes, name: str = "index.csv") -> Index:
@@ -35,8 +44,8 @@ def refused(tmp_path: Path, text: str | bytes, name: str = "index.csv") -> Forma
     return caught.value
 
 
-def test_humanml3d(annotations):
-    index = read_index(annotations / "humanml3d-index.csv")
+def test_humanml3d(published):
+    index = published
     assert (index.name, index.problems, len(index.entries)) == ("humanml3d", (), 14_616)
     assert Counter(entry.dataset for entry in index.entries) == {
         "KIT": 4648, "CMU": 2913, "BMLmovi": 1839, "Eyes_Japan_Dataset": 1465, "humanact12": 1191, "MPI_HDM05": 771,
@@ -56,6 +65,30 @@ def test_humanml3d(annotations):
     # Many clips of one file, and no two files that a generous comparison of names would take for one.
     assert len({entry.key for entry in index.entries}) == len({entry.parts for entry in index.entries}) == 11_715
     assert sum(length < 40 for length in lengths.values()) == 230
+
+
+def test_the_published_clip_has_the_length_that_the_index_says(published, golden_humanml3d):
+    cut = next(entry.cut for entry in published.entries if entry.name == "012314")
+    assert isinstance(cut, StepCut) and cut.end_frame is not None
+    # 171 poses give 170 pose vectors, and new_joints are made from those.
+    assert len(np.load(golden_humanml3d / "new_joint_vecs/012314.npy")) == cut.end_frame - cut.start_frame - 1
+
+
+def test_published_windows_end_where_real_takes_of_the_cmu_database_end(published, captures):
+    """A take of N frames at 120 fps has ⌈N / 6⌉ published ones: 119 of 165 windows end on just that."""
+    ends: dict[str, list[int]] = {}
+    for entry in published.entries:
+        if entry.dataset == "CMU" and isinstance(entry.cut, StepCut) and entry.cut.end_frame is not None:
+            ends.setdefault(stem(entry.parts[-1]), []).append(entry.cut.end_frame)
+    beyond: Counter[int] = Counter()
+    with (captures / "cmu/takes.csv").open(newline="") as file:
+        for take in csv.DictReader(file):
+            num_frames = int(take["num_frames"]) + int(take["native_frame_offset"])
+            beyond.update(end - math.ceil(num_frames / 6) for end in ends.get(take["take"], ()))
+    assert beyond.total() == 165
+    assert beyond[0] == 119
+    # Two takes are a frame or two shorter in our copies than in AMASS.
+    assert [excess for excess in beyond.elements() if excess > 0] == [2, 1]
 
 
 def test_kit(annotations):
@@ -133,6 +166,7 @@ def test_a_name_that_is_given_twice(tmp_path):
         (b"", "empty", "empty"),
         (HEADER.encode() + b'"KIT/x.npy,0,5,a.npy\n', "index", "not a CSV table"),
         (b"{}", "index", "expected an index"),
+        (b'{"a": {"feat_p": "CMU/x.npz"}, "a": {"feat_p": "CMU/y.npz"}}', "index", "'a' is there twice"),
         (b"[1, 2]", "index", "expected an index"),
         (b'{"a": 5}', "index", "expected an index"),
         (b'{"a": {"path": "x", "annotations": []}, ', "index", "not JSON"),
