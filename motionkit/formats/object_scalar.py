@@ -7,6 +7,7 @@ Source: numpy's `ndarray.__reduce__`, pickle protocols 2 to 5.
 """
 
 import pickletools
+import warnings
 
 MEMO = frozenset({"MEMOIZE", "PUT", "BINPUT", "LONG_BINPUT"})
 STRINGS = frozenset({"UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINSTRING", "SHORT_BINSTRING"})
@@ -31,7 +32,8 @@ WORDS = frozenset({"O8", "O4", "|", "b", "latin1", *(word for name in GLOBALS fo
 def parse_scalar(content: bytes) -> str | int | float | None:
     """The string or number in the pickle of an object array of size 1; None where it is anything else."""
     try:
-        steps = [(opcode.name, argument) for opcode, argument, _ in pickletools.genops(content)]
+        with warnings.catch_warnings(action="ignore"):  # of odd escapes in protocol 0's strings
+            steps = [(opcode.name, argument) for opcode, argument, _ in pickletools.genops(content)]
     except (ValueError, UnicodeError, IndexError):
         return None
     steps = [step for step in steps if step[0] not in MEMO]
