@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from motionkit.export.selection import Outcome
 
 MEGABYTE = 1e6
-FORMATS = "bvh, joints-npy, npz, csv, humanml3d, kit, parquet"
+FORMATS = "bvh, joints-npy, npz, csv, humanml3d, kit, gltf, parquet"
 SHOWN_LEFT_OUT = 20
 
 

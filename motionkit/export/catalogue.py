@@ -6,6 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from motionkit.export.bvh import export_bvh
+from motionkit.export.gltf import export_gltf
 from motionkit.export.joints_csv import export_joints_csv
 from motionkit.export.joints_npy import export_joints_npy
 from motionkit.export.npz import export_npz
@@ -39,6 +40,7 @@ EXPORTS: Mapping[str, Export] = {
         Export("csv", "a table of joint positions each, with time stamps", export_joints_csv),
         Export("humanml3d", "HumanML3D's folder: joints, 263 numbers, texts, splits", export_humanml3d, HUMANML3D.fps),
         Export("kit", "KIT-ML's folder: 21 joints, 251 numbers, texts, splits", export_kit, KIT.fps),
+        Export("gltf", "a .glb each: an animated, visible skeleton for viewers and engines", export_gltf),
         Export("parquet", "Parquet by split with a dataset card: datasets, pandas, polars, duckdb", export_parquet),
     )
 }

@@ -13,7 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
@@ -21,6 +21,7 @@ from motionkit.formats import body_frame, bvh_channels, number_table, sourcefile
 from motionkit.formats.bvh_channels import ChannelPose
 from motionkit.formats.bvh_hierarchy import BvhHierarchy, parse_hierarchy
 from motionkit.formats.items import ReadOptions
+from motionkit.formats.joint_channels import joint_channels
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import Skeleton
 from motionkit.skeleton_families import with_layout_map
@@ -28,7 +29,6 @@ from motionkit.timegrid import TimeGrid, parse_fps
 
 # Bones that change by less are noise of printed digits; a bone that changes by more is not rigid.
 RIGID_METRES = 1e-3
-WRITTEN_METRES = 1e-4
 # The log line by which readers of whole data sets know that frames count from one later.
 T_POSE_DROPPED = "frame 0 dropped: a T-pose (root unturned, all angles whole degrees, root where frame 1 is)"
 WRITTEN_DECIMALS = 6
@@ -223,8 +223,9 @@ def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:
     rotations gets them by inverse kinematics; where rigid bones would miss its positions by more than 0.1 mm, every
     joint gets position channels. The frame time is written with all its digits.
     """
-    skeleton, rotations, translations = _channels_of(motion)
-    angles = np.degrees(_zxy_angles(kinematics.quaternion_to_matrix(rotations.astype(np.float64))))
+    channels = joint_channels(motion)
+    skeleton, translations = channels.skeleton, channels.translations
+    angles = np.degrees(_zxy_angles(kinematics.quaternion_to_matrix(channels.rotations.astype(np.float64))))
     scale = 1.0 / unit_metres
     order = _depth_first(skeleton)
     columns = []
@@ -236,37 +237,6 @@ def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:
     lines = _hierarchy_lines(skeleton, order, frozenset(translations), scale)
     lines += ["MOTION", f"Frames: {motion.num_frames}", f"Frame Time: {float(1 / motion.fps)!r}", ""]
     path.write_bytes("\n".join(lines).encode() + number_table.format_table(table))
-
-
-def _channels_of(
-    motion: Motion,
-) -> tuple[Skeleton, Float32[np.ndarray, "frames joints 4"], dict[int, Float32[np.ndarray, "frames 3"]]]:
-    # Skeleton, local rotations, and translations of the joints that get position channels.
-    if motion.local_rotations is not None and motion.root_translation is not None:
-        return motion.skeleton, motion.local_rotations, {0: motion.root_translation}
-    positions = motion.joint_positions
-    skeleton = _with_observed_lengths(motion)
-    rotations = kinematics.inverse_kinematics(positions, skeleton)
-    reached = kinematics.forward_kinematics(rotations, positions[:, 0], skeleton)
-    if np.abs(reached - positions).max() <= WRITTEN_METRES:
-        return skeleton, rotations, {0: positions[:, 0]}
-    world = kinematics.global_rotations(rotations, skeleton)
-    places = {0: positions[:, 0]}
-    for joint, parent in enumerate(skeleton.parents[1:], start=1):
-        back = kinematics.quaternion_conjugate(world[:, parent])
-        places[joint] = kinematics.quaternion_rotate(back, positions[:, joint] - positions[:, parent])
-    return skeleton, rotations, places
-
-
-def _with_observed_lengths(motion: Motion) -> Skeleton:
-    skeleton = motion.skeleton
-    parents = [max(parent, 0) for parent in skeleton.parents]
-    bones = motion.joint_positions - motion.joint_positions[:, parents]
-    observed = np.median(np.linalg.norm(bones, axis=-1), axis=0)
-    rest = np.linalg.norm(skeleton.offsets, axis=-1)
-    scale = np.where(rest > 1e-6, observed / np.maximum(rest, 1e-6), 1.0).astype(np.float32)
-    scale[0] = 1.0
-    return replace(skeleton, offsets=skeleton.offsets * scale[:, None])
 
 
 def _zxy_angles(matrices: Float64[np.ndarray, "frames joints 3 3"]) -> Float64[np.ndarray, "frames joints 3"]:
