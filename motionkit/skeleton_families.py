@@ -16,7 +16,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from motionkit.errors import FormatError
+from motionkit.errors import FormatError, MotionkitError
 from motionkit.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 
 # Toes can be made up where nothing stands for them; every other joint of the layout needs a row.
@@ -69,12 +69,13 @@ def read_skeleton_map(path: Path) -> str:
 
 @lru_cache(maxsize=256)
 def parse_layout_map(text: str) -> SkeletonFamily:
-    """The family that a skeleton's `layout_map` describes; raises `ValueError` for a text that is none."""
+    """The family that a skeleton's `layout_map` describes; raises `MotionkitError` for a text that is none."""
     try:
-        table = json.loads(text)
-    except (ValueError, RecursionError):
-        raise ValueError("a skeleton's layout map is no JSON") from None
-    return _family(table)
+        return _family(json.loads(text))
+    except (ValueError, RecursionError) as error:
+        raise MotionkitError(
+            f"the layout map of a skeleton is none ({error}); 'motionkit validate' says whether the store is damaged"
+        ) from None
 
 
 def with_layout_map(skeleton: Skeleton, layout_maps: Sequence[str]) -> Skeleton:

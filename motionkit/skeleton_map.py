@@ -32,9 +32,17 @@ class SkeletonMapError(MotionkitError):
     def __init__(self, skeleton: Skeleton, layout: str, missing: tuple[str, ...]) -> None:
         self.skeleton_name, self.layout, self.missing = skeleton.name, layout, missing
         shown = ", ".join(skeleton.joint_names[:12]) + (" …" if skeleton.num_joints > 12 else "")
+        table = (
+            f"its own map {parse_layout_map(skeleton.layout_map).name!r} names" if skeleton.layout_map else "there is"
+        )
+        remedy = (
+            "correct it and ingest again"
+            if skeleton.layout_map
+            else "`motionkit ingest --skeleton-map my-rig.toml` teaches a new one (docs/formats.md)"
+        )
         super().__init__(
-            f"skeleton {skeleton.name!r} cannot be mapped to {layout}: nothing for {', '.join(missing)} among its "
-            f"joints ({shown}); `motionkit ingest --skeleton-map my-rig.toml` teaches a new one (docs/formats.md)"
+            f"skeleton {skeleton.name!r} cannot be mapped to {layout}: {table} nothing for {', '.join(missing)} among "
+            f"its joints ({shown}); {remedy}"
         )
 
     def __reduce__(self) -> tuple[object, ...]:

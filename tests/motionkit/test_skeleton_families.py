@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.errors import FormatError
+from motionkit.errors import FormatError, MotionkitError
 from motionkit.formats.registry import ReadOptions, read, scan
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map, read_skeleton_map, shipped_families, with_layout_map
@@ -132,6 +132,17 @@ def test_toes_that_a_map_leaves_out_are_made_up(tmp_path: Path) -> None:
     assert joint_map(with_layout_map(skeleton, (layout_map,)), "smpl22").made_up == ("left_foot", "right_foot")
 
 
+def test_a_map_that_names_joints_which_are_not_there_says_so(tmp_path: Path) -> None:
+    layout_map = read_skeleton_map(write_map(tmp_path, robot_map(left_wrist='"L-hand"', neck='["gullet", "gorge"]')))
+    names = tuple(ROBOT.values())
+    skeleton = Skeleton("robot", names, (-1, *([0] * (len(names) - 1))), np.zeros((len(names), 3), np.float32))
+    with pytest.raises(
+        SkeletonMapError, match=r"its own map 'robot' names nothing for neck, left_wrist among"
+    ) as caught:
+        joint_map(with_layout_map(skeleton, (layout_map,)), "smpl22")
+    assert caught.value.missing == ("neck", "left_wrist")
+
+
 def test_every_shipped_table_is_a_valid_map() -> None:
     families = shipped_families()
     assert {"smpl", "cmu", "motionbuilder", "deepmimic-humanoid3d"} <= {family.name for family in families}
@@ -182,5 +193,5 @@ def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000])
 def test_a_damaged_map_in_a_store_is_explained(text: str) -> None:
-    with pytest.raises(ValueError, match=r"layout map|expected a table"):
+    with pytest.raises(MotionkitError, match="the layout map of a skeleton is none"):
         parse_layout_map(text)
