@@ -9,6 +9,7 @@ import numpy.typing as npt
 from jaxtyping import Float32, Int64
 
 from eval.samples import SampleSet, sample_set
+from motionkit.conditions import conjunction
 from motionkit.errors import MotionkitError
 from motionkit.resample import resample_positions
 
@@ -78,14 +79,19 @@ def of_split(split: str) -> str:
     return f"split = '{quoted}'"
 
 
-def real_motion(store: "Store", split: str) -> RealMotion:
-    """The sequences of one split of a store ("all": every one) in the 22-joint layout.
+def of_split_and(split: str, where: str | None) -> str | None:
+    """The SQL condition for the sequences of a split ("all": any) for which `where` holds too; None for all."""
+    return conjunction(None if split == "all" else of_split(split), where) or None
+
+
+def real_motion(store: "Store", split: str, where: str | None = None) -> RealMotion:
+    """The sequences of one split of a store ("all": every one) for which `where` (SQL) holds, in the 22-joint layout.
 
     A sequence's caption is its first. Raises `UsageError` where the split is empty or its skeletons cannot be mapped.
     """
     from motionkit.store.cache import open_cache
 
-    cache = open_cache(store, layout="smpl22", where=None if split == "all" else of_split(split))
+    cache = open_cache(store, layout="smpl22", where=of_split_and(split, where))
     return _from_cache(store, cache, split)
 
 

@@ -31,6 +31,13 @@ def evaluate(
     ),
     results: Annotated[Path | None, typer.Option(help="Folder for the JSON result and its Markdown table.")] = None,
     split: Annotated[str, typer.Option(help="Real sequences to compare with: a split, or all.")] = "test",
+    where: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SQL",
+            help='Compare only with real sequences for which this holds too: "len(quality_flags) = 0".',
+        ),
+    ] = None,
     fps: Annotated[str | None, typer.Option(help="Framerates, such as 20,60,120; the table's own by default.")] = None,
     clips: Annotated[int, typer.Option(min=64, help="Clips on each side (N).")] = 4096,
     replications: Annotated[int, typer.Option(min=1, help="Independent repetitions behind the intervals.")] = 20,
@@ -59,6 +66,7 @@ def evaluate(
         results=results or default_path("results"),
         run=(runs or default_path("runs")) / run,
         split=split,
+        where=where,
         fps=_framerates(fps),
         protocol=Protocol(sizes=_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
         samples=_samples(samples or []),

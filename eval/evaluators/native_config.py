@@ -20,7 +20,8 @@ class NativeTrainingConfig:
 
     A step draws one framerate from `framerates` (those that the store reaches) and one m, a multiple of 4 in
     `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are. `bank_seconds` bounds the motion that is
-    held in memory per framerate. `text_encoder` is "" (no text) or a name that `nerm.text_encoders` knows.
+    held in memory per framerate, `where` chooses the store's sequences. `text_encoder` is "" (no text) or a name that
+    `nerm.text_encoders` knows.
     """
 
     steps: int = 1500
@@ -39,6 +40,7 @@ class NativeTrainingConfig:
     text_encoder: str = "minilm"
     statistics_batches: int = 24
     bank_seconds: float = 1200.0
+    where: str = "split NOT IN ('val', 'test')"
 
     def __post_init__(self) -> None:
         if not 8 <= self.min_poses <= self.max_poses or self.min_poses % 4 or self.max_poses % 4:

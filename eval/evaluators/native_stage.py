@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from motionkit.store.reader import Store
 
 LAYOUT = "smpl22"
-TRAINING_SPLIT = "split NOT IN ('val', 'test')"
 
 
 def train_evaluator(context: StageContext, config: NativeConfig) -> None:
@@ -34,7 +33,7 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     from nerm.text_encoders import load_text_encoder
 
     store = Store.open(context.store)
-    takes = takes_of_cache(store, open_cache(store, layout=LAYOUT, where=TRAINING_SPLIT))
+    takes = takes_of_cache(store, open_cache(store, layout=LAYOUT, where=config.training.where or None))
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
     training = config.training
     framerates = [parse_fps(fps) for fps in training.framerates]

@@ -23,7 +23,7 @@ def build_calibration(request: TableRequest) -> Result:
     from motionkit.store.reader import Store
 
     store = Store.open(request.store)
-    held_out = real_motion(store, request.split)
+    held_out = real_motion(store, request.split, request.where)
     train = real_motion(store, "train") if request.split != "all" else held_out
     missing: list[str] = []
     sources = feature_sources(request.run, request.features, missing)
@@ -38,12 +38,17 @@ def build_calibration(request: TableRequest) -> Result:
         caption=(
             "Scores of damaged real motion against clean real motion, in multiples of the score of clean against clean "
             f"(first row, absolute): N = {request.protocol.num_clips:,} clips, {request.protocol.replications} "
-            f"replications, split {request.split!r}, features fitted on the training split. A feature set may be "
-            f"quoted where every family's Spearman correlation is at least {MIN_SPEARMAN} and no harmless transform "
-            f"exceeds {MAX_FLAT_RATIO:g} times the floor."
+            f"replications, split {request.split!r}{request.restriction}, features fitted on the training split. A "
+            f"feature set may be quoted where every family's Spearman correlation is at least {MIN_SPEARMAN} and no "
+            f"harmless transform exceeds {MAX_FLAT_RATIO:g} times the floor."
         ),
         blocks=tuple(blocks),
-        definition={"min_spearman": MIN_SPEARMAN, "max_flat_ratio": MAX_FLAT_RATIO},
+        definition={
+            "split": request.split,
+            "where": request.where,
+            "min_spearman": MIN_SPEARMAN,
+            "max_flat_ratio": MAX_FLAT_RATIO,
+        },
         missing=tuple(missing),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},

@@ -19,14 +19,15 @@ class TableRequest:
     """What a table is built from: a store, a trained run where there is one, folders of other systems' samples.
 
     `fps` None means the table's own columns; `features` None means every feature set that is available; `split` names
-    the real sequences that are compared with; `low_pass_hz`, where given, smooths every set alike before clips are
-    drawn.
+    the real sequences that are compared with, `where` those of them for which this SQL holds; `low_pass_hz`, where
+    given, smooths every set alike before clips are drawn.
     """
 
     store: Path
     results: Path
     run: Path | None = None
     split: str = "test"
+    where: str | None = None
     fps: tuple[Fraction, ...] | None = None
     protocol: Protocol = field(default_factory=Protocol)
     samples: Mapping[str, Path] = field(default_factory=dict)
@@ -34,6 +35,11 @@ class TableRequest:
     low_pass_hz: float | None = None
     max_motions: int = 1024
     seed: int = 0
+
+    @property
+    def restriction(self) -> str:
+        """What `where` adds to a caption that names the split; empty without it."""
+        return f" where {self.where}" if self.where else ""
 
 
 @dataclass(frozen=True)

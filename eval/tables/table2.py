@@ -99,7 +99,7 @@ def build_table2(request: TableRequest) -> Result:
     from motionkit.store.reader import Store
 
     store = Store.open(request.store)
-    real = real_motion(store, request.split)
+    real = real_motion(store, request.split, request.where)
     train = _training_motion(store, real)
     folders = [read_sample_folder(name, folder) for name, folder in request.samples.items()]
     notes = ROW_NOTES | {folder.name: folder.describe() for folder in folders}
@@ -314,7 +314,8 @@ def _caption(columns: list[_Column], request: TableRequest) -> str:
     seconds = [column.real.duration_seconds for column in columns]
     caption = (
         f"clip-FID ({VERSION}), lower is better: mean ± half the 95 % interval over {protocol.replications} "
-        f"replications of N = {protocol.num_clips:,} random clips on each side, split {request.split!r}."
+        f"replications of N = {protocol.num_clips:,} random clips on each side, "
+        f"split {request.split!r}{request.restriction}."
     )
     if request.low_pass_hz is not None:
         caption += f" Every set, the real one too, was low-passed at {request.low_pass_hz:g} Hz."
@@ -345,6 +346,7 @@ def _definition(columns: list[_Column], request: TableRequest) -> dict[str, Any]
         "sequences": "native framerate at least the column's, brought to it by anti-aliased resampling",
         "clips": "both sides share sizes and centre quantiles; each draws sequences in proportion to duration",
         "split": request.split,
+        "where": request.where,
         "low_pass_hz": request.low_pass_hz,
     }
 

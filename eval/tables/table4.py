@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from eval.real import of_split
+from eval.real import of_split_and
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.reported import reported_figures
 from eval.tables.registry import Table, TableRequest
@@ -73,7 +73,7 @@ def build_table4(request: TableRequest) -> Result:
         title="Table 4: reconstruction by framerate",
         caption=(
             "Root-aligned mean per-joint position error in millimetres over 22 joints, windows weighing by duration. "
-            f"Held-out windows are of split {request.split!r}."
+            f"Held-out windows are of split {request.split!r}{request.restriction}."
         ),
         blocks=tuple(block for block in blocks if block.rows),
         definition={
@@ -81,6 +81,7 @@ def build_table4(request: TableRequest) -> Result:
             "root-aligned": "both roots at the origin, no rotation fitted; the root counts as a joint with error 0",
             "training windows": "do not overlap, not mirrored; decoded from the posterior mean, not fitted again",
             "sample": f"at most {MOST_WINDOWS} windows a row, those fast enough for every column first",
+            "held-out sequences": of_split_and(request.split, request.where),
             "held-out windows": "z by L-BFGS on evenly spaced native poses against the frozen field",
         },
         notes=("The global error of every cell is in its details.",),
@@ -114,7 +115,7 @@ def _held_out(trained: "TrainedField", store: "Store", request: TableRequest, mi
     try:
         if request.split in ("all", "train"):
             raise UsageError(f"split {request.split!r} holds training windows; name another (--split test)")
-        source = open_cache(store, layout="smpl22", where=of_split(request.split))
+        source = open_cache(store, layout="smpl22", where=of_split_and(request.split, request.where))
         windows = cut_windows(
             source,
             max_duration_seconds=trained.max_duration_seconds,

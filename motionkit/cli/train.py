@@ -5,11 +5,12 @@ from typing import Annotated, Any
 
 import typer
 
+from motionkit.conditions import conjunction
 from motionkit.console import print_json, stderr, stdout
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 from motionkit.training.config import apply_overrides, flatten, parse_override
-from motionkit.training.run import RunFolder
+from motionkit.training.run import RunFolder, concerns
 from motionkit.training.stage import Stage, StageContext, choose_stages, registered_stages
 
 
@@ -21,6 +22,13 @@ def train(
     run: Annotated[str | None, typer.Option(help="This run's name; the recipe's by default.")] = None,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting: field.steps=100.")
+    ] = None,
+    where: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SQL",
+            help="Train only on sequences for which this holds too: \"NOT list_contains(quality_flags, 'teleport')\".",
+        ),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on where a run stopped; complete stages are kept.")
@@ -37,6 +45,8 @@ def train(
         raise UsageError("--resume and --overwrite exclude each other")
     chosen = choose_stages(stage, registered_stages())
     configs = configure(chosen, recipe, overrides or [])
+    if where:
+        configs = narrowed(chosen, configs, where)
     store_path = store or default_path("store")
     read_manifest(store_path)  # a store that is missing is told before anything heavy is imported
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))
@@ -63,6 +73,28 @@ def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str])
     return [
         apply_overrides(config, [override for override in overrides if parse_override(override)[0] in flatten(config)])
         for config in configs
+    ]
+
+
+def narrowed(stages: tuple[Stage[Any], ...], configs: list[Any], where: str) -> list[Any]:
+    """Configurations whose settings called `where`, conditions on the store's sequences, hold the given one as well.
+
+    Raises `UsageError` where no stage has one of its own: nothing would be left out.
+    """
+    conditions = [
+        {key: value for key, value in flatten(config).items() if key.rpartition(".")[2] == "where"}
+        for config in configs
+    ]
+    if not any(
+        concerns(stage.name, key, config)
+        for stage, config, found in zip(stages, configs, conditions, strict=True)
+        for key in found
+    ):
+        names = ", ".join(stage.name for stage in stages)
+        raise UsageError(f"--where: {names} takes its sequences from another stage; train that one with --where")
+    return [
+        apply_overrides(config, [f"{key}={conjunction(value, where)}" for key, value in found.items()])
+        for config, found in zip(configs, conditions, strict=True)
     ]
 
 

@@ -15,7 +15,7 @@ from motionkit.quality.upsampled import effective_fps
 # decides. docs/quality.md says where each figure comes from, docs/results/quality.md what it hits in real captures.
 MAX_JOINT_SPEED = 30.0
 MAX_FLOOR_HEIGHT = 0.25
-MAX_JITTER = 300.0
+MAX_JITTER = 400.0
 MAX_FROZEN_SECONDS = 0.25
 MAX_FOOT_SKATE_SHARE = 0.5
 MAX_BONE_LENGTH_DRIFT = 0.1

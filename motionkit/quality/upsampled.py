@@ -5,7 +5,7 @@ second or fourth order are those of a smooth curve, across them they are not, so
 framerate (in images: Gallagher, Detection of linear and cubic interpolation in JPEG compressed images, 2005).
 """
 
-from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
@@ -82,12 +82,20 @@ def _rate_of_held(moved: Float[np.ndarray, "steps"], fps: float) -> float | None
     return min(_captured_rates(fps), key=lambda rate: abs(rate - fps / spacing))
 
 
-def _captured_rates(fps: float) -> Iterator[float]:
+@lru_cache(maxsize=64)
+def _captured_rates(fps: float) -> tuple[float, ...]:
     # Whole fractions of the file's rate, and the rates at which cameras run that are none of these.
     fractions = [fps / factor for factor in range(2, 9)]
     others = (float(rate) for rate in COMMON_FPS if rate.denominator < 1001)
     rates = [*fractions, *(rate for rate in others if min(abs(rate - each) for each in fractions) > 0.005 * rate)]
-    return (rate for rate in rates if MIN_CAPTURED_FPS <= rate <= MAX_CAPTURED_SHARE * fps)
+    return tuple(rate for rate in rates if MIN_CAPTURED_FPS <= rate <= MAX_CAPTURED_SHARE * fps)
+
+
+@lru_cache(maxsize=64)
+def _pulsing_rates(fps: float) -> tuple[tuple[float, ...], Float64[np.ndarray, "rates"]]:
+    # Those of the rates whose pulse can be seen, and its frequency in cycles a frame.
+    rates = tuple(rate for rate in _captured_rates(fps) if min(rate % fps, -rate % fps) >= MIN_PULSE_HERTZ)
+    return rates, np.array([min(rate % fps, -rate % fps) / fps for rate in rates])
 
 
 def _log_energy(difference: Float32[np.ndarray, "rows values"], fps: float) -> Float64[np.ndarray, "rows"]:
@@ -100,26 +108,38 @@ def _log_energy(difference: Float32[np.ndarray, "rows values"], fps: float) -> F
 def without_trend(values: Float64[np.ndarray, "rows"], fps: float) -> Float64[np.ndarray, "rows"]:
     """Values less their running mean over a tenth of a second."""
     width = max(5, round(fps / 10) | 1)
-    sums = np.concatenate(([0.0], np.cumsum(np.pad(values, width // 2, mode="edge"))))
+    padded = np.concatenate(([0.0], np.full(width // 2, values[0]), values, np.full(width // 2, values[-1])))
+    sums = np.cumsum(padded)
     return np.asarray(values - (sums[width:] - sums[:-width]) / width)
 
 
 def _pulses(size: Float64[np.ndarray, "rows"], order: int, fps: float) -> list[tuple[float, float]]:
     # (share of the size that knots at the rate explain, rate) of the rates that stand out of the spectrum.
+    rates, frequencies = _pulsing_rates(fps)
     spread = 1.5 * float(np.median(np.abs(size))) + 1e-9
-    size = np.clip(size, -4.0 * spread, 4.0 * spread)
-    power = np.abs(np.fft.rfft(size * np.hanning(len(size)))) ** 2
-    found = []
-    for rate in _captured_rates(fps):
-        pulse = min(rate % fps, -rate % fps)
-        if pulse >= MIN_PULSE_HERTZ and _prominence(power, pulse / fps * len(size)) > MIN_PROMINENCE:
-            found.append((max(explained(size, knot, rate, fps) for knot in KNOTS[order]), rate))
-    return found
+    size = np.minimum(np.maximum(size, -4.0 * spread), 4.0 * spread)
+    power = np.abs(np.fft.rfft(size * _window(len(size)))) ** 2
+    chosen = np.flatnonzero(_prominence(power, frequencies * len(size)) > MIN_PROMINENCE)
+    return [(max(explained(size, knot, rates[i], fps) for knot in KNOTS[order]), rates[i]) for i in chosen.tolist()]
 
 
-def _prominence(power: Float64[np.ndarray, "frequencies"], place: float) -> float:
-    # The peak at a frequency over the mean of its neighbourhood.
-    centre = min(round(place), len(power) - 1)
+@lru_cache(maxsize=8)
+def _window(num_rows: int) -> Float64[np.ndarray, "rows"]:
+    return np.hanning(num_rows)
+
+
+def _prominence(
+    power: Float64[np.ndarray, "frequencies"], places: Float64[np.ndarray, "rates"]
+) -> Float64[np.ndarray, "rates"]:
+    # The peaks at some frequencies over the means of their neighbourhoods.
+    last = len(power) - 1
+    centre = np.minimum(np.rint(places).astype(np.int64), last)
     reach = max(NEIGHBOURS, len(power) // 10)
-    around = np.concatenate((power[max(1, centre - reach) : max(1, centre - 3)], power[centre + 4 : centre + reach]))
-    return float(power[max(0, centre - 1) : centre + 2].max() / (around.mean() + 1e-30))
+    sums = np.concatenate(([0.0], np.cumsum(power)))
+    low, inner_low = np.maximum(1, centre - reach), np.maximum(1, centre - 3)
+    inner_high, high = np.minimum(len(power), centre + 4), np.minimum(len(power), centre + reach)
+    high = np.maximum(high, inner_high)
+    around = sums[inner_low] - sums[low] + sums[high] - sums[inner_high]
+    count = inner_low - low + high - inner_high
+    peak = np.maximum(np.maximum(power[centre - 1], power[centre]), power[np.minimum(centre + 1, last)])
+    return np.asarray(peak / (around / np.maximum(count, 1) + 1e-30))
