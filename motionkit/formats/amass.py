@@ -70,7 +70,7 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
             source_path=path.name,
             source_sha256=sourcefile.sha256(data),
             source_format="amass",
-            subject=path.parent.name,
+            subject="" if path.parent == item.root else path.parent.name,
             stated_fps=stated_fps,
             operations=tuple(operations),
         ),
@@ -115,7 +115,7 @@ def _body(archive: NpzArchive, layout: PoseLayout, options: ReadOptions) -> _Bod
 def _gender(archive: NpzArchive) -> str:
     # Older releases print bytes into a string: "b'male'".
     gender = _text(archive, "gender").removeprefix("b'").removesuffix("'")
-    return next((known for known in GENDERS if gender in (known, known[0])), "")
+    return gender if gender in GENDERS else ""
 
 
 def _betas(archive: NpzArchive) -> Float32[np.ndarray, "betas"]:
@@ -127,8 +127,8 @@ def _betas(archive: NpzArchive) -> Float32[np.ndarray, "betas"]:
         raise FormatError(
             f"betas of shape {shape} that change, expected one body", path=archive.path, reason="channel-count"
         )
-    one: Float32[np.ndarray, betas] = np.atleast_2d(betas)[0]
-    return one
+    first: np.ndarray = np.atleast_2d(betas)[0]
+    return first
 
 
 def _read_poses(archive: NpzArchive) -> tuple[Float32[np.ndarray, "frames values"], PoseLayout]:

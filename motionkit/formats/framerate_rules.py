@@ -24,7 +24,10 @@ SHIPPED = "framerate_rules.toml"
 
 @dataclass(frozen=True)
 class FramerateRule:
-    """Files whose framerate is `fps`, where they state `stated` (None: whatever they state); `where` names the rule."""
+    """Files whose framerate is `fps` where they state `stated` (None: whatever they state).
+
+    `where` names the rule for logs: its file's name and its number.
+    """
 
     files: tuple[str, ...]
     fps: Fraction
@@ -57,7 +60,7 @@ def parse_rules(text: str, name: str) -> tuple[FramerateRule, ...]:
     tables = content.get("rule")
     if set(content) != {"rule"} or not isinstance(tables, list):
         raise UsageError(f"{name}: expected tables [[rule]] with files, fps and, if you like, stated, reason, source")
-    return tuple(_rule(table, f"{name}, rule {number}") for number, table in enumerate(tables, start=1))
+    return tuple(_rule(table, name, number) for number, table in enumerate(tables, start=1))
 
 
 def matching_rules(path: Path, root: Path, rules: tuple[FramerateRule, ...]) -> tuple[FramerateRule, ...]:
@@ -77,7 +80,8 @@ def corrected(motion: Motion, rules: tuple[FramerateRule, ...]) -> Motion:
     return replace(motion, timegrid=grid).logged(line)
 
 
-def _rule(table: Any, where: str) -> FramerateRule:
+def _rule(table: Any, name: str, number: int) -> FramerateRule:
+    where = f"{name}, rule {number}"
     if not isinstance(table, dict) or not {"files", "fps"} <= set(table) <= KEYS:
         given = ", ".join(table) if isinstance(table, dict) else repr(table)
         raise UsageError(
@@ -90,7 +94,13 @@ def _rule(table: Any, where: str) -> FramerateRule:
         if not isinstance(table.get(key, ""), str):
             raise UsageError(f"{where}: {key} must be text in quotes, not {table[key]!r}")
     stated = None if "stated" not in table else _rate(table["stated"], where, "stated")
-    return FramerateRule(tuple(globs), _rate(table["fps"], where, "fps"), stated, table.get("source", ""), where)
+    return FramerateRule(
+        tuple(globs),
+        _rate(table["fps"], where, "fps"),
+        stated,
+        table.get("source", ""),
+        f"{Path(name).name}, rule {number}",
+    )
 
 
 def _rate(value: Any, where: str, key: str) -> Fraction:

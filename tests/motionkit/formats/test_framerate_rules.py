@@ -28,13 +28,11 @@ def read_file(root: Path, path: Path, options: ReadOptions | None = None) -> Mot
         ("SSM_synced/20160930_50032/jumping_poses.npz", 120.0, 60),
         ("SSM_synced/20160330_03333/jumping_poses.npz", 120.0, 120),
         ("SSM/20161014_50033/dance_sync_stageii.npz", 120.0, 60),
-        ("BMLhandball/S07_Novice/Trial_1_poses.npz", 100.0, 240),
         ("KIT/3/walk_stageii.npz", 120.0, 100),
         ("EKUT/3/walk_stageii.npz", 120.0, 120),
         ("CMU/62/62_11_stageii.npz", 120.0, 60),
         ("CMU/CMU/80/80_63_stageii.npz", 120.0, 60),
         ("CMU/63/63_01_stageii.npz", 120.0, 120),
-        ("TCD_handMocap/ExperimentDatabase/FingerTP_stageii.npz", 120.0, 150),
     ],
 )
 def test_shipped_rules_correct_what_they_name_and_nothing_else(
@@ -52,7 +50,7 @@ def test_shipped_rules_correct_what_they_name_and_nothing_else(
 def test_every_shipped_rule_has_a_source() -> None:
     assert len(shipped_rules()) >= 6
     for rule in shipped_rules():
-        assert "github.com/" in rule.source
+        assert rule.source.startswith("https://github.com/")
         assert rule.stated != rule.fps
 
 
@@ -67,7 +65,7 @@ def test_the_users_rules_win_and_explicit_framerates_win_over_rules(tmp_path: Pa
     motion = read_file(tmp_path / "KIT", file, own)
     assert motion.fps == Fraction(30000, 1001)
     assert motion.provenance.operations[-1] == (
-        f"framerate set to 30000/1001 by rule ({rules}, rule 2, me); the file says 120"
+        "framerate set to 30000/1001 by rule (rules.toml, rule 2, me); the file says 120"
     )
     assert read_file(tmp_path / "KIT", file, ReadOptions(fps=Fraction(50), fps_rules=own.fps_rules)).fps == 50
     (tmp_path / "KIT" / "clips.csv").write_text("file,fps\n3/walk_stageii.npz,48\n")
