@@ -1,5 +1,6 @@
 """`motionkit ingest`: sources into a store."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -15,7 +16,7 @@ from motionkit.timegrid import parse_fps
 if TYPE_CHECKING:
     from motionkit.formats.items import IndexOptions
     from motionkit.formats.registry import ReadOptions
-    from motionkit.store.ingest import IngestReport
+    from motionkit.store.ingest import DatasetCount, IngestReport
 
 
 class Compat(StrEnum):
@@ -219,11 +220,17 @@ def _print_summary(report: "IngestReport") -> None:
             reasons = ", ".join(f"{count:,} {reason}" for reason, count in counts.items())
             stdout.print(f"{name}: {sum(counts.values()):,} ({reasons})", markup=False)
     if report.datasets:
-        width = max(len("dataset"), *(len(count.dataset) for count in report.datasets))
-        stdout.print(f"{'dataset':{width}}   found  missing  failed", markup=False)
-        for count in report.datasets:
-            numbers = f"{count.num_found:7,} {count.num_missing:8,} {count.num_failed:7,}"
-            stdout.print(f"{_printable(count.dataset) or '-':{width}} {numbers}", markup=False)
+        stdout.print(_dataset_table(report.datasets), markup=False)
+
+
+def _dataset_table(counts: "Sequence[DatasetCount]") -> str:
+    rows = [
+        (_printable(count.dataset) or "-", count.num_found, count.num_missing, count.num_failed) for count in counts
+    ]
+    rows.append(("all", *(sum(numbers) for numbers in list(zip(*rows, strict=True))[1:])))
+    width = max(len("dataset"), *(len(row[0]) for row in rows))
+    lines = [f"{name:{width}} {found:7,} {missing:8,} {failed:7,}" for name, found, missing, failed in rows]
+    return "\n".join((f"{'dataset':{width}}   found  missing  failed", *lines))
 
 
 def _as_json(report: "IngestReport") -> dict[str, Any]:

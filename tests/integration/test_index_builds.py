@@ -179,7 +179,10 @@ def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_
     assert "the index asks for [200, 240) of every 5th frame, that is frames [1000, 1200)" in outcome.stderr
     again = motionkit(*arguments)
     assert "already there: 5" in again.stdout
-    assert "KIT                       3        0       2" in again.stdout
+    table = again.stdout.splitlines()[-8:]
+    assert table[0] == "dataset               found  missing  failed"
+    assert table[1] == "KIT                       3        0       2"
+    assert table[-1] == "all                       7        2       2"
     stopped = motionkit(*arguments, "--on-error", "stop", "--overwrite")
     assert stopped.code == 1
 
@@ -209,6 +212,14 @@ def test_the_source_may_be_one_dataset_and_there_may_be_several(motionkit, amass
     )  # fmt: skip
     assert outcome.code == 0
     assert set(Store.open(tmp_path / "s").sequences["sequence_id"]) == {"humanml3d/000000", "humanml3d/009707"}
+
+
+def test_of_two_releases_the_one_that_was_counted_on_is_read(motionkit, amass, tmp_path):
+    write_take(amass / "0-smplx/KIT/3/kick_stageii.npy", 300)
+    (tmp_path / "index.csv").write_text(HEADER + "KIT/3/kick_poses.npy,0,5,a.npy\n")
+    outcome = motionkit("ingest", amass, "--index", tmp_path / "index.csv", "--store", tmp_path / "s", "--workers", 1)
+    assert outcome.code == 0
+    assert Store.open(tmp_path / "s").sequences["source_path"].tolist() == ["KIT/3/kick_poses.npy"]
 
 
 def test_a_dataset_may_be_a_link_and_links_in_circles_end(motionkit, amass, humanml3d, tmp_path):
