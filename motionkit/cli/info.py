@@ -6,10 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from motionkit.cli.quality_lines import quality_lines
 from motionkit.console import print_json, stdout
+from motionkit.errors import UsageError
 from motionkit.settings import default_path
 
 if TYPE_CHECKING:
+    from motionkit.store.quality_report import QualityReport
     from motionkit.store.rigs import Rig
     from motionkit.store.summary import SourceSummary, StoreSummary
 
@@ -23,14 +26,28 @@ def info(
         bool,
         typer.Option("--skeletons", help="Say which joints reach the standard layouts, for each kind of skeleton."),
     ] = False,
+    quality: Annotated[
+        bool, typer.Option("--quality", help="Say what looks odd: flags, worst sequences, upsampled ones.")
+    ] = False,
+    where: Annotated[
+        str | None, typer.Option(metavar="SQL", help="With --quality: only sequences for which this holds.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
     """Say what a store holds: sources, hours, framerates, splits, captions, skeletons, size on disk."""
     from motionkit.store import Store
+    from motionkit.store.quality_report import report_quality
     from motionkit.store.rigs import rigs
     from motionkit.store.summary import summarise
 
+    if where and not quality:
+        raise UsageError("--where goes with --quality; 'motionkit query' answers anything else")
+    if quality and skeletons:
+        raise UsageError("--quality and --skeletons exclude each other")
     opened = Store.open(store or default_path("store"))
+    if quality:
+        _print_quality(report_quality(opened, where), as_json)
+        return
     if skeletons:
         found = rigs(opened)
         if as_json:
@@ -43,6 +60,14 @@ def info(
         print_json({**asdict(summary), "raw_bytes": summary.raw_bytes})
     else:
         _print_summary(summary)
+
+
+def _print_quality(report: "QualityReport", as_json: bool) -> None:
+    if as_json:
+        print_json(asdict(report))
+        return
+    for line in quality_lines(report):
+        stdout.print(line, markup=False)
 
 
 def _print_summary(summary: "StoreSummary") -> None:
