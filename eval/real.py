@@ -96,7 +96,7 @@ def real_motion(store: "Store", split: str, where: str | None = None) -> RealMot
 
 
 def _from_cache(store: "Store", cache: "PositionCache", split: str) -> RealMotion:
-    table = store.sequences.iloc[cache.sequence_index]
+    table = store.columns("sequence_id", "captions", "action").loc[cache.sequence_index]
     captions = tuple(str(found[0]["text"]) if len(found) else "" for found in table["captions"])
     rates = zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)
     return RealMotion(

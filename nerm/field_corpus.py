@@ -27,7 +27,7 @@ def corpus_of(
     encoder: TextEncoder | None,
 ) -> LatentCorpus:
     """Posteriors with their windows' captions (embedded, cached inside the store's cache folder) and actions."""
-    sequences = store.sequences
+    sequences = store.columns("captions", "action")
     captions = captions_of_windows(windows, sequences) if encoder is not None else [()] * len(windows)
     texts = sorted({text for of_window in captions for text in of_window})
     return latent_corpus(
@@ -43,22 +43,22 @@ def corpus_of(
 
 def captions_of_windows(windows: Windows, sequences: pd.DataFrame) -> list[tuple[str, ...]]:
     """Each window's captions, in mirrored words where the window is mirrored."""
-    rows: Sequence[Any] = sequences["captions"].to_list()
+    captions: dict[Any, Sequence[Any]] = sequences["captions"].to_dict()
     ends = windows.start_seconds + windows.duration_seconds
     found = []
     for sequence, start, end, mirrored in zip(
         windows.sequence_index, windows.start_seconds, ends, windows.mirrored, strict=True
     ):
-        texts = overlapping_captions(rows[int(sequence)], float(start), float(end))
+        texts = overlapping_captions(captions[int(sequence)], float(start), float(end))
         found.append(tuple(map(mirrored_text, texts)) if mirrored else texts)
     return found
 
 
 def actions_of_windows(windows: Windows, sequences: pd.DataFrame) -> list[str]:
     """Each window's action, "" where its sequence has none, in mirrored words where the window is mirrored."""
-    actions = sequences["action"].to_list()
+    actions: dict[Any, str] = sequences["action"].to_dict()
     return [
-        mirrored_text(str(actions[int(sequence)])) if mirrored else str(actions[int(sequence)])
+        mirrored_text(actions[int(sequence)]) if mirrored else actions[int(sequence)]
         for sequence, mirrored in zip(windows.sequence_index, windows.mirrored, strict=True)
     ]
 

@@ -30,7 +30,7 @@ def captioned_clips(
 ) -> tuple[np.ndarray, list[str]]:
     """One random clip per captioned sequence of at least `fps`, and its caption."""
     cache = open_cache(store, layout="smpl22", where=f"split = '{split}'")
-    captions = store.sequences_table["captions"].take(cache.sequence_index).to_pylist()
+    captions = store.sequences_table["captions"].take(store.rows_of(cache.sequence_index)).to_pylist()
     clips, texts = [], []
     for index in range(cache.num_sequences):
         native = Fraction(int(cache.fps_numerator[index]), int(cache.fps_denominator[index]))

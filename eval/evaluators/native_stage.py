@@ -71,7 +71,7 @@ def takes_of_cache(store: "Store", cache: "PositionCache") -> "Takes":
     from eval.evaluators.native_bank import Takes
     from motionkit.motion import Caption
 
-    captions = store.sequences_table["captions"].take(cache.sequence_index).to_pylist()
+    captions = store.sequences_table["captions"].take(store.rows_of(cache.sequence_index)).to_pylist()
     rates = zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)
     return Takes(
         positions=cache.positions,

@@ -139,7 +139,7 @@ TABLE = Table("nerm", "2", "clip-FID by framerate", build_table2)
 
 def _training_motion(store: "Store", real: RealMotion) -> RealMotion:
     """What the descriptor is fitted on: the training split, or the compared sequences where there is none."""
-    has_training = bool((store.sequences["split"] == "train").any())
+    has_training = bool((store.columns("split")["split"] == "train").any())
     return real_motion(store, "train") if has_training else real
 
 

@@ -25,7 +25,7 @@ class Selection:
     @cached_property
     def table(self) -> pa.Table:
         """The sequences' rows of the store's table (columns: motionkit.store.schema.SEQUENCES)."""
-        return self.store.sequences_table.take(pa.array(self.indices))
+        return self.store.sequences_table.take(self.store.rows_of(self.indices))
 
     @property
     def sequence_ids(self) -> list[str]:

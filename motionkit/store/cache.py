@@ -36,6 +36,9 @@ INDEX_DTYPE = np.dtype(
 )
 
 
+INDEX_COLUMNS = ("sequence_index", "num_frames", "fps_numerator", "fps_denominator")
+
+
 @dataclass(frozen=True)
 class Skipped:
     """A sequence that the filter chose but the layout cannot hold, and why."""
@@ -183,7 +186,7 @@ def _remove_stale(folder: Path, fingerprint: str) -> None:
 
 
 def _build(store: Store, layout: str, where: str | None, maps: dict[str, _SkeletonMap], target: Path) -> None:
-    chosen = store.sequences.iloc[store.select(where)]
+    chosen = store.columns("sequence_id", "skeleton", *INDEX_COLUMNS).loc[store.select(where)]
     if chosen.empty:
         raise UsageError(f"no sequence of {store.path} satisfies {where!r}" if where else f"{store.path} is empty")
     faults = chosen["skeleton"].map(lambda fingerprint: maps[fingerprint].fault)
@@ -228,7 +231,7 @@ def _build(store: Store, layout: str, where: str | None, maps: dict[str, _Skelet
 
 def _index(kept: pd.DataFrame) -> np.ndarray:
     index = np.zeros(len(kept), INDEX_DTYPE)
-    for name in ("sequence_index", "num_frames", "fps_numerator", "fps_denominator"):
+    for name in INDEX_COLUMNS:
         index[name] = kept[name].to_numpy()
     index["start_row"][1:] = np.cumsum(index["num_frames"][:-1], dtype=np.int64)
     return index

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,16 +29,29 @@ class FileEntry:
 class Manifest:
     """A committed state of a store; `files` maps paths inside the store to their entries, sorted by path.
 
-    It holds no date and no machine name, so equal content gives an equal fingerprint.
+    It holds no date and no machine name, so equal content gives an equal fingerprint. `next_sequence_index` and
+    `next_part` are past every number that was ever given, so that none comes to mean something else.
     """
 
     num_sequences: int
     num_segments: int
     num_frames: int
     num_skeletons: int
+    next_sequence_index: int
+    next_part: int
     files: dict[str, FileEntry]
     tool: str = field(default=f"motionkit {motionkit.__version__}")
     format_version: int = FORMAT_VERSION
+
+    @property
+    def num_removed_segments(self) -> int:
+        """Rows of the parts that no sequence has any more: what `motionkit compact` drops."""
+        return sum(self.files[name].num_rows for name in self.parts) - self.num_segments
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of all files that it names."""
+        return sum(entry.num_bytes for entry in self.files.values())
 
     def to_json(self) -> str:
         """The file's text, deterministic."""
@@ -47,11 +61,15 @@ class Manifest:
             "frames": self.num_frames,
             "skeletons": self.num_skeletons,
         }
+        following = {"sequence_index": self.next_sequence_index, "part": self.next_part}
+        free = {"sequence_index": self.num_sequences, "part": _first_free_part(self.parts)}
         document = {
             "format": FORMAT_NAME,
             "format_version": self.format_version,
             "tool": self.tool,
             "counts": counts,
+            # Only where removals left gaps, so that a store without them is told by its content alone.
+            **({"next": following} if following != free else {}),
             "files": {name: asdict(entry) for name, entry in sorted(self.files.items())},
         }
         return json.dumps(document, indent=2) + "\n"
@@ -64,7 +82,15 @@ class Manifest:
     @property
     def parts(self) -> tuple[str, ...]:
         """Paths of the segment files inside the store, in order."""
-        return tuple(sorted((name for name in self.files if name.startswith(f"{SEGMENTS_FOLDER}/")), key=part_number))
+        return _parts_of(self.files)
+
+
+def _parts_of(names: Iterable[str]) -> tuple[str, ...]:
+    return tuple(sorted((name for name in names if name.startswith(f"{SEGMENTS_FOLDER}/")), key=part_number))
+
+
+def _first_free_part(parts: Iterable[str]) -> int:
+    return max(map(part_number, parts), default=-1) + 1
 
 
 def read_manifest(store: Path) -> Manifest:
@@ -99,13 +125,15 @@ def _parse(document: dict[str, Any]) -> Manifest:
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise ValueError(f"the file name {name!r} leads out of the store")
         entries[name] = FileEntry(str(entry["sha256"]), int(entry["num_bytes"]), int(entry["num_rows"]))
-    counts = document["counts"]
+    counts, following = document["counts"], document.get("next", {})
     return Manifest(
         num_sequences=int(counts["sequences"]),
         num_segments=int(counts["segments"]),
         num_frames=int(counts["frames"]),
         num_skeletons=int(counts["skeletons"]),
         files=entries,
+        next_sequence_index=int(following.get("sequence_index", counts["sequences"])),
+        next_part=int(following.get("part", _first_free_part(_parts_of(entries)))),
         tool=str(document["tool"]),
         format_version=int(document["format_version"]),
     )

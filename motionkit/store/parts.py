@@ -72,17 +72,13 @@ class PartWriter:
         self._number += 1
         self._rows_written = 0
 
-    def discard(self) -> None:
-        """Remove every part that this writer made."""
+    def close(self) -> None:
+        """Let go of the part being written, if there is one, as it is."""
         self._pending.clear()
         if self._writer is not None and self._sink is not None:
             self._writer.close()
             self._sink.close()
             self._writer = self._sink = None
-            self._pending_path().unlink(missing_ok=True)
-        for name in self.finished:
-            (self._store / name).unlink(missing_ok=True)
-        self.finished.clear()
 
     def _pending_path(self) -> Path:
         return self._store / (part_name(self._number) + PENDING_SUFFIX)

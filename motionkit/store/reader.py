@@ -3,41 +3,45 @@
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
-from jaxtyping import Float32, Int64
+from jaxtyping import Int, Int64
 
 from motionkit.errors import StoreError
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
+from motionkit.store.encode import EncodedMotion
 from motionkit.store.manifest import Manifest, read_committed, read_manifest
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
     FORMAT_VERSION,
-    KEY_COLUMNS,
+    PLACE_COLUMNS,
     SEGMENTS,
+    SEQUENCES,
     SEQUENCES_FILE,
     SKELETONS_FILE,
-    part_name,
 )
+from motionkit.store.segment_reader import SegmentReader, check_still_there
 from motionkit.store.versions import upgraded
 
 if TYPE_CHECKING:
     import pandas as pd
 
 OPEN_ATTEMPTS = 5
+ROWS_AT_ONCE = 1024
 
 
 class Store:
     """A committed state of a store, read only; it stays readable while a writer appends.
 
-    Owns the manifest, the two small tables and the row group that was decoded last.
+    Owns the manifest, the two small tables and the row groups that were decoded last. A sequence is known by its id or
+    by its `sequence_index`; the indices ascend, with gaps where sequences were removed.
     """
 
     def __init__(self, path: Path, manifest: Manifest, sequences: pa.Table, skeletons: pa.Table) -> None:
@@ -45,7 +49,7 @@ class Store:
         self.manifest = manifest
         self.sequences_table = sequences
         self.skeletons_table = skeletons
-        self._segments = _SegmentReader(path)
+        self._segments = SegmentReader(path)
 
     @classmethod
     def open(cls, path: Path | str) -> "Store":
@@ -74,9 +78,30 @@ class Store:
 
     @cached_property
     def sequences(self) -> "pd.DataFrame":
-        """One row per sequence, in order of `sequence_index` (columns: motionkit.store.schema.SEQUENCES)."""
-        frame: pd.DataFrame = self.sequences_table.to_pandas()
+        """One row per sequence, labelled by `sequence_index`, ascending (columns: motionkit.store.schema.SEQUENCES)."""
+        return self.columns(*SEQUENCES.names)
+
+    def columns(self, *names: str) -> "pd.DataFrame":
+        """Some columns of `sequences`: what a store of many sequences should be asked for."""
+        import pandas as pd
+
+        frame: pd.DataFrame = self.sequences_table.select(names).to_pandas()
+        frame.index = pd.Index(self._indices)
         return frame
+
+    @cached_property
+    def _indices(self) -> Int64[np.ndarray, "sequences"]:
+        return np.asarray(self.sequences_table["sequence_index"], np.int64)
+
+    def rows_of(self, indices: Int[np.ndarray, "chosen"]) -> Int64[np.ndarray, "chosen"]:
+        """Rows of `sequences_table` for sequence indices; raises `StoreError` for one that the store does not hold."""
+        rows = np.searchsorted(self._indices, indices).astype(np.int64)
+        known = rows < self.num_sequences
+        known[known] = self._indices[rows[known]] == indices[known]
+        if not known.all():
+            held = f"from {self._indices[0]} to {self._indices[-1]}" if self.num_sequences else "none"
+            raise StoreError(f"the store {self.path} holds no sequence {indices[~known][0]}: its indices are {held}")
+        return rows
 
     @cached_property
     def skeletons(self) -> dict[str, Skeleton]:
@@ -85,10 +110,10 @@ class Store:
 
     def index_of(self, sequence_id: str) -> int:
         """Index of a sequence by its id; raises `StoreError` for an id that the store does not hold."""
-        index = pc.index(self.sequences_table["sequence_id"], sequence_id).as_py()
-        if index < 0:
+        row = pc.index(self.sequences_table["sequence_id"], sequence_id).as_py()
+        if row < 0:
             raise StoreError(f"the store {self.path} holds no sequence {sequence_id!r}")
-        return int(index)
+        return int(self._indices[row])
 
     def read(self, sequence: int | np.integer | str, *, rotations: bool = True) -> Motion:
         """One motion by index or id; without `rotations` only positions are decoded.
@@ -96,9 +121,7 @@ class Store:
         Raises `StoreError` for a sequence that the store does not hold, or a part that cannot be read.
         """
         index = self.index_of(sequence) if isinstance(sequence, str) else int(sequence)
-        if not 0 <= index < self.num_sequences:
-            raise StoreError(f"the store {self.path} holds sequences 0 … {self.num_sequences - 1}, not {index}")
-        row = self.sequences_table.slice(index, 1).to_pylist()[0]
+        row = self.sequences_table.slice(self.rows_of(np.array([index]))[0], 1).to_pylist()[0]
         skeleton = self.skeletons[row["skeleton"]]
         wanted: dict[str, tuple[int, ...]] = {"joint_positions": (skeleton.num_joints, 3)}
         if rotations and row["has_rotations"]:
@@ -119,22 +142,55 @@ class Store:
         for sequence in sequences:
             yield self.read(sequence, rotations=rotations)
 
+    def read_encoded(self, sequences: Int[np.ndarray, "chosen"]) -> Iterator[EncodedMotion]:
+        """Sequences by index as they are stored, to be copied: rows of the table and flat arrays, nothing measured."""
+        rows = self.sequences_table.take(self.rows_of(sequences))
+        for batch in rows.to_batches(max_chunksize=ROWS_AT_ONCE):
+            for row in batch.to_pylist():
+                skeleton = self.skeletons[row["skeleton"]]
+                widths = {"joint_positions": 3 * skeleton.num_joints}
+                if row["has_rotations"]:
+                    widths["joint_rotations"] = 4 * skeleton.num_joints
+                if row["has_root_translation"]:
+                    widths["root_translation"] = 3
+                flat = self._segments.read_flat(row, widths)
+                yield EncodedMotion(
+                    row={name: value for name, value in row.items() if name not in PLACE_COLUMNS},
+                    skeleton=skeleton,
+                    joint_positions=flat["joint_positions"],
+                    joint_rotations=flat.get("joint_rotations"),
+                    root_translation=flat.get("root_translation"),
+                )
+
     def query(self, sql: str) -> pa.Table:
         """Result of one SQL statement over `sequences`, `segments`, `skeletons`; raises `UsageError` for bad SQL."""
         from motionkit.store.sql import query
 
-        parts = [str(self.path / name) for name in self.manifest.parts]
-        segments = ds.dataset(parts, schema=SEGMENTS, format="parquet") if parts else SEGMENTS.empty_table()
-        views = {"sequences": self.sequences_table, "segments": segments, "skeletons": self.skeletons_table}
+        views: dict[str, pa.Table | ds.Dataset] = {"sequences": self.sequences_table, "skeletons": self.skeletons_table}
         try:
+            # Only where they are asked for: a dataset looks at each of its files.
+            if "segments" in sql.lower():
+                views["segments"] = self._segments_dataset()
             return query(views, sql)
+        except FileNotFoundError as error:
+            check_still_there(self.path, self.manifest.parts)
+            raise StoreError(f"{error}: 'motionkit validate --store {self.path}' says what is missing") from None
         except (pa.ArrowException, OSError) as error:
             raise StoreError(f"{error}: 'motionkit validate --store {self.path}' says what is damaged") from None
+
+    def _segments_dataset(self) -> "pa.Table | ds.Dataset":
+        parts = [str(self.path / name) for name in self.manifest.parts]
+        if not parts:
+            return SEGMENTS.empty_table()
+        segments = ds.dataset(parts, schema=SEGMENTS, format="parquet")
+        if not self.manifest.num_removed_segments:
+            return segments
+        return segments.filter(pc.field("sequence_index").isin(self.sequences_table["sequence_index"]))
 
     def select(self, where: str | None = None) -> Int64[np.ndarray, "selected"]:
         """Indices of the sequences for which a SQL condition over the table of sequences holds, ascending."""
         if where is None:
-            return np.arange(self.num_sequences)
+            return self._indices.copy()
         chosen = self.query(f"SELECT sequence_index FROM sequences WHERE ({where}) ORDER BY sequence_index")
         return np.asarray(chosen["sequence_index"], np.int64)
 
@@ -152,77 +208,3 @@ def _read_table(store: Path, manifest: Manifest, name: str) -> pa.Table | None:
         return None
     table = pq.read_table(pa.BufferReader(content))
     return (table if manifest.format_version == FORMAT_VERSION else upgraded(table, name)).combine_chunks()
-
-
-class _SegmentReader:
-    """Decodes segments of parts; keeps the last part's footer and the last row group."""
-
-    def __init__(self, store: Path) -> None:
-        self._store = store
-        self._part = -1
-        self._file: pq.ParquetFile | None = None
-        self._row_group_starts = np.zeros(1, np.int64)
-        self._decoded: tuple[int, int, tuple[str, ...]] | None = None
-        self._table: pa.Table | None = None
-
-    def read(
-        self, row: dict[str, Any], wanted: dict[str, tuple[int, ...]], decode: tuple[str, ...]
-    ) -> dict[str, Float32[np.ndarray, "frames *channels"]]:
-        """Arrays [num_frames, *shape] of the wanted columns of one sequence; `decode` are the columns to keep."""
-        out = {name: np.empty((row["num_frames"], *shape), np.float32) for name, shape in wanted.items()}
-        try:
-            self._fill(row, out, decode)
-        except (pa.ArrowException, OSError, ValueError) as error:
-            raise StoreError(
-                f"the frames of sequence {row['sequence_id']!r} cannot be read from {part_name(row['part'])} "
-                f"({error}): 'motionkit validate --store {self._store}' says what is damaged"
-            ) from None
-        return out
-
-    def _fill(
-        self, row: dict[str, Any], out: dict[str, Float32[np.ndarray, "frames *channels"]], decode: tuple[str, ...]
-    ) -> None:
-        first, last = row["first_row"], row["first_row"] + row["num_segments"]
-        self._open(row["part"])
-        starts = self._row_group_starts
-        while first < last:
-            group = int(np.searchsorted(starts, first, side="right")) - 1
-            table = self._row_group(group, decode)
-            stop = min(last, int(starts[group + 1]))
-            _copy_segments(table.slice(first - int(starts[group]), stop - first), row["sequence_index"], out)
-            first = stop
-
-    def _open(self, part: int) -> None:
-        if part == self._part and self._file is not None:
-            return
-        self._file = pq.ParquetFile(self._store / part_name(part))
-        metadata = self._file.metadata
-        counts = [metadata.row_group(group).num_rows for group in range(metadata.num_row_groups)]
-        self._row_group_starts = np.cumsum([0, *counts])
-        self._part = part
-
-    def _row_group(self, group: int, columns: tuple[str, ...]) -> pa.Table:
-        if group + 1 >= len(self._row_group_starts):
-            raise ValueError("the part ends before the sequence does")
-        key = (self._part, group, columns)
-        if self._table is None or self._decoded != key:
-            assert self._file is not None
-            self._table = self._file.read_row_group(group, columns=[*KEY_COLUMNS, *columns]).combine_chunks()
-            self._decoded = key
-        return self._table
-
-
-def _copy_segments(
-    table: pa.Table, sequence_index: int, out: dict[str, Float32[np.ndarray, "frames *channels"]]
-) -> None:
-    """Copy whole segments into `out`; raises `ValueError` where they are not those of the sequence."""
-    owner, start, count = (table[name].to_numpy() for name in KEY_COLUMNS)
-    if (owner != sequence_index).any():
-        raise ValueError(f"segments of sequence {owner[owner != sequence_index][0]} where {sequence_index}'s should be")
-    for name, target in out.items():
-        column = table[name].chunk(0)
-        values, bounds = column.values.to_numpy(zero_copy_only=True), column.offsets.to_numpy()
-        for i in range(len(start)):
-            num_frames = int(count[i])
-            frames = target[start[i] : start[i] + num_frames]
-            codec.write_frames(values[bounds[i] : bounds[i + 1]], num_frames, frames)

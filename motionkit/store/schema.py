@@ -103,6 +103,9 @@ def _floats(name: str, unit: str, *, nullable: bool) -> pa.Field:
     return pa.field(name, FLOAT_LIST, nullable=nullable, metadata=metadata)
 
 
+# Where a sequence lies in its store: what changes when it is copied into another one.
+PLACE_COLUMNS = ("sequence_index", "part", "first_row")
+
 # Float lists are channel-major inside a segment: all frames of channel 0, then of channel 1 …; channel = 3·joint + axis
 # for positions, 4·joint + component (w, x, y, z) for rotations, the axis for the root's translation.
 SEGMENTS = pa.schema(

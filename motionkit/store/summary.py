@@ -87,7 +87,7 @@ def summarise(store: Store) -> StoreSummary:
         num_frames=manifest.num_frames,
         num_skeletons=manifest.num_skeletons,
         num_parts=len(manifest.parts),
-        disk_bytes=sum(entry.num_bytes for entry in manifest.files.values()),
+        disk_bytes=manifest.num_bytes,
         cache_bytes=sum(path.stat().st_size for path in cache.rglob("*") if path.is_file()),
         columns=_column_sizes(store),
         sources=tuple(_summarise_source(str(source), rows) for source, rows in sequences.groupby("source", sort=True)),

@@ -40,7 +40,7 @@ def faults(path: Path, on_file: Callable[[str], None] = lambda name: None) -> It
     sequences = None
     if SEQUENCES_FILE in tables:
         sequences = tables[SEQUENCES_FILE].to_pandas()
-        yield from _sequence_faults(sequences, tables.get(SKELETONS_FILE))
+        yield from _sequence_faults(sequences, manifest.next_sequence_index, tables.get(SKELETONS_FILE))
     yield from _count_faults(manifest, sequences)
     named = set(manifest.parts)
     if sequences is not None:
@@ -69,7 +69,7 @@ def _read_table(path: Path, manifest: Manifest, name: str) -> tuple[str, pa.Tabl
 
 def _count_faults(manifest: Manifest, sequences: pd.DataFrame | None) -> Iterator[str]:
     rows = sum(manifest.files[name].num_rows for name in manifest.parts)
-    if rows != manifest.num_segments:
+    if rows < manifest.num_segments or (rows > manifest.num_segments and not _may_hold_removed(manifest)):
         yield f"manifest.json: counts {manifest.num_segments} segments, the parts hold {rows}"
     if sequences is None:
         return
@@ -82,9 +82,16 @@ def _count_faults(manifest: Manifest, sequences: pd.DataFrame | None) -> Iterato
             yield f"manifest.json: counts {stated} {name}, {SEQUENCES_FILE} says {found}"
 
 
-def _sequence_faults(sequences: pd.DataFrame, skeletons: pa.Table | None) -> Iterator[str]:
-    if not np.array_equal(sequences["sequence_index"], np.arange(len(sequences))):
-        yield f"{SEQUENCES_FILE}: sequence_index does not count 0, 1, 2 …"
+def _may_hold_removed(manifest: Manifest) -> bool:
+    """Whether parts may hold segments of sequences that were removed."""
+    return manifest.next_sequence_index > manifest.num_sequences
+
+
+def _sequence_faults(sequences: pd.DataFrame, next_sequence_index: int, skeletons: pa.Table | None) -> Iterator[str]:
+    # Without removals the numbers below the next one are as many as the sequences: 0, 1, 2 …
+    steps = np.diff(sequences["sequence_index"], prepend=-1, append=next_sequence_index)
+    if (steps < 1).any():
+        yield f"{SEQUENCES_FILE}: sequence_index does not ascend from 0 to below {next_sequence_index}"
     for sequence_id in sequences["sequence_id"][sequences["sequence_id"].duplicated()]:
         yield f"{SEQUENCES_FILE}: the id {sequence_id!r} occurs more than once"
     rate = sequences["fps_numerator"] / sequences["fps_denominator"]
@@ -122,40 +129,58 @@ def _part_faults(path: Path, manifest: Manifest, name: str, sequences: pd.DataFr
         yield f"{name}: it has {part.metadata.num_rows} rows, the manifest says {entry.num_rows}"
         return
     keys = part.read(columns=list(KEY_COLUMNS)).to_pandas()
+    owner = np.full(len(keys), -1)
     if sequences is not None:
-        wrong = _misplaced(keys, sequences)
+        owner, wrong = _owners(keys, sequences, may_hold_removed=_may_hold_removed(manifest))
         if wrong:
             yield f"{name}: {wrong}"
             return
     first_row = 0
     for group in range(part.num_row_groups):
         table = part.read_row_group(group).combine_chunks()
-        rows = keys.iloc[first_row : first_row + table.num_rows]
+        rows = slice(first_row, first_row + table.num_rows)
         first_row += table.num_rows
-        yield from _value_faults(name, table, rows, sequences)
+        yield from _value_faults(name, table, keys.iloc[rows], owner[rows], sequences)
 
 
-def _misplaced(keys: pd.DataFrame, sequences: pd.DataFrame) -> str:
-    """What is wrong with the order of segments, empty where each sequence's follow each other without a gap."""
-    counts = sequences["num_segments"].to_numpy()
-    if counts.sum() != len(keys):
-        return f"it holds {len(keys)} segments, {SEQUENCES_FILE} says {counts.sum()}"
-    owner = np.repeat(sequences["sequence_index"].to_numpy(), counts)
-    first_row = np.cumsum(counts) - counts
-    if not np.array_equal(first_row, sequences["first_row"]):
-        return f"the sequences do not follow each other where {SEQUENCES_FILE} says"
-    start = (np.arange(len(keys)) - np.repeat(first_row, counts)) * SEGMENT_FRAMES
-    num_frames = np.minimum(SEGMENT_FRAMES, np.repeat(sequences["num_frames"].to_numpy(), counts) - start)
-    expected = np.stack([owner, start, num_frames], axis=1)
-    wrong = np.nonzero((keys.to_numpy() != expected).any(axis=1))[0]
-    if not len(wrong):
-        return ""
-    row = int(wrong[0])
-    found = dict(zip(KEY_COLUMNS, keys.iloc[row].tolist(), strict=True))
-    return f"row {row} is {found}, expected {dict(zip(KEY_COLUMNS, expected[row].tolist(), strict=True))}"
+def _owners(keys: pd.DataFrame, sequences: pd.DataFrame, *, may_hold_removed: bool) -> tuple[np.ndarray, str]:
+    """The row in `sequences` of each segment's sequence, −1 for a removed one; and what is wrong with their order.
+
+    The text is empty where the segments of each sequence follow each other without a gap, and between sequences lie
+    none but those of removed ones.
+    """
+    owner = np.full(len(keys), -1)
+    counts, first_row = sequences["num_segments"].to_numpy(), sequences["first_row"].to_numpy()
+    if counts.sum() > len(keys) or (counts.sum() < len(keys) and not may_hold_removed):
+        return owner, f"it holds {len(keys)} segments, {SEQUENCES_FILE} says {counts.sum()}"
+    gaps = np.append(first_row, len(keys)) - np.append(0, first_row + counts)
+    if (gaps < 0).any() or (gaps.any() and not may_hold_removed):
+        return owner, f"the sequences do not follow each other where {SEQUENCES_FILE} says"
+    place = np.repeat(np.arange(len(sequences)), counts)
+    segment = np.arange(len(place)) - np.repeat(np.cumsum(counts) - counts, counts)
+    rows = np.repeat(first_row, counts) + segment
+    owner[rows] = place
+    start = segment * SEGMENT_FRAMES
+    num_frames = np.minimum(SEGMENT_FRAMES, sequences["num_frames"].to_numpy()[place] - start)
+    expected = np.stack([sequences["sequence_index"].to_numpy()[place], start, num_frames], axis=1)
+    return owner, _misplaced(keys, owner, rows, expected)
 
 
-def _value_faults(name: str, table: pa.Table, rows: pd.DataFrame, sequences: pd.DataFrame | None) -> Iterator[str]:
+def _misplaced(keys: pd.DataFrame, owner: np.ndarray, rows: np.ndarray, expected: np.ndarray) -> str:
+    """Where the keys of `rows` are not those expected, or another row belongs to a sequence that is not removed."""
+    found = keys.to_numpy()[rows]
+    wrong = np.nonzero((found != expected).any(axis=1))[0]
+    if len(wrong):
+        first = int(wrong[0])
+        of_row, of_table = (dict(zip(KEY_COLUMNS, each[first].tolist(), strict=True)) for each in (found, expected))
+        return f"row {rows[first]} is {of_row}, expected {of_table}"
+    stray = np.nonzero((owner < 0) & np.isin(keys["sequence_index"], expected[:, 0]))[0]
+    return f"row {stray[0]} is a segment too many of sequence {keys.iloc[stray[0], 0]}" if len(stray) else ""
+
+
+def _value_faults(
+    name: str, table: pa.Table, rows: pd.DataFrame, owner: np.ndarray, sequences: pd.DataFrame | None
+) -> Iterator[str]:
     for column in FLOAT_COLUMNS:
         lists = table[column].chunk(0)
         values = lists.values.to_numpy(zero_copy_only=True)
@@ -170,9 +195,10 @@ def _value_faults(name: str, table: pa.Table, rows: pd.DataFrame, sequences: pd.
             )
         if sequences is None:
             continue
-        width, expected = _expected(column, sequences.loc[rows["sequence_index"]])
+        known = owner >= 0
+        width, expected = _expected(column, sequences.iloc[np.where(known, owner, 0)])
         lengths = np.where(expected, width * rows["num_frames"].to_numpy(), 0)
-        wrong = np.nonzero((np.diff(bounds) != lengths) | (present != expected))[0]
+        wrong = np.nonzero(known & ((np.diff(bounds) != lengths) | (present != expected)))[0]
         if len(wrong):
             row = rows.iloc[int(wrong[0])]
             yield (

@@ -7,35 +7,29 @@ from types import TracebackType
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from motionkit.errors import StoreError
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
-from motionkit.store import codec, files
-from motionkit.store.encode import EncodedMotion, RefusedMotion, encode
-from motionkit.store.manifest import (
-    PENDING_SUFFIX,
-    Manifest,
-    commit_manifest,
-    describe_file,
-    read_manifest,
+from motionkit.store import codec
+from motionkit.store.commit import (
+    EMPTY,
+    changing,
+    describe_pending,
+    pending,
+    publish,
+    require_present_version,
 )
+from motionkit.store.encode import EncodedMotion, RefusedMotion, encode
+from motionkit.store.manifest import Manifest
 from motionkit.store.parts import PartWriter
 from motionkit.store.schema import (
-    FORMAT_VERSION,
-    MANIFEST_FILE,
     PART_BYTES,
-    SEGMENTS_FOLDER,
     SEQUENCES,
     SEQUENCES_FILE,
     SEQUENCES_PER_ROW_GROUP,
     SKELETONS,
     SKELETONS_FILE,
-    part_number,
     table_writer_options,
 )
-
-TABLES = (SEQUENCES_FILE, SKELETONS_FILE)
-EMPTY = Manifest(num_sequences=0, num_segments=0, num_frames=0, num_skeletons=0, files={})
 
 
 class StoreWriter:
@@ -65,39 +59,26 @@ class StoreWriter:
 
     def __enter__(self) -> "StoreWriter":
         """Take the lock and tidy up; raises `StoreError` for a store that is busy, missing, present or not a store."""
-        _check_target(self.path, must_exist=self._keep, must_not_exist=self._new)
-        (self.path / SEGMENTS_FOLDER).mkdir(parents=True, exist_ok=True)
         with ExitStack() as held:
-            held.enter_context(
-                files.exclusive_lock(
-                    self.path / files.LOCK_FILE,
-                    busy=f"another process is writing to the store {self.path}: wait until it has ended",
-                )
+            self._previous = held.enter_context(
+                changing(self.path, must_exist=self._keep, must_not_exist=self._new),
             )
-            _check_target(self.path, must_exist=self._keep, must_not_exist=self._new)
+            self._base = self._previous if self._keep else EMPTY
+            require_present_version(self.path, self._base)
             self._open()
             self._held = held.pop_all()
         return self
 
     def _open(self) -> None:
-        self._previous = read_manifest(self.path) if (self.path / MANIFEST_FILE).exists() else EMPTY
-        finish_commit(self.path, self._previous)
-        remove_leftovers(self.path, self._previous)
-        self._base = self._previous if self._keep else EMPTY
-        if self._base.format_version != FORMAT_VERSION:
-            raise StoreError(
-                f"the store {self.path} has format version {self._base.format_version}, which can be read but not "
-                f"added to: bring it to version {FORMAT_VERSION} with 'motionkit migrate --store {self.path}'"
-            )
         if self._base is not EMPTY:
             self._read_base()
-        numbers = [part_number(name) for name in self._previous.parts]
-        self._parts = PartWriter(self.path, max(numbers, default=-1) + 1, self._part_bytes)
+        self._parts = PartWriter(self.path, self._previous.next_part, self._part_bytes)
         self._rows: list[codec.Row] = []
         self._table: pq.ParquetWriter | None = None
         self._num_sequences = self._base.num_sequences
         self._num_segments = self._base.num_segments
         self._num_frames = self._base.num_frames
+        self._next_sequence_index = self._base.next_sequence_index
 
     def _read_base(self) -> None:
         known = pq.read_table(self.path / SEQUENCES_FILE, columns=["sequence_id", "source_sha256"])
@@ -127,7 +108,7 @@ class StoreWriter:
                 f"the store already holds a sequence with the id {motion.sequence_id!r}: ids must differ",
                 reason="duplicate-id",
             )
-        sequence_index = self._num_sequences
+        sequence_index = self._next_sequence_index
         part, first_row = self._parts.position
         self._parts.add_sequence(motion.segments(sequence_index))
         self._rows.append(
@@ -136,6 +117,7 @@ class StoreWriter:
         self._known[motion.sequence_id] = motion.row["source_sha256"]
         self._skeletons.setdefault(motion.skeleton.fingerprint, motion.skeleton)
         self._num_sequences += 1
+        self._next_sequence_index += 1
         self._num_segments += motion.row["num_segments"]
         self._num_frames += motion.num_frames
         if len(self._rows) == SEQUENCES_PER_ROW_GROUP:
@@ -148,22 +130,22 @@ class StoreWriter:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        with self._held:
-            if kind is not None:
-                self._discard()
-            elif self._num_sequences > self._base.num_sequences or not self._keep:
+        # An exception goes on to `changing`, which removes what was written.
+        if kind is not None:
+            self._close()
+            self._held.__exit__(kind, error, traceback)
+        elif self._num_sequences > self._base.num_sequences or not self._keep:
+            with self._held:
                 self._commit()
+        else:
+            self._held.close()
 
     def _commit(self) -> None:
         try:
             self._parts.finish()
-            manifest = self._write_tables()
-            commit_manifest(self.path, manifest)
-        except BaseException:
-            self._discard()
-            raise
-        finish_commit(self.path, manifest)
-        remove_leftovers(self.path, manifest)
+            publish(self.path, self._write_tables())
+        finally:
+            self._close()
 
     def _write_tables(self) -> Manifest:
         self._flush_rows()
@@ -171,22 +153,22 @@ class StoreWriter:
         self._table.close()
         self._table = None
         skeletons = pa.Table.from_pylist([codec.skeleton_row(each) for each in self._skeletons.values()], SKELETONS)
-        pq.write_table(skeletons, self._pending(SKELETONS_FILE), **table_writer_options())
-        entries = {name: self._base.files[name] for name in self._base.parts} | self._parts.finished
-        for name, num_rows in ((SEQUENCES_FILE, self._num_sequences), (SKELETONS_FILE, len(self._skeletons))):
-            files.sync_file(self._pending(name))
-            entries[name] = describe_file(self._pending(name), num_rows)
+        pq.write_table(skeletons, pending(self.path, SKELETONS_FILE), **table_writer_options())
+        num_rows = {SEQUENCES_FILE: self._num_sequences, SKELETONS_FILE: len(self._skeletons)}
+        parts = {name: self._base.files[name] for name in self._base.parts} | self._parts.finished
         return Manifest(
             num_sequences=self._num_sequences,
             num_segments=self._num_segments,
             num_frames=self._num_frames,
             num_skeletons=len(self._skeletons),
-            files=entries,
+            files=parts | describe_pending(self.path, num_rows),
+            next_sequence_index=self._next_sequence_index,
+            next_part=self._parts.position[0],
         )
 
     def _flush_rows(self) -> None:
         if self._table is None:
-            self._table = pq.ParquetWriter(self._pending(SEQUENCES_FILE), SEQUENCES, **table_writer_options())
+            self._table = pq.ParquetWriter(pending(self.path, SEQUENCES_FILE), SEQUENCES, **table_writer_options())
             if self._base is not EMPTY:
                 for batch in pq.ParquetFile(self.path / SEQUENCES_FILE).iter_batches(SEQUENCES_PER_ROW_GROUP):
                     self._table.write_batch(batch)
@@ -194,52 +176,8 @@ class StoreWriter:
             self._table.write_table(pa.Table.from_pylist(self._rows, SEQUENCES))
             self._rows.clear()
 
-    def _pending(self, name: str) -> Path:
-        return self.path / (name + PENDING_SUFFIX)
-
-    def _discard(self) -> None:
+    def _close(self) -> None:
+        self._parts.close()
         if self._table is not None:
             self._table.close()
             self._table = None
-        if self._committed():
-            return
-        self._parts.discard()
-        for name in (*TABLES, MANIFEST_FILE):
-            self._pending(name).unlink(missing_ok=True)
-
-    def _committed(self) -> bool:
-        """Whether the manifest has been renamed: a fault after that must not remove what it names."""
-        exists = (self.path / MANIFEST_FILE).exists()
-        return (read_manifest(self.path) if exists else EMPTY) != self._previous
-
-
-def finish_commit(store: Path, manifest: Manifest) -> None:
-    """Give committed tables that still have their pending names their own; the caller holds the writer's lock."""
-    for name in TABLES:
-        pending = store / (name + PENDING_SUFFIX)
-        if name in manifest.files and pending.exists() and files.sha256_of(pending) == manifest.files[name].sha256:
-            files.replace(pending, store / name)
-
-
-def remove_leftovers(store: Path, manifest: Manifest) -> None:
-    """Remove what a killed writer left, and parts that are no longer part of the store; the caller holds the lock."""
-    for name in (*TABLES, MANIFEST_FILE):
-        (store / (name + PENDING_SUFFIX)).unlink(missing_ok=True)
-    for path in (store / SEGMENTS_FOLDER).glob("part-*.parquet*"):
-        if f"{SEGMENTS_FOLDER}/{path.name}" not in manifest.files:
-            path.unlink(missing_ok=True)
-
-
-def _check_target(path: Path, *, must_exist: bool, must_not_exist: bool) -> None:
-    if path.exists() and not path.is_dir():
-        raise StoreError(f"{path} is a file; a store is a folder")
-    is_store = (path / MANIFEST_FILE).exists()
-    if must_exist and not is_store:
-        read_manifest(path)
-    if must_not_exist and is_store:
-        raise StoreError(f"there already is a store at {path}: append to it, or overwrite it on purpose")
-    if not is_store and path.exists():
-        ours = {SEGMENTS_FOLDER, files.LOCK_FILE, *(name + PENDING_SUFFIX for name in (*TABLES, MANIFEST_FILE))}
-        foreign = sorted(entry.name for entry in path.iterdir() if entry.name not in ours)
-        if foreign:
-            raise StoreError(f"{path} is not a store and not empty (it holds {foreign[0]}): name an empty folder")

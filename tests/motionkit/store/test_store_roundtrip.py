@@ -197,7 +197,7 @@ def test_a_sequence_that_is_not_there(small_store):
     store = Store.open(small_store)
     with pytest.raises(StoreError, match="no sequence 'nobody'"):
         store.read("nobody")
-    with pytest.raises(StoreError, match="0 … 5"):
+    with pytest.raises(StoreError, match="no sequence 6: its indices are from 0 to 5"):
         store.read(6)
 
 

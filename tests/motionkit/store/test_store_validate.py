@@ -102,7 +102,7 @@ def test_damaged_files(small_store, name, damage):
         ("sequences.parquet", with_value("duration_seconds", 0, 9.0), ["'take-0': duration_seconds is not"]),
         ("sequences.parquet", with_value("part", 5, 3), ["part-00003.parquet is referred to", "holds 8 .* says 7"]),
         ("sequences.parquet", with_value("first_row", 5, 6), ["do not follow each other"]),
-        ("sequences.parquet", with_value("sequence_index", 5, 6), ["does not count 0, 1, 2", "row 7 is"]),
+        ("sequences.parquet", with_value("sequence_index", 5, 6), ["does not ascend from 0 to below 6", "row 7 is"]),
         (
             "sequences.parquet",
             with_value("num_joints", 0, 21),

@@ -1,0 +1,49 @@
+"""`motionkit compact`: many small parts become few full ones."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from motionkit.console import print_json, progress, stdout
+from motionkit.settings import default_path
+
+MEGABYTE = 1e6
+
+
+def compact(
+    store: Annotated[Path | None, typer.Option(help="Store to compact.", show_default="./store")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+) -> None:
+    """Write a store's parts anew, full and without removed sequences; interrupted, the store stays as it was.
+
+    Sequences are numbered 0, 1, 2 … again. Needs room for a second copy until it is done; whoever has the store open
+    opens it again.
+    """
+    from motionkit.store.manifest import read_manifest
+    from motionkit.store.rewrite import compact as compact_store
+
+    path = store or default_path("store")
+    before = read_manifest(path)
+    with progress() as display:
+        task = display.add_task("compact", total=before.num_sequences, note="")
+        changed = compact_store(path, lambda: display.advance(task))
+    after = read_manifest(path)
+    if as_json:
+        print_json(
+            {
+                "store": str(path),
+                "parts_before": len(before.parts),
+                "parts": len(after.parts),
+                "bytes_before": before.num_bytes,
+                "bytes": after.num_bytes,
+            }
+        )
+    elif changed:
+        stdout.print(
+            f"{path}: {len(before.parts):,} parts, {before.num_bytes / MEGABYTE:,.1f} MB, became {len(after.parts):,}, "
+            f"{after.num_bytes / MEGABYTE:,.1f} MB",
+            markup=False,
+        )
+    else:
+        stdout.print(f"{path} is compact already", markup=False)

@@ -1,0 +1,151 @@
+"""Frames out of parts: decoded by row group, of which the last few are kept."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Float32, Int64
+
+from motionkit.errors import StoreError
+from motionkit.store import codec
+from motionkit.store.manifest import read_manifest
+from motionkit.store.schema import FLOAT_COLUMNS, KEY_COLUMNS, part_name
+
+# An open part is its footer: about 500 bytes for each row group. A decoded row group of long takes is 2 to 10 MB.
+KEPT_PARTS = 8
+KEPT_ROW_GROUPS = 4
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
+
+class _Latest(Generic[Key, Value]):
+    """The few values that were asked for last."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._values: OrderedDict[Key, Value] = OrderedDict()
+
+    def get(self, key: Key, make: Callable[[], Value]) -> Value:
+        """The value of a key, made where it is not kept."""
+        if key not in self._values:
+            self._values[key] = make()
+            if len(self._values) > self._size:
+                self._values.popitem(last=False)
+        self._values.move_to_end(key)
+        return self._values[key]
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    file: pq.ParquetFile
+    row_group_starts: Int64[np.ndarray, "row_groups_and_end"]
+
+
+class SegmentReader:
+    """Owns the open parts and the decoded row groups of one committed state of a store."""
+
+    def __init__(self, store: Path) -> None:
+        self._store = store
+        self._parts: _Latest[int, _Part] = _Latest(KEPT_PARTS)
+        self._row_groups: _Latest[tuple[int, int, tuple[str, ...]], pa.Table] = _Latest(KEPT_ROW_GROUPS)
+
+    def read(
+        self, row: Mapping[str, Any], wanted: Mapping[str, tuple[int, ...]], decode: tuple[str, ...]
+    ) -> dict[str, Float32[np.ndarray, "frames *channels"]]:
+        """Arrays [num_frames, *shape] of the wanted columns of one sequence; `decode` are the columns to keep decoded.
+
+        Raises `StoreError` where the part is damaged, or gone since the store was opened.
+        """
+        out = {name: np.empty((row["num_frames"], *shape), np.float32) for name, shape in wanted.items()}
+        with self._explained(row):
+            for rows in self._rows(row, decode):
+                _copy_segments(rows, out)
+        return out
+
+    def read_flat(self, row: Mapping[str, Any], wanted: Mapping[str, int]) -> dict[str, Float32[np.ndarray, "values"]]:
+        """The wanted columns of one sequence as they are stored, segment after segment; `wanted` gives their widths."""
+        flat = {}
+        with self._explained(row):
+            tables = list(self._rows(row, FLOAT_COLUMNS))
+            for name, width in wanted.items():
+                values = [_values(rows, name) for rows in tables]
+                flat[name] = np.concatenate([each[bounds[0] : bounds[-1]] for each, bounds in values])
+                if flat[name].size != width * row["num_frames"]:
+                    raise ValueError(f"{name} holds {flat[name].size} numbers")
+        return flat
+
+    def _rows(self, row: Mapping[str, Any], columns: tuple[str, ...]) -> Iterator[pa.Table]:
+        """The segments of one sequence, row group by row group."""
+        first, last = row["first_row"], row["first_row"] + row["num_segments"]
+        part = self._parts.get(row["part"], lambda: self._open(row["part"]))
+        starts = part.row_group_starts
+        if last > starts[-1]:
+            raise ValueError("the part ends before the sequence does")
+        while first < last:
+            group = int(np.searchsorted(starts, first, side="right")) - 1
+            table = self._row_groups.get((row["part"], group, columns), partial(_decode, part.file, group, columns))
+            stop = min(last, int(starts[group + 1]))
+            rows = table.slice(first - int(starts[group]), stop - first)
+            _check_owner(rows, row["sequence_index"])
+            yield rows
+            first = stop
+
+    def _open(self, number: int) -> _Part:
+        file = pq.ParquetFile(self._store / part_name(number))
+        counts = [file.metadata.row_group(group).num_rows for group in range(file.metadata.num_row_groups)]
+        return _Part(file, np.cumsum([0, *counts], dtype=np.int64))
+
+    @contextmanager
+    def _explained(self, row: Mapping[str, Any]) -> Iterator[None]:
+        name = part_name(row["part"])
+        try:
+            yield
+        except (pa.ArrowException, OSError, ValueError) as error:
+            if isinstance(error, FileNotFoundError):
+                check_still_there(self._store, [name])
+            raise StoreError(
+                f"the frames of sequence {row['sequence_id']!r} cannot be read from {name} ({error}): "
+                f"'motionkit validate --store {self._store}' says what is damaged"
+            ) from None
+
+
+def check_still_there(store: Path, parts: Iterable[str]) -> None:
+    """Raise `StoreError` where a later state of the store has no use for these parts, so that they were deleted."""
+    if not set(parts) <= set(read_manifest(store).files):
+        raise StoreError(
+            f"the store {store} was written anew after it was opened (compacted, migrated, overwritten, or sequences "
+            "removed): open it again"
+        )
+
+
+def _decode(file: pq.ParquetFile, group: int, columns: tuple[str, ...]) -> pa.Table:
+    return file.read_row_group(group, columns=[*KEY_COLUMNS, *columns]).combine_chunks()
+
+
+def _check_owner(rows: pa.Table, sequence_index: int) -> None:
+    owner = rows["sequence_index"].to_numpy()
+    if (owner != sequence_index).any():
+        raise ValueError(f"segments of sequence {owner[owner != sequence_index][0]} where {sequence_index}'s should be")
+
+
+def _values(rows: pa.Table, name: str) -> tuple[Float32[np.ndarray, "_"], Int64[np.ndarray, "_"]]:
+    """A column's flat values, and the bounds of each row in them."""
+    column = rows[name].chunk(0)
+    return column.values.to_numpy(zero_copy_only=True), column.offsets.to_numpy()
+
+
+def _copy_segments(rows: pa.Table, out: Mapping[str, Float32[np.ndarray, "frames *channels"]]) -> None:
+    start, count = rows["start_frame"].to_numpy(), rows["num_frames"].to_numpy()
+    for name, target in out.items():
+        values, bounds = _values(rows, name)
+        for i in range(len(start)):
+            frames = target[start[i] : start[i] + int(count[i])]
+            codec.write_frames(values[bounds[i] : bounds[i + 1]], int(count[i]), frames)
