@@ -1,8 +1,8 @@
 """A Parquet data set with a card: one self-contained row per sequence, for `datasets`, pandas, polars and duckdb.
 
-Arrays are flat lists, frame by frame, to be reshaped to [num_frames, num_joints, 3]: nested lists decode several times
-slower (docs/store.md). Files are `data/SPLIT-00000-of-0000N.parquet` of at most 256 MB, in small row groups, so that
-one sequence can be had without its neighbours.
+Arrays are flat lists, frame by frame, to be reshaped to [num_frames, num_joints, 3]: fixed-size lists decode at half
+the speed (docs/store.md), and not every reader knows them. Files are `data/SPLIT-00000-of-0000N.parquet` of at most
+256 MB, in small row groups, so that one sequence can be had without its neighbours.
 """
 
 from collections.abc import Iterator

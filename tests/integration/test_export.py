@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from eval.sample_folder import read_sample_folder
 from motionkit.cli.export import FORMATS
 from motionkit.export.catalogue import EXPORTS
 from motionkit.formats.bvh import write_bvh
@@ -186,3 +187,12 @@ def test_a_file_where_a_folder_is_to_be(motionkit, bodies, tmp_path):
     below = motionkit("export", tmp_path / "taken" / "deeper", "--store", bodies)
     assert below.code == 1
     assert below.stderr == f"motionkit: [Errno 17] File exists: '{tmp_path / 'taken'}'\n"
+
+
+def test_exported_motions_are_samples_for_eval(motionkit, bodies, tmp_path):
+    assert motionkit("export", tmp_path / "out", "--store", bodies, "--format", "npz").code == 0
+    samples = read_sample_folder("mine", tmp_path / "out")
+    store = Store.open(bodies)
+    assert sorted(samples.fps) == [30, 60]
+    for sequence_id, positions in zip(samples.sequence_ids, samples.sequences, strict=True):
+        np.testing.assert_array_equal(positions, store.read(sequence_id.removeprefix("out/")).joint_positions)
