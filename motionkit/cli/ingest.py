@@ -224,10 +224,8 @@ def _print_summary(report: "IngestReport") -> None:
 
 
 def _dataset_table(counts: "Sequence[DatasetCount]") -> str:
-    rows = [
-        (_printable(count.dataset) or "-", count.num_found, count.num_missing, count.num_failed) for count in counts
-    ]
-    rows.append(("all", *(sum(numbers) for numbers in list(zip(*rows, strict=True))[1:])))
+    rows = [(_printable(each.dataset) or "-", each.num_found, each.num_missing, each.num_failed) for each in counts]
+    rows.append(("all", sum(row[1] for row in rows), sum(row[2] for row in rows), sum(row[3] for row in rows)))
     width = max(len("dataset"), *(len(row[0]) for row in rows))
     lines = [f"{name:{width}} {found:7,} {missing:8,} {failed:7,}" for name, found, missing, failed in rows]
     return "\n".join((f"{'dataset':{width}}   found  missing  failed", *lines))
