@@ -27,6 +27,7 @@ from motionkit.timegrid import TimeGrid, parse_fps
 
 MOTION_NAMES = ("_poses", "_stageii")
 FRAMERATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
+PUBLISHED_BETAS = 10
 GENDERS = ("male", "female", "neutral")
 # The quarter turn about x that takes z up to y up: (x, y, z) → (x, z, −y).
 UPRIGHT = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0], np.float32)
@@ -103,6 +104,9 @@ def _body(archive: NpzArchive, layout: PoseLayout, options: ReadOptions) -> _Bod
             operations.append(f"rotations of {left_out} joints left out (hands, face): they need a body model")
         return _Body(mean_shape_skeleton(), tuple(operations))
     gender, betas = _gender(archive), _betas(archive)
+    if options.index is not None and options.index.published:
+        # HumanML3D's code: the female model for every gender but male, and ten betas (raw_pose_processing.ipynb).
+        gender, betas = "male" if gender == "male" else "female", betas[:PUBLISHED_BETAS]
     family = layout if layout is not BODY else LAYOUTS.get(_family(archive), SMPLH)
     model = find_body_model(options.body_models, family, gender)
     rest = model.rest_joints(betas)[: layout.num_joints]

@@ -16,7 +16,8 @@ class IndexOptions:
     """Which sequences of which indexes are wanted.
 
     `paths` are the indexes, `texts` a folder of captions (NAME.txt), `splits` one of train.txt, val.txt and test.txt.
-    `mirrored` adds mirrored sequences; `published` takes the frames that HumanML3D published, at 20 fps, not all.
+    `mirrored` adds mirrored sequences; `published` takes the frames that HumanML3D published, at 20 fps, not all, and
+    gives them the bodies that its code gave them.
     """
 
     paths: tuple[Path, ...]

@@ -4,15 +4,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from amass_samples import smplh_fields, stageii_fields, write_amass
 
 from motionkit.features import humanml3d_processing
 from motionkit.formats.amass import read_amass
+from motionkit.formats.amass_layouts import LAYOUTS
+from motionkit.formats.body_model import find_body_model
 from motionkit.formats.items import IndexOptions, ReadOptions, SourceItem
+from motionkit.formats.registry import read, scan
 from motionkit.kinematics import forward_kinematics
 from motionkit.motion import Motion
 from motionkit.store import Store
 from motionkit.store.ingest import ingest
+from tests.motionkit.formats.amass_samples import smplh_fields, stageii_fields, write_amass
+from tests.motionkit.formats.test_body_models import write_body_model
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 # The store keeps numbers on a grid of 2^-22.
@@ -122,3 +126,20 @@ def test_mirrored_clips_move_by_mirrored_rotations(stores, number):
     np.testing.assert_array_equal(mirrored.joint_positions, plain.joint_positions[:, order] * np.float32([-1, 1, 1]))
     again = forward_kinematics(mirrored.local_rotations, mirrored.root_translation, mirrored.skeleton)
     np.testing.assert_allclose(again, mirrored.joint_positions, atol=1e-5)
+
+
+@pytest.mark.parametrize(("gender", "taken"), [("male", "male"), ("female", "female"), ("neutral", "female")])
+def test_published_bodies_have_ten_betas_and_two_genders(tmp_path, gender, taken):
+    layout = LAYOUTS["smplh"]
+    for seed, name in enumerate(("MALE", "FEMALE", "NEUTRAL")):
+        write_body_model(tmp_path / f"models/SMPLH_{name}.npz", layout, seed, posedirs=np.zeros(1))
+    betas = np.linspace(-2, 2, 16)
+    write_amass(tmp_path / "amass/KIT/3/a_poses.npz", smplh_fields(40, gender=np.array(gender), betas=betas))
+    (tmp_path / "index.csv").write_text(HEADER + "./pose_data/KIT/3/a_poses.npy,0,4,000000.npy\n")
+    for published, model_gender, num_betas in ((True, taken, 10), (False, gender, 16)):
+        index = IndexOptions((tmp_path / "index.csv",), published=published)
+        options = ReadOptions(index=index, body_models=tmp_path / "models")
+        motion = read(scan([tmp_path / "amass"], options).items[0], options)
+        rest = find_body_model(tmp_path / "models", layout, model_gender).rest_joints(betas[:num_betas])
+        assert motion.skeleton.name == f"smplh-{model_gender}"
+        np.testing.assert_allclose(motion.skeleton.offsets[1:], (rest - rest[list(layout.parents)])[1:], atol=1e-6)
