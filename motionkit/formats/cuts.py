@@ -13,7 +13,7 @@ from pathlib import Path
 
 from motionkit.errors import FormatError
 from motionkit.motion import Motion
-from motionkit.timegrid import TimeGrid, parse_fps
+from motionkit.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
 
 PUBLISHED_FPS = 20
 # Two readings of the same instant differ by less than this.
@@ -90,6 +90,16 @@ def missing_seconds(cut: Cut, num_frames: int, fps: Fraction, stated_fps: str) -
     raise AssertionError(cut)
 
 
+def counted_by(path: Path, stated_fps: str, fps: Fraction) -> str:
+    """The stated framerate by which an index's frames were counted; none where an SMPL-X file's was corrected to `fps`.
+
+    The indexes were made on SMPL+H files. SMPL-X files (NAME_stageii) of the same takes say 120 for nearly all, and
+    `framerate_rules` gives them what the SMPL+H files say.
+    """
+    corrected = abs(stated_rate(stated_fps, fps) - float(fps)) > SNAP_TOLERANCE * float(fps)
+    return "" if corrected and path.stem.endswith("_stageii") else stated_fps
+
+
 def stated_rate(stated_fps: str, fps: Fraction) -> float:
     """The framerate that a file states, unrounded where it is a number, else the one in use.
 
@@ -113,11 +123,12 @@ def _crop_seconds(motion: Motion, cut: TimeCut, path: Path) -> Motion:
 
 
 def _step(motion: Motion, cut: StepCut, path: Path) -> int:
-    step = cut.step(motion.provenance.stated_fps, motion.fps)
+    stated = counted_by(path, motion.provenance.stated_fps, motion.fps)
+    step = cut.step(stated, motion.fps)
     if step < 1:
         raise FormatError(
-            f"{stated_rate(motion.provenance.stated_fps, motion.fps):g} frames a second; an index in HumanML3D's "
-            f"frames needs at least {PUBLISHED_FPS}",
+            f"{stated_rate(stated, motion.fps):g} frames a second; an index in HumanML3D's frames needs at least "
+            f"{PUBLISHED_FPS}",
             path=path,
             reason="step",
         )

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from motionkit.errors import FormatError, StoreError
-from motionkit.formats.cuts import missing_seconds
+from motionkit.formats.cuts import counted_by, missing_seconds
 from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, scan
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map
@@ -270,7 +270,8 @@ def shortfall(item: SourceItem, motion: EncodedMotion) -> FormatError | None:
         return None
     row = motion.row
     fps = Fraction(row["fps_numerator"], row["fps_denominator"])
-    missing = missing_seconds(item.cut, motion.num_frames, fps, row["stated_fps"])
+    stated = counted_by(item.path, row["stated_fps"], fps)
+    missing = missing_seconds(item.cut, motion.num_frames, fps, stated)
     if missing <= 0.0:
         return None
     return FormatError(

@@ -35,6 +35,12 @@ def frames_of(motion: Motion) -> list[int]:
     return motion.joint_positions[:, 0, 0].astype(int).tolist()
 
 
+def test_of_smplx_files_the_corrected_framerate_counts_as_the_other_release_says_it():
+    motion = take(400, "120.0", Fraction(100))
+    assert frames_of(crop(motion, StepCut(10, 20), Path("KIT/3/walk_stageii.npz"))) == list(range(50, 100))
+    assert frames_of(crop(motion, StepCut(10, 20), Path("KIT/3/walk_poses.npz"))) == list(range(60, 120))
+
+
 @pytest.mark.parametrize(
     ("stated", "step", "first", "stop"),
     [
