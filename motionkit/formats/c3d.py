@@ -13,12 +13,13 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64
 
 from motionkit.errors import FormatError
-from motionkit.formats import bvh_channels, sourcefile
+from motionkit.formats import bvh_channels, marker_gaps, sourcefile
 from motionkit.formats.c3d_file import C3dFile, parse_c3d
 from motionkit.formats.items import ReadOptions
+from motionkit.formats.marker_gaps import Block
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import Skeleton
 from motionkit.timegrid import TimeGrid, parse_fps
@@ -51,10 +52,12 @@ class _Markers:
 def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read the markers of one file as positions in metres, y up; unlabelled ones and model outputs are left out.
 
-    Up is the axis that POINT:Y_SCREEN names, +Z where it names none; the unit is POINT:UNITS, mm where it says nothing.
-    Of a marker that was not seen (residual −1, or NaN, or exactly 0, 0, 0) gaps up to 0.1 s are filled linearly, at the
-    ends with the nearest position; one with a longer gap is dropped. All of it is in the operation log. Raises
-    `FormatError`, with the reason `gaps` where no marker remains.
+    Up is the axis that POINT:Y_SCREEN names, z where it names none, in the direction in which most markers are (makers
+    disagree about the sign); the unit is POINT:UNITS, mm where it says nothing. A marker was not seen where its
+    residual is negative, or it is NaN or exactly 0, 0, 0. Kept are the markers and the stretch of frames of which most
+    positions remain without a gap longer than 0.1 s; shorter gaps are filled linearly, at the ends of the take with the
+    nearest position. All of it is in the operation log. Raises `FormatError`, with the reason `gaps` where no marker
+    remains.
     """
     options = options or ReadOptions()
     data = sourcefile.read_bytes(path)
@@ -64,7 +67,7 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     fps, log = _framerate(rate, options.fps, path)
     markers = _without_gaps(_labelled(file, path), fps, path)
     unit, why = _unit(file, options, path)
-    up, axis_log = _up(file, path)
+    up, axis_log = _up(file, markers, path)
     positions = _metres(markers, unit, up, path)
     skeleton = Skeleton(
         name="markers",
@@ -137,39 +140,44 @@ def _without_subject(labels: list[str]) -> list[str]:
 
 def _without_gaps(markers: _Markers, fps: Fraction, path: Path) -> _Markers:
     missing = np.isnan(markers.positions[..., 0])
-    longest = _longest_gaps(missing)
-    dropped = (longest > int(MAX_GAP_SECONDS * fps)) | missing.all(axis=0)
-    if dropped.all():
+    block = marker_gaps.largest_block(missing, int(MAX_GAP_SECONDS * fps))
+    gap = f"{float(MAX_GAP_SECONDS):g} s"
+    if block.start == block.stop:
         raise FormatError(
-            f"every one of {len(markers.names)} markers is missing for longer than {float(MAX_GAP_SECONDS):g} s at "
-            "once; fill the gaps in the capture software",
+            f"no marker is seen for any time without gaps longer than {gap}; fill them in the capture software",
             path=path,
             reason="gaps",
         )
     operations = list(markers.operations)
-    if dropped.any():
-        gaps = [f"{markers.names[marker]} ({longest[marker] / float(fps):.2f} s)" for marker in np.flatnonzero(dropped)]
-        operations.append(f"markers dropped, not seen for longer than {float(MAX_GAP_SECONDS):g} s: {_some(gaps)}")
-    positions, missing = markers.positions[:, ~dropped].copy(), missing[:, ~dropped]
-    frames = np.arange(len(positions), dtype=np.float64)
-    for marker in np.flatnonzero(missing.any(axis=0)):
-        seen = ~missing[:, marker]
+    if block.stop - block.start < len(missing):
+        stretch = f"frames [{block.start}, {block.stop}) of {len(missing)}"
+        operations.append(f"{stretch} kept, throughout which most markers are seen")
+    stays = block.markers.tolist()
+    lost = [name for name, kept in zip(markers.names, stays, strict=True) if not kept]
+    if lost:
+        operations.append(f"{len(lost)} markers dropped, not seen for longer than {gap}: {_some(lost)}")
+    positions, filled = _filled(markers.positions[:, block.markers], missing[:, block.markers], block)
+    names = tuple(name for name, kept in zip(markers.names, stays, strict=True) if kept)
+    return _Markers(names, positions, (*operations, *filled))
+
+
+def _filled(
+    positions: Float64[np.ndarray, "frames markers 3"], missing: Bool[np.ndarray, "frames markers"], block: Block
+) -> tuple[Float64[np.ndarray, "kept markers 3"], list[str]]:
+    # What is left out beyond the block still says where a marker was on the other side of a gap.
+    kept = positions[block.start : block.stop].copy()
+    gone = missing[block.start : block.stop]
+    for marker in np.flatnonzero(gone.any(axis=0)):
+        frames, seen = np.flatnonzero(gone[:, marker]), np.flatnonzero(~missing[:, marker])
         for axis in range(3):
-            positions[~seen, marker, axis] = np.interp(frames[~seen], frames[seen], positions[seen, marker, axis])
-    if missing.any():
-        operations.append(
-            f"gaps filled linearly: {int(missing.sum())} positions of {int(missing.any(axis=0).sum())} markers, the "
-            f"longest {int(longest[~dropped].max())} frames"
-        )
-    names = tuple(name for name, gone in zip(markers.names, dropped.tolist(), strict=True) if not gone)
-    return _Markers(names, positions, tuple(operations))
-
-
-def _longest_gaps(missing: Bool[np.ndarray, "frames markers"]) -> Int64[np.ndarray, "markers"]:
-    # Frames since each marker was last seen; the greatest is its longest gap.
-    frames = np.arange(1, len(missing) + 1)[:, None]
-    last_seen = np.maximum.accumulate(np.where(missing, 0, frames), axis=0)
-    return np.asarray((frames - last_seen).max(axis=0), np.int64)
+            kept[frames, marker, axis] = np.interp(frames + block.start, seen, positions[seen, marker, axis])
+    if not gone.any():
+        return kept, []
+    _, start, stop = marker_gaps.runs_of(gone)
+    return kept, [
+        f"gaps filled linearly: {int(gone.sum())} positions of {int(gone.any(axis=0).sum())} markers, the longest "
+        f"{int((stop - start).max())} frames"
+    ]
 
 
 def _unit(file: C3dFile, options: ReadOptions, path: Path) -> tuple[float, str]:
@@ -188,7 +196,7 @@ def _unit(file: C3dFile, options: ReadOptions, path: Path) -> tuple[float, str]:
     return UNITS[stated[0].lower()], f"POINT:UNITS is {stated[0]}"
 
 
-def _up(file: C3dFile, path: Path) -> tuple[str, list[str]]:
+def _up(file: C3dFile, markers: _Markers, path: Path) -> tuple[str, list[str]]:
     stated = next(iter(file.texts("POINT:Y_SCREEN")), "").upper()
     up = f"+{stated}" if stated in ("X", "Y", "Z") else stated or ASSUMED_UP
     if up not in TURNS:
@@ -196,8 +204,12 @@ def _up(file: C3dFile, path: Path) -> tuple[str, list[str]]:
             f"POINT:Y_SCREEN is {stated[:20]!r}, expected one of {', '.join(TURNS)}", path=path, reason="parameters"
         )
     why = f"POINT:Y_SCREEN is {stated}" if stated else "POINT:Y_SCREEN says nothing: z up, as is usual"
+    heights = markers.positions[..., "XYZ".index(up[1])] * (1 if up[0] == "+" else -1)
+    if np.median(heights) < 0:
+        up = f"{'-' if up[0] == '+' else '+'}{up[1]}"
+        why += ", but that way most markers would be below the floor"
     axis = up.lower().replace("+", "").replace("-", "−")
-    return up, [] if up == "+Y" else [f"turned from {axis} up to y up ({why})"]
+    return up, [] if up == "+Y" and "but" not in why else [f"turned from {axis} up to y up ({why})"]
 
 
 def _metres(markers: _Markers, unit: float, up: str, path: Path) -> Float32[np.ndarray, "frames markers 3"]:

@@ -124,6 +124,15 @@ def test_the_axis_that_points_up_on_the_screen_becomes_y(tmp_path: Path, up: str
     assert np.isclose(np.linalg.det(motion.joint_positions[0]), np.linalg.det(positions[0]) / 1e9)
 
 
+def test_makers_disagree_about_the_sign_of_up(tmp_path: Path) -> None:
+    # Qualisys writes −Z for captures whose z points up.
+    motion = read_c3d(write(tmp_path / "take.c3d", points(), X_SCREEN=["-X"], Y_SCREEN=["-Z"]))
+    assert np.array_equal(motion.joint_positions, read_c3d(write(tmp_path / "b.c3d", points())).joint_positions)
+    assert motion.provenance.operations[-1] == (
+        "turned from z up to y up (POINT:Y_SCREEN is -Z, but that way most markers would be below the floor)"
+    )
+
+
 @pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("MM", 0.001), ("in", 0.0254), (None, 0.001)])
 def test_units(tmp_path: Path, unit: str | None, metres: float) -> None:
     path = write(tmp_path / "take.c3d", points(), UNITS=None if unit is None else [unit], Y_SCREEN=["+Y"])
@@ -147,9 +156,20 @@ def test_short_gaps_are_filled_and_markers_with_long_ones_are_dropped(tmp_path: 
     assert np.allclose(found[:12, 2], positions[12, 2], rtol=1e-5)
     assert np.allclose(found[:, 0], positions[:, 0], rtol=1e-5)
     assert motion.provenance.operations[:2] == (
-        "markers dropped, not seen for longer than 0.1 s: D (0.11 s), E (0.50 s)",
+        "2 markers dropped, not seen for longer than 0.1 s: D, E",
         "gaps filled linearly: 22 positions of 2 markers, the longest 12 frames",
     )
+
+
+def test_frames_before_the_subject_is_seen_are_left_out(tmp_path: Path) -> None:
+    positions = points(300, 4)
+    positions[:100] = np.nan
+    positions[280:, :2] = np.nan
+    positions[100:104, 2] = np.nan  # it is seen later than the others: the stretch begins there
+    motion = read_c3d(write(tmp_path / "take.c3d", positions, ("A", "B", "C", "D"), Y_SCREEN=["+Y"], UNITS=["m"]))
+    assert motion.num_frames == 176 and motion.skeleton.num_joints == 4
+    assert np.allclose(motion.joint_positions, positions[104:280], rtol=1e-5)
+    assert motion.provenance.operations[0] == "frames [104, 280) of 300 kept, throughout which most markers are seen"
 
 
 def test_what_is_no_labelled_marker_is_left_out(tmp_path: Path) -> None:
