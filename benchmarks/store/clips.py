@@ -101,10 +101,10 @@ def rate(gather: Gather, batches: list[tuple[np.ndarray, np.ndarray]], seconds: 
     return clips / (time.process_time() - begun)
 
 
-def copy_rate(cache: PositionCache, clip_frames: int, seconds: float) -> tuple[float, float]:
-    """The floor: clips a second, and bytes a second, of plain copies of a batch's bytes out of the whole cache."""
+def copy_rate(positions: np.ndarray, clip_frames: int, seconds: float) -> tuple[float, float]:
+    """The floor: clips a second, and bytes a second, of plain copies of a batch's bytes out of all of them."""
     block = BATCH * clip_frames
-    frames = np.array(cache.positions[: len(cache.positions) // block * block]).reshape(-1, block, 22, 3)
+    frames = np.array(positions[: len(positions) // block * block]).reshape(-1, block, 22, 3)
     target = np.empty_like(frames[0])
     copies, begun = 0, time.process_time()
     while time.process_time() - begun < seconds:
@@ -143,7 +143,7 @@ def main() -> None:
         expected = ways["motionkit cache"](*few)
         for gather in ways.values():
             np.testing.assert_array_equal(gather(*few), expected)
-        floor, bandwidth = copy_rate(cache, length, arguments.seconds)
+        floor, bandwidth = copy_rate(cache.positions, length, arguments.seconds)
         rates = {"floor: plain copy of the same bytes": floor}
         for name, gather in ways.items():
             some = batches if name == "motionkit cache" else [(s[:16], f[:16]) for s, f in batches[:4]]

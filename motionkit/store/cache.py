@@ -34,8 +34,6 @@ INDEX_DTYPE = np.dtype(
         ("fps_denominator", "<i8"),
     ]
 )
-
-
 INDEX_COLUMNS = ("sequence_index", "num_frames", "fps_numerator", "fps_denominator")
 
 

@@ -207,8 +207,7 @@ class _Run:
 
     def _add(self, writer: StoreWriter, item: SourceItem, motion: EncodedMotion) -> None:
         self._check_rig(item, motion.skeleton)
-        held = writer.source_sha256(motion.sequence_id)
-        if held and held == motion.row["source_sha256"]:
+        if writer.holds_from(motion.sequence_id, motion.row["source_sha256"]):
             self._num_already_stored += 1
             return
         try:

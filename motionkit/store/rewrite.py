@@ -110,7 +110,7 @@ def merge(
         raise UsageError("no sequence of the sources is chosen" + (f" by {where!r}" if where else ""))
     appends = (out / MANIFEST_FILE).exists()
     with StoreWriter.append(out) if appends else StoreWriter.create(out) as writer:
-        news, num_known, conflicts = _new_sequences(chosen, writer.source_sha256)
+        news, num_known, conflicts = _new_sequences(chosen, writer)
         if conflicts and on_conflict == "stop":
             raise StoreError(_told(conflicts))
         num_new = sum(len(choice.indices) for choice in news)
@@ -122,9 +122,7 @@ def merge(
     return MergeReport(out, num_new, num_known, tuple(conflicts), committed(out).num_sequences)
 
 
-def _new_sequences(
-    chosen: Iterable[_Choice], held_sha256: Callable[[str], str | None]
-) -> tuple[list[_Choice], int, list[str]]:
+def _new_sequences(chosen: Iterable[_Choice], writer: StoreWriter) -> tuple[list[_Choice], int, list[str]]:
     """What is to be copied, how many sequences are there already, and the ids of conflicts."""
     seen: dict[str, str] = {}
     news, num_known, conflicts = [], 0, []
@@ -132,11 +130,10 @@ def _new_sequences(
         columns = choice.store.columns("sequence_id", "source_sha256").loc[choice.indices]
         kept = []
         for index, sequence_id, sha256 in columns.itertuples(name=None):
-            held = seen.get(sequence_id, held_sha256(sequence_id))
-            if held is None:
+            if sequence_id not in seen and not writer.holds(sequence_id):
                 seen[sequence_id] = sha256
                 kept.append(index)
-            elif held and held == sha256:
+            elif (sha256 and seen.get(sequence_id) == sha256) or writer.holds_from(sequence_id, sha256):
                 num_known += 1
             else:
                 conflicts.append(sequence_id)

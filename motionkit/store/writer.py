@@ -19,6 +19,7 @@ from motionkit.store.commit import (
     require_present_version,
 )
 from motionkit.store.encode import EncodedMotion, RefusedMotion, encode
+from motionkit.store.known import KnownSequences
 from motionkit.store.manifest import Manifest
 from motionkit.store.parts import PartWriter
 from motionkit.store.schema import (
@@ -44,7 +45,7 @@ class StoreWriter:
         self._new = new
         self._part_bytes = part_bytes
         self._held = ExitStack()
-        self._known: dict[str, str] = {}
+        self._known = KnownSequences()
         self._skeletons: dict[str, Skeleton] = {}
 
     @classmethod
@@ -82,9 +83,8 @@ class StoreWriter:
 
     def _read_base(self) -> None:
         known = pq.read_table(self.path / SEQUENCES_FILE, columns=["sequence_id", "source_sha256"])
-        self._known = dict(
-            zip(known["sequence_id"].to_pylist(), known["source_sha256"].to_pylist(), strict=True),
-        )
+        for batch in known.to_batches(SEQUENCES_PER_ROW_GROUP):
+            self._known.add_all(zip(*(column.to_pylist() for column in batch.columns), strict=True))
         for row in pq.read_table(self.path / SKELETONS_FILE).to_pylist():
             self._skeletons[row["skeleton"]] = codec.skeleton_from_row(row)
 
@@ -93,9 +93,13 @@ class StoreWriter:
         """Number of sequences that the store will hold at the commit."""
         return self._num_sequences
 
-    def source_sha256(self, sequence_id: str) -> str | None:
-        """Checksum of the source that a sequence came from; None for an id that the store does not hold."""
-        return self._known.get(sequence_id)
+    def holds(self, sequence_id: str) -> bool:
+        """Whether the store will hold a sequence with this id."""
+        return sequence_id in self._known
+
+    def holds_from(self, sequence_id: str, source_sha256: str) -> bool:
+        """Whether the store will hold this sequence, read from a source with this checksum."""
+        return bool(source_sha256) and self._known.is_from(sequence_id, source_sha256)
 
     def add(self, motion: Motion) -> int:
         """Add one motion and return its sequence index; raises `RefusedMotion` and leaves everything as it was."""
@@ -103,7 +107,7 @@ class StoreWriter:
 
     def add_encoded(self, motion: EncodedMotion) -> int:
         """Add a motion that another process may have encoded; otherwise as `add`."""
-        if motion.sequence_id in self._known:
+        if self.holds(motion.sequence_id):
             raise RefusedMotion(
                 f"the store already holds a sequence with the id {motion.sequence_id!r}: ids must differ",
                 reason="duplicate-id",
@@ -114,7 +118,7 @@ class StoreWriter:
         self._rows.append(
             {**motion.row, "sequence_index": sequence_index, "part": part, "first_row": first_row},
         )
-        self._known[motion.sequence_id] = motion.row["source_sha256"]
+        self._known.add(motion.sequence_id, motion.row["source_sha256"])
         self._skeletons.setdefault(motion.skeleton.fingerprint, motion.skeleton)
         self._num_sequences += 1
         self._next_sequence_index += 1
