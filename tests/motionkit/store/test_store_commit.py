@@ -13,6 +13,9 @@ import pytest
 
 from motionkit.errors import StoreError
 from motionkit.store import Store, StoreWriter, files
+from motionkit.store.removal import remove
+from motionkit.store.rewrite import migrate
+from motionkit.store.validate import faults
 
 # The renames of one append that fills two parts: part, part, manifest (the commit), sequences, skeletons.
 NUM_RENAMES = 5
@@ -106,6 +109,59 @@ def test_a_killed_writer(small_store, make_motion, moment):
     assert Store.open(small_store).num_sequences == store.num_sequences + 1
 
 
+REWRITER = textwrap.dedent(
+    """
+    import os, signal, sys
+    from pathlib import Path
+    from motionkit.store import files
+    from motionkit.store.removal import remove
+    from motionkit.store.rewrite import compact, migrate
+
+    store, what, left = Path(sys.argv[1]), sys.argv[2], [int(sys.argv[3])]
+    rename = files.replace
+    def replace(source, target):
+        if left[0] == 0: os.kill(os.getpid(), signal.SIGKILL)
+        left[0] -= 1
+        rename(source, target)
+    files.replace = replace
+    change = {"remove": lambda: remove(store, ["take-3"]), "compact": lambda: compact(store)}
+    change.get(what, lambda: migrate(store))()
+    """
+)
+
+
+# The renames: parts, then the manifest (the commit), then the tables.
+@pytest.mark.parametrize(
+    ("what", "moment", "committed"),
+    [
+        *(("remove", moment, moment == 1) for moment in range(2)),
+        *(("compact", moment, moment > 1) for moment in range(4)),
+        *(("migrate", moment, moment > 1) for moment in range(4)),
+    ],
+)
+def test_a_killed_change(small_store, make_motion, what, moment, committed):
+    """A removal, compaction or migration that dies leaves the state before it or after it, and nothing for long."""
+    if what == "compact":
+        append_two_parts(small_store, make_motion)
+    if what == "migrate":
+        shutil.copytree(Path(__file__).parent / "stores" / "v1", small_store, dirs_exist_ok=True)
+    before = Store.open(small_store)
+    arguments = [sys.executable, "-c", REWRITER, str(small_store), what, str(moment)]
+    assert subprocess.run(arguments, check=False).returncode == -9
+    store = Store.open(small_store)
+    assert (store.fingerprint != before.fingerprint) == committed
+    expected = [
+        name for name in before.sequences["sequence_id"] if not (committed and what == "remove" and name == "take-3")
+    ]
+    assert [motion.sequence_id for motion in store.read_many(store.select())] == expected
+    assert list(faults(small_store)) == []
+    migrate(small_store)
+    with StoreWriter.append(small_store) as writer:
+        writer.add(make_motion("later"))
+    assert leftovers(small_store) == []
+    assert list(faults(small_store)) == []
+
+
 def test_an_exception_in_the_block_leaves_everything_as_it_was(small_store, make_motion):
     before = {path: path.read_bytes() for path in small_store.rglob("*") if path.is_file()}
     with pytest.raises(RuntimeError), StoreWriter.append(small_store, part_bytes=1) as writer:
@@ -136,6 +192,71 @@ def test_two_writers(small_store, make_motion):
     with StoreWriter.append(small_store) as writer:
         writer.add(make_motion("second"))
     assert Store.open(small_store).num_sequences == 8
+
+
+WRITER = textwrap.dedent(
+    """
+    import sys
+    from fractions import Fraction
+    from pathlib import Path
+    import numpy as np
+    from motionkit.errors import StoreError
+    from motionkit.motion import Motion
+    from motionkit.skeleton import SMPL22
+    from motionkit.store import StoreWriter
+    from motionkit.timegrid import TimeGrid
+
+    store, name = Path(sys.argv[1]), sys.argv[2]
+    frames = np.zeros((3, 22, 3), np.float32)
+    for number in range(8):
+        while True:
+            try:
+                with StoreWriter.append(store) as writer:
+                    writer.add(Motion(frames, SMPL22, TimeGrid(Fraction(30), 3), sequence_id=f"{name}-{number}"))
+                break
+            except StoreError as error:
+                assert "another process is writing" in str(error)
+    """
+)
+
+
+def test_two_processes_that_write_at_once_lose_nothing(small_store):
+    writers = [subprocess.Popen([sys.executable, "-c", WRITER, str(small_store), name]) for name in ("left", "right")]
+    while any(writer.poll() is None for writer in writers):
+        store = Store.open(small_store)
+        assert len(store.sequences_table) == store.num_sequences
+        store.read(store.num_sequences - 1)
+    assert [writer.returncode for writer in writers] == [0, 0]
+    ids = Store.open(small_store).sequences["sequence_id"].tolist()
+    for name in ("left", "right"):
+        assert [each for each in ids if each.startswith(name)] == [f"{name}-{number}" for number in range(8)]
+    assert len(ids) == 6 + 16
+    assert list(faults(small_store)) == []
+    assert leftovers(small_store) == []
+
+
+HOLDER = textwrap.dedent(
+    """
+    import sys, time
+    from motionkit.store import StoreWriter
+    with StoreWriter.append(sys.argv[1]):
+        print("holding", flush=True)
+        time.sleep(600)
+    """
+)
+
+
+def test_the_lock_of_a_killed_writer_is_free(small_store, make_motion):
+    """And as long as it lives, every change is refused with its name."""
+    arguments = [sys.executable, "-c", HOLDER, str(small_store)]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None and holder.stdout.readline() == "holding\n"
+        for change in (lambda: remove(small_store, ["take-3"]), lambda: append_two_parts(small_store, make_motion)):
+            with pytest.raises(StoreError, match=rf"another process is writing .*process {holder.pid} on"):
+                change()
+        holder.kill()
+    assert (small_store / files.LOCK_FILE).read_text().startswith(f"process {holder.pid} on")
+    assert remove(small_store, ["take-3"]) == ("take-3",)
 
 
 def test_readers_read_on_while_writers_commit(small_store, make_motion):

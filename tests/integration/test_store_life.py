@@ -1,0 +1,104 @@
+"""`motionkit remove`, `compact`, `merge`, `migrate` as a person uses them."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from motionkit.store import Store
+
+VERSION_1 = Path(__file__).parents[1] / "motionkit" / "store" / "stores" / "v1"
+
+
+@pytest.fixture
+def store(motionkit, takes, tmp_path):
+    """Three takes in three small parts."""
+    for take in sorted(takes.iterdir()):
+        motionkit("ingest", take, "--store", tmp_path / "store", "--workers", 1)
+    return tmp_path / "store"
+
+
+def ids(store):
+    return Store.open(store).sequences["sequence_id"].tolist()
+
+
+def test_remove_and_compact(motionkit, store):
+    everything = ids(store)
+    outcome = motionkit("remove", everything[1], "--store", store)
+    assert (outcome.code, outcome.stdout) == (0, f"removed 1 sequences from {store}, which holds 2\n")
+    assert ids(store) == [everything[0], everything[2]]
+    outcome = motionkit("compact", "--store", store)
+    assert outcome.code == 0
+    assert outcome.stdout.startswith(f"{store}: 2 parts, ")
+    assert " became 1, " in outcome.stdout
+    assert motionkit("compact", "--store", store).stdout == f"{store} is compact already\n"
+    assert motionkit("validate", "--store", store).code == 0
+    removed = json.loads(motionkit("remove", "--where", "num_frames = 6", "--store", store, "--json").stdout)
+    assert removed == {
+        "store": str(store),
+        "removed": [everything[2]],
+        "sequences_in_store": 1,
+        "segments_to_compact": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        ((), 2, "name the sequences to remove"),
+        (("nobody",), 1, "holds no sequence 'nobody'"),
+        (("--where", "fps = 1"), 2, "no sequence of"),
+        (("--where", "nonsense = 1"), 2, "duckdb"),
+    ],
+)
+def test_removals_that_make_no_sense(motionkit, store, arguments, code, says):
+    before = Store.open(store).fingerprint
+    outcome = motionkit("remove", *arguments, "--store", store)
+    assert outcome.code == code
+    assert says in outcome.stderr
+    assert Store.open(store).fingerprint == before
+
+
+def test_merge(motionkit, store, tmp_path):
+    outcome = motionkit("merge", tmp_path / "few", store, "--where", "num_frames < 6")
+    assert (outcome.code, outcome.stdout) == (0, f"stored 2 sequences in {tmp_path / 'few'}, which holds 2\n")
+    report = json.loads(motionkit("merge", tmp_path / "few", store, "--json").stdout)
+    assert report == {
+        "store": str(tmp_path / "few"),
+        "stored": 1,
+        "already_stored": 2,
+        "conflicts": [],
+        "sequences_in_store": 3,
+    }
+    assert ids(tmp_path / "few") == ids(store)
+
+
+def test_merge_of_conflicts(motionkit, store, takes, tmp_path):
+    other = takes / "alpha.bvh"
+    other.write_text(other.read_text() + "\n")
+    motionkit("ingest", other, "--store", tmp_path / "other", "--workers", 1)
+    name = ids(tmp_path / "other")[0]
+    outcome = motionkit("merge", store, tmp_path / "other")
+    assert outcome.code == 1
+    assert f"1 ids stand for different files: {name!r}" in outcome.stderr
+    outcome = motionkit("merge", store, tmp_path / "other", "--on-conflict", "skip")
+    assert outcome.code == 0
+    assert f"left out: {name!r} is there from another file" in outcome.stderr
+    assert outcome.stdout.splitlines()[-1] == "left out: 1 whose ids are there from other files"
+
+
+def test_migrate(motionkit, takes, tmp_path):
+    store = tmp_path / "store"
+    shutil.copytree(VERSION_1, store)
+    assert motionkit("info", "--store", store).code == 0
+    for arguments in (("ingest", takes), ("remove", "limbs/long"), ("compact",)):
+        outcome = motionkit(*arguments, "--store", store)
+        assert outcome.code == 1
+        assert f"'motionkit migrate --store {store}'" in outcome.stderr
+    outcome = motionkit("migrate", "--store", store)
+    assert (outcome.code, outcome.stdout) == (0, f"{store}: 2 sequences from format version 1 to 2\n")
+    assert motionkit("migrate", "--store", store).stdout == f"{store} has format version 2 already\n"
+    assert motionkit("ingest", takes, "--store", store, "--workers", 1).code == 0
+    assert len(ids(store)) == 5
+    assert motionkit("validate", "--store", store).code == 0
