@@ -5,7 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.features import humanml3d_processing
+from motionkit.export.catalogue import EXPORTS
+from motionkit.export.run import export
+from motionkit.export.selection import Selection
+from motionkit.features import humanml3d, humanml3d_processing
 from motionkit.formats.amass import read_amass
 from motionkit.formats.amass_layouts import LAYOUTS
 from motionkit.formats.body_model import find_body_model
@@ -126,6 +129,18 @@ def test_mirrored_clips_move_by_mirrored_rotations(stores, number):
     np.testing.assert_array_equal(mirrored.joint_positions, plain.joint_positions[:, order] * np.float32([-1, 1, 1]))
     again = forward_kinematics(mirrored.local_rotations, mirrored.root_translation, mirrored.skeleton)
     np.testing.assert_allclose(again, mirrored.joint_positions, atol=1e-5)
+
+
+def test_published_clips_exported_are_the_published_folder(amass, stores, tmp_path):
+    """What the notebooks write from the same joints: names, poses, the 263 numbers."""
+    export(Selection(stores[True], stores[True].select(None)), tmp_path / "out", EXPORTS["humanml3d"])
+    for number, (name, _, _, indexed, (start, end), _, _) in enumerate(CLIPS):
+        raw = as_published(amass, name, indexed.split("/")[0], start, end)
+        vectors = humanml3d.vectors(humanml3d_processing.process(raw, "smpl22"), "smpl22")
+        written = np.load(tmp_path / f"out/new_joint_vecs/{number:06}.npy")
+        assert written.shape == (end - start - 1, 263)
+        np.testing.assert_allclose(written, vectors, atol=2e-5)
+        assert (tmp_path / f"out/new_joints/M{number:06}.npy").is_file()
 
 
 @pytest.mark.parametrize(("gender", "taken"), [("male", "male"), ("female", "female"), ("neutral", "female")])
