@@ -10,19 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from motionkit.skeleton import SMPL22, Feet, Skeleton
+from motionkit.skeleton import SMPL22, Skeleton
 
 FINGERS = tuple(f"{finger}{bone}" for finger in ("index", "middle", "pinky", "ring", "thumb") for bone in (1, 2, 3))
 HANDS = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in FINGERS)
 FACE = ("jaw", "left_eye", "right_eye")
-FEET = Feet(left_ankle=7, left_toe=10, right_ankle=8, right_toe=11)
 
 
 @dataclass(frozen=True)
 class PoseLayout:
     """Joints of one body model, in the order of its pose array (3 numbers each).
 
-    `family` names the body model (smpl, smplh, smplx) whose shape space the betas belong to.
+    `family` names the body model (smpl, smplh, smplx) whose shape space the betas belong to; the body
+    joints alone have none.
     """
 
     family: str
@@ -45,7 +45,7 @@ class PoseLayout:
             parents=self.parents,
             offsets=offsets.astype(np.float32),
             left_right_pairs=_pairs(self.joint_names),
-            feet=FEET,
+            feet=SMPL22.feet,
         )
 
 

@@ -7,7 +7,7 @@ from motionkit.skeleton import Skeleton
 
 # Rest offsets in metres relative to the parent (pelvis: relative to the model's origin), y up, facing +z, left at +x,
 # arms straight out. Source: the bodies of phc/data/assets/mjcf/smpl_humanoid.xml in
-# https://github.com/ZhengyiLuo/PHC, which was made from SMPL with all betas 0.
+# https://github.com/ZhengyiLuo/PHC (BSD 3-clause), made from SMPL's neutral body with all betas 0.
 MEAN_OFFSETS = (
     (-0.0018, -0.2233, 0.0282),
     (0.0695, -0.0914, -0.0068),

@@ -13,9 +13,10 @@ MEMO = frozenset({"MEMOIZE", "PUT", "BINPUT", "LONG_BINPUT"})
 STRINGS = frozenset({"UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINSTRING", "SHORT_BINSTRING"})
 BYTES = frozenset({"BINBYTES", "SHORT_BINBYTES"})
 NUMBERS = frozenset({"INT", "BININT", "BININT1", "BININT2", "BINFLOAT", "NONE", "NEWTRUE", "NEWFALSE"})
+CONSTANTS = STRINGS | BYTES | NUMBERS
 TUPLES = frozenset({"MARK", "TUPLE", "EMPTY_TUPLE", "TUPLE1", "TUPLE2", "TUPLE3", "EMPTY_LIST", "APPEND"})
 CALLS = frozenset({"GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD", "GET", "BINGET", "LONG_BINGET"})
-OPCODES = frozenset({"PROTO", "FRAME", "STOP"}).union(STRINGS, BYTES, NUMBERS, TUPLES, CALLS)
+OPCODES = frozenset({"PROTO", "FRAME", "STOP"}).union(CONSTANTS, TUPLES, CALLS)
 GLOBALS = frozenset(
     f"{module} {name}"
     for module, name in (
@@ -41,7 +42,7 @@ def parse_scalar(content: bytes) -> str | int | float | None:
     if not OPCODES.issuperset(names) or names.count("EMPTY_LIST") != 1:
         return None
     place = names.index("EMPTY_LIST") + 1
-    if names[place + 1 :] != ["APPEND", "TUPLE", "BUILD", "STOP"]:
+    if names[place + 1 :] != ["APPEND", "TUPLE", "BUILD", "STOP"] or names[place] not in CONSTANTS:
         return None
     value = steps[place][1]
     for name, argument in (*steps[:place], *steps[place + 1 :]):

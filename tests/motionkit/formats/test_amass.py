@@ -119,3 +119,15 @@ def test_shapes_beside_the_motions_are_left_out(tmp_path: Path) -> None:
     write_amass(tmp_path / "other.npz", {"weights": np.zeros(3)})
     found = scan([tmp_path])
     assert [item.path.name for item in found.items] == ["a_poses.npz", "b_stageii.npz"] and not found.problems
+
+
+def test_the_mean_shape_is_a_symmetric_body_of_humanml3d_s_size() -> None:
+    skeleton = mean_shape_skeleton()
+    offsets = skeleton.offsets
+    for left, right in skeleton.left_right_pairs:
+        assert np.abs(offsets[left] * [-1, 1, 1] - offsets[right]).max() < 0.012
+    limbs = [
+        SMPL22.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("knee", "ankle", "elbow", "wrist")
+    ]
+    lengths, known = (np.linalg.norm(each.offsets[limbs], axis=-1) for each in (skeleton, SMPL22))
+    assert np.abs(lengths / known - 1).max() < 0.1

@@ -190,6 +190,7 @@ def test_everything_else_in_a_pickle_is_refused(tmp_path: Path, monkeypatch: pyt
         for protocol in (2, 3, 4, 5):
             assert parse_scalar(pickled(value, protocol)) is None, value
             assert parse_scalar(pickle.dumps(value, protocol)) is None
+    assert parse_scalar(pickled(120).replace(b"]\x94Kx", b"]\x94h\x03")) is None  # a reference, not a constant
     for content in (b"", b".", b"\x80\x04.", pickled("male")[:-1], pickled("male").replace(b"ndarray", b"recarra")):
         assert parse_scalar(content) is None
     fields = smplh_fields(gender=np.array(Payload(), dtype=object))
