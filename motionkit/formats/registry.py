@@ -35,9 +35,10 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     if options.format != "auto" and options.format not in FORMATS:
         raise UsageError(f"unknown format {options.format!r}, expected auto or one of {', '.join(FORMATS)}")
     if options.index is not None:
-        found = search.scan_indexes(sources, options.index, _file_items(options))
+        of_tables: list[FormatError] = []
+        found = search.scan_indexes(sources, options.index, _file_items(options, of_tables))
         kept, duplicates = _unique(found.items)
-        return replace(found, items=kept, problems=(*found.problems, *duplicates))
+        return replace(found, items=kept, problems=(*found.problems, *of_tables, *duplicates))
     items: list[SourceItem] = []
     problems: list[FormatError] = []
     warnings: list[FormatError] = []
@@ -135,14 +136,19 @@ def _version(path: Path) -> tuple[int, int]:
     return status.st_mtime_ns, status.st_size
 
 
-def _file_items(options: ReadOptions) -> Callable[[Path, Path], SourceItem | None]:
-    """Path and source folder → the motion that a file holds, with the framerate and licence that stand beside it."""
+def _file_items(options: ReadOptions, of_tables: list[FormatError]) -> Callable[[Path, Path], SourceItem | None]:
+    """Path and source folder → the motion that a file holds, with the framerate and licence that stand beside it.
+
+    What is wrong with the annotation tables beside the files is added to `of_tables`.
+    """
     candidates = [entry for entry in FORMATS.values() if options.format in ("auto", entry.name)]
 
     @cache
     def around(folder: Path, root: Path) -> tuple[str, tuple[AnnotationTable, ...]]:
         licence, above = around(folder.parent, root) if folder != root else ("", ())
-        return annotations.find_licence(folder) or licence, (*above, *_tables(folder)[0])
+        tables, broken = _tables(folder)
+        of_tables.extend((*broken, *(problem for table in tables for problem in table.problems)))
+        return annotations.find_licence(folder) or licence, (*above, *tables)
 
     def item_of(path: Path, root: Path) -> SourceItem | None:
         kind = next((entry for entry in candidates if _takes(entry, path)), None)

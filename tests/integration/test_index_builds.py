@@ -303,6 +303,15 @@ def test_requests_that_make_no_sense(motionkit, amass, humanml3d, monkeypatch, a
     assert not Path("s").exists()
 
 
+def test_a_bad_table_beside_the_files_is_told(motionkit, amass, humanml3d, tmp_path):
+    (amass / "notes.csv").write_text("file,fps\nKIT/3/kick_poses.npy,fast\nBMLrub/rub110/x.npy,30\n")
+    outcome = motionkit("ingest", amass, "--index", humanml3d / "index.csv", "--store", tmp_path / "s", "--workers", 1)
+    assert outcome.code == 0
+    assert outcome.error_lines == [
+        f"{amass}/notes.csv, line 2: fps 'fast': a framerate is a number such as 120, 59.94 or 30000/1001, not 'fast'"
+    ]
+
+
 def test_humanact12_at_15_fps_by_a_rule(motionkit, amass, humanml3d, tmp_path):
     rules = tmp_path / "rules.toml"
     rules.write_text('[[rule]]\nfiles = "humanact12/**/*.npy"\nfps = 15\n')
