@@ -64,11 +64,14 @@ def jump_speed(fps: float) -> float:
 
 def _jumps(lengths: Float32[np.ndarray, "steps joints"], fps: float) -> Int64[np.ndarray, "jumps"]:
     # Steps that some joint makes in a jump. A joint that jumps and comes back makes two long steps, so the steps that
-    # they are compared with lie two away.
+    # they are compared with lie two away; of the outermost steps only one such is there.
     if len(lengths) < 5:
         return np.zeros(0, np.int64)
-    excess = lengths[2:-2] - np.maximum(lengths[:-4], lengths[4:])
-    return np.flatnonzero(excess.max(axis=1) * fps > jump_speed(fps)) + 2
+    excess = lengths.copy()
+    excess[2:-2] -= np.maximum(lengths[:-4], lengths[4:])
+    excess[:2] -= lengths[2:4]
+    excess[-2:] -= lengths[-4:-2]
+    return np.flatnonzero(excess.max(axis=1) * fps > jump_speed(fps))
 
 
 def _runs(

@@ -77,6 +77,15 @@ def test_a_teleport_is_counted_and_placed(fps, returns):
     assert "teleport" in quality.flags
 
 
+def test_a_first_pose_from_elsewhere_is_a_teleport():
+    """Calibration poses in frame 0."""
+    motion = capture(Fraction(60))
+    positions = motion.joint_positions.copy()
+    positions[0] += 1.0
+    quality = measure(altered(motion, positions))
+    assert (quality.num_teleports, quality.first_teleport_seconds) == (1, pytest.approx(1 / 60))
+
+
 @pytest.mark.parametrize("fps", RATES)
 def test_the_longest_frozen_stretch_is_found(fps):
     motion = capture(fps)
