@@ -117,6 +117,7 @@ def detection(motions: list[Motion], count: int, seconds: float) -> dict[str, di
                 "takes": len(known),
                 "flagged": float(np.mean([rate < stated for rate in known])),
                 "exact": float(np.mean([abs(rate - captured) < 0.01 for rate in known])),
+                "told_too_low": float(np.mean([rate < captured - 0.01 for rate in known])),
             }
     return found
 

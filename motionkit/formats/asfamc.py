@@ -109,6 +109,9 @@ def parse_amc(data: bytes, path: Path) -> AmcTable:
     second = re.search(rb"\n[ \t]*\d+[ \t\r]*\n", body)
     first = body if second is None else body[: second.start() + 1]
     words = [line.split() for line in first.splitlines()[1:] if line.strip()]
+    if not words:
+        line = data[: start.start()].count(b"\n") + 1
+        raise FormatError("the first frame has no bones", path=path, reason="truncated", line=line, frame=0)
     bones = tuple((name.decode("utf-8", "replace"), len(numbers)) for name, *numbers in words)
     values = _parse_regular(body, first)
     if values is None:

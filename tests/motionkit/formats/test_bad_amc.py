@@ -15,6 +15,7 @@ BAD_MOTIONS: dict[str, tuple[str | bytes, str, int | None, int | None]] = {
     "empty": ("", "empty", None, None),
     "a BVH file": ("HIERARCHY\nROOT Hips\n{\n", "not-what-it-says", None, None),
     "no frames": (":FULLY-SPECIFIED\n:DEGREES\n", "not-what-it-says", None, None),
+    "a frame without bones": ("#!OML:ASF test.ASF\n:FULLY-SPECIFIED\n:DEGREES\n1", "truncated", 4, 0),
     "radians": (TEXT.replace(":DEGREES", ":RADIANS"), "radians", None, None),
     "cut between bones": (TEXT[: TEXT.rindex("ltibia")], "truncated", 14, 2),
     "cut in a line": (TEXT[: TEXT.rindex(" 2\nltibia")], "channel-count", 14, 2),
