@@ -18,6 +18,7 @@ from motionkit.formats import (
     lafan1,
     npy,
     npz,
+    parquet,
     style100,
     uestc,
 )
@@ -180,6 +181,16 @@ FORMATS: Mapping[str, Format] = {
             read=lambda item, options: joints_csv.read_joints_csv(item.path, options),
             suffixes=(".csv",),
             accepts=joints_csv.accepts,
+            writes=True,
+        ),
+        Format(
+            name="parquet",
+            description="rows of motions as export --format parquet writes them, a folder of .parquet files",
+            framerate="fps_numerator/fps_denominator, or fps",
+            rotations=True,
+            read=parquet.read_parquet,
+            claims=parquet.claims,
+            find=parquet.find,
             writes=True,
         ),
     )

@@ -10,7 +10,6 @@ motion comes back as it was.
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from jaxtyping import Float32
 from motionkit.errors import FormatError
 from motionkit.formats import clock, npz_archive, npz_skeleton, sourcefile
 from motionkit.formats.items import ReadOptions
+from motionkit.formats.lengths import in_metres
 from motionkit.formats.npz_archive import NpzArchive
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.timegrid import TimeGrid, format_fps, parse_fps
@@ -67,8 +67,7 @@ def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
             operations=(*_texts(archive, "operations"), *operations),
         ),
     )
-    unit = options.unit_metres or 1.0
-    return motion if unit == 1.0 else _scaled(motion, unit).logged(f"lengths × {unit:g} to metres (given)")
+    return in_metres(motion, options.unit_metres)
 
 
 def write_npz(motion: Motion, path: Path) -> None:
@@ -197,17 +196,3 @@ def _texts(archive: NpzArchive, key: str) -> tuple[str, ...]:
 
 def _text(archive: NpzArchive, key: str) -> str:
     return next(iter(_texts(archive, key)), "")
-
-
-def _scaled(motion: Motion, unit: float) -> Motion:
-    factor, skeleton = np.float32(unit), motion.skeleton
-    return replace(
-        motion,
-        joint_positions=motion.joint_positions * factor,
-        root_translation=None if motion.root_translation is None else motion.root_translation * factor,
-        skeleton=replace(
-            skeleton,
-            offsets=skeleton.offsets * factor,
-            end_sites=tuple((joint, (x * unit, y * unit, z * unit)) for joint, (x, y, z) in skeleton.end_sites),
-        ),
-    )

@@ -10,7 +10,8 @@ import pytest
 import yaml
 
 from motionkit.errors import UsageError
-from motionkit.export import parquet
+from motionkit.export import parquet as export_parquet
+from motionkit.formats import parquet_schema
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import SMPL22
 from motionkit.store import Store, StoreWriter
@@ -79,7 +80,7 @@ def test_the_card_says_what_is_there(folder):
     assert [each["split"] for each in head["configs"][0]["data_files"]] == ["train", "validation", "test"]
     assert [split["num_examples"] for split in head["dataset_info"]["splits"]] == [1, 1, 1]
     features = {feature["name"]: feature for feature in head["dataset_info"]["features"]}
-    assert list(features) == parquet.SCHEMA.names
+    assert list(features) == parquet_schema.SCHEMA.names
     assert features["joint_positions"]["list"] == "float32"
     assert "| 59.9401 (60000/1001) | 1 | 0.00 |" in text
     assert "| lab | CC-BY-4.0 | 3 |" in text
@@ -105,8 +106,8 @@ def write(path, motions):
 
 
 def test_shards_and_row_groups_are_bounded(tmp_path, export_as, monkeypatch):
-    monkeypatch.setattr(parquet, "SHARD_BYTES", 100_000)
-    monkeypatch.setattr(parquet, "ROW_GROUP_BYTES", 50_000)
+    monkeypatch.setattr(export_parquet, "SHARD_BYTES", 100_000)
+    monkeypatch.setattr(export_parquet, "ROW_GROUP_BYTES", 50_000)
     folder = export_as(write(tmp_path / "many", [still(f"m{i}") for i in range(10)]), "parquet").folder
     files = sorted(folder.glob("data/*"))
     assert [path.name for path in files][::3] == [
@@ -137,3 +138,15 @@ def test_a_split_that_is_no_file_name(tmp_path, export_as):
     with pytest.raises(UsageError, match="cannot be a file's name"):
         export_as(write(tmp_path / "odd", motions), "parquet")
     assert not list(tmp_path.glob("out*"))
+
+
+def test_ingested_again_as_it_was(store, folder, ingest_again):
+    again = {motion.sequence_id: motion for motion in ingest_again(folder)}
+    for before in store.read_many(range(3)):
+        after = again[f"out/{before.sequence_id}"]
+        for name in ("timegrid", "captions", "action", "style", "split", "skeleton"):
+            assert getattr(after, name) == getattr(before, name), name
+        for name in ("source", "subset", "licence", "subject", "stated_fps", "operations"):
+            assert getattr(after.provenance, name) == getattr(before.provenance, name), name
+        for name in ("joint_positions", "local_rotations", "root_translation"):
+            np.testing.assert_array_equal(getattr(after, name), getattr(before, name))

@@ -1,0 +1,224 @@
+"""Motions as rows of Parquet files: what `motionkit export --format parquet` writes, read again.
+
+A row is a sequence and needs nothing but itself; arrays are flat lists, frame by frame. `sequence_id`,
+`joint_positions`, `num_joints` and a framerate (`fps_numerator` and `fps_denominator`, or `fps`) are required, all
+other columns may be missing. A folder is one of this form where its files, or those in its folder `data`, have these.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Float32
+
+from motionkit.errors import FormatError
+from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
+from motionkit.formats.lengths import in_metres
+from motionkit.motion import Caption, Motion, Provenance
+from motionkit.skeleton import STANDARD_SKELETONS, Feet, Skeleton
+from motionkit.timegrid import TimeGrid, format_fps, parse_fps
+
+DATA_FOLDER = "data"
+REQUIRED = frozenset(("sequence_id", "joint_positions", "num_joints"))
+# What a scan reads of every row.
+STATED = ("sequence_id", "source", "subset", "licence")
+# A row group is unpacked whole.
+MAX_ROW_GROUP_BYTES = 2 << 30
+FAULTS = (pa.ArrowException, OSError, ValueError, TypeError, KeyError, IndexError, OverflowError, ZeroDivisionError)
+
+
+def claims(folder: Path) -> bool:
+    """Whether a folder's Parquet files, or those in its folder `data`, are rows of motions."""
+    first = next(iter(_files(folder)), None)
+    try:
+        return first is not None and set(pq.read_schema(first).names) >= REQUIRED
+    except (pa.ArrowException, OSError):
+        return False
+
+
+def find(folder: Path, root: Path) -> ScanResult:
+    """All rows of all files; ids are the rows' own, below the source's name."""
+    items: list[SourceItem] = []
+    problems: list[FormatError] = []
+    for path in _files(folder):
+        try:
+            names = set(pq.read_schema(path).names)
+            rows = pq.read_table(path, columns=[name for name in STATED if name in names]).to_pylist()
+        except FAULTS as error:
+            problems.append(_broken(path, error))
+            continue
+        items += [_item(path, root, number, row) for number, row in enumerate(rows)]
+    return ScanResult(tuple(items), tuple(problems))
+
+
+def _item(path: Path, root: Path, number: int, row: Mapping[str, Any]) -> SourceItem:
+    stated = row.get("source") or ""
+    return SourceItem(
+        format="parquet",
+        path=path,
+        root=root,
+        sequence_id=f"{root.name}/{row['sequence_id']}",
+        key=str(number),
+        source=stated or root.name,
+        subset=row.get("subset") or "",
+        licence=row.get("licence") or "",
+    )
+
+
+def read_parquet(item: SourceItem, options: ReadOptions) -> Motion:
+    """Read one row as a motion; raises `FormatError` (`truncated`, `channel-count`, `no-framerate`, `nan` …)."""
+    try:
+        row = _read_row(item.path, int(item.key))
+        return in_metres(_motion(row, options, item.path), options.unit_metres)
+    except FormatError:
+        raise
+    except FAULTS as error:
+        raise _broken(item.path, error, item.key) from None
+
+
+def _files(folder: Path) -> list[Path]:
+    here = sorted(folder.glob("*.parquet"))
+    return here or sorted((folder / DATA_FOLDER).glob("*.parquet"))
+
+
+def _read_row(path: Path, row: int) -> dict[str, Any]:
+    """One row; large lists of numbers stay arrays."""
+    modified = path.stat().st_mtime_ns
+    groups = _row_groups(path, modified)
+    group = int(np.searchsorted(groups, row, side="right")) - 1
+    table = _read_group(path, group, modified).slice(row - int(groups[group]), 1)
+    cells = {name: table[name].combine_chunks() for name in table.column_names}
+    return {
+        name: cell.values.slice(*_bounds(cell)).to_numpy(zero_copy_only=False) if _is_numbers(cell) else cell[0].as_py()
+        for name, cell in cells.items()
+    }
+
+
+def _is_numbers(cell: pa.Array) -> bool:
+    lists = pa.types.is_list(cell.type) or pa.types.is_large_list(cell.type)
+    return bool(lists and cell.null_count == 0 and pa.types.is_floating(cell.type.value_type))
+
+
+def _bounds(cell: pa.Array) -> tuple[int, int]:
+    start, stop = cell.offsets.to_pylist()
+    return start, stop - start
+
+
+@lru_cache(maxsize=8)
+def _row_groups(path: Path, _modified: int) -> np.ndarray:
+    metadata = pq.ParquetFile(path).metadata
+    return np.cumsum([0, *(metadata.row_group(group).num_rows for group in range(metadata.num_row_groups))])
+
+
+# Rows come in order, and many share a row group.
+@lru_cache(maxsize=1)
+def _read_group(path: Path, group: int, _modified: int) -> pa.Table:
+    file = pq.ParquetFile(path)
+    size = file.metadata.row_group(group).total_byte_size
+    if size > MAX_ROW_GROUP_BYTES:
+        raise FormatError(
+            f"a row group of {size} bytes, expected at most {MAX_ROW_GROUP_BYTES}", path=path, reason="too-large"
+        )
+    return file.read_row_group(group)
+
+
+def _motion(row: Mapping[str, Any], options: ReadOptions, path: Path) -> Motion:
+    num_joints = int(row["num_joints"])
+    positions = _frames(row, "joint_positions", (num_joints, 3), path)
+    stated = _stated_fps(row, path)
+    fps = options.fps or stated
+    if fps is None:
+        message = "neither fps nor fps_numerator and fps_denominator; add a column, or use --fps"
+        raise FormatError(message, path=path, reason="no-framerate")
+    operations = [f"framerate set to {fps}; the file says {stated}"] if stated not in (None, fps) else []
+    rotations, root = (
+        _frames(row, name, shape, path) if row.get(name) is not None else None
+        for name, shape in (("local_rotations", (num_joints, 4)), ("root_translation", (3,)))
+    )
+    said = {name: row.get(name) or "" for name in ("source", "subset", "licence", "subject")}
+    return Motion(
+        joint_positions=positions,
+        skeleton=_skeleton(row, positions),
+        timegrid=TimeGrid(fps, len(positions), float(row.get("start_seconds") or 0.0)),
+        captions=tuple(Caption(**caption) for caption in row.get("captions") or ()),
+        local_rotations=rotations,
+        root_translation=root,
+        action=row.get("action") or "",
+        style=row.get("style") or "",
+        split=row.get("split") or "",
+        sequence_id=row["sequence_id"],
+        provenance=Provenance(
+            **said,
+            source_path=path.name,
+            source_sha256=_sha256(fps, positions, rotations, root),
+            source_format="parquet",
+            stated_fps=row.get("stated_fps") or ("" if stated is None else f"fps: {format_fps(stated)}"),
+            operations=(*(row.get("operations") or ()), *operations),
+        ),
+    )
+
+
+def _frames(row: Mapping[str, Any], name: str, shape: tuple[int, ...], path: Path) -> Float32[np.ndarray, "frames ..."]:
+    values = np.asarray(row[name], np.float32)
+    if not values.size or values.size % int(np.prod(shape)):
+        message = f"{name}: {values.size} numbers, expected frames of {' × '.join(map(str, shape))}"
+        raise FormatError(message, path=path, reason="channel-count")
+    frames = np.ascontiguousarray(values).reshape(-1, *shape)
+    finite = np.isfinite(frames).reshape(len(frames), -1).all(axis=1)
+    if not finite.all():
+        frame = int(np.argmin(finite))
+        raise FormatError(f"{name}: a value that is no number", path=path, reason="nan", frame=frame)
+    return frames
+
+
+def _stated_fps(row: Mapping[str, Any], path: Path) -> Fraction | None:
+    numerator, denominator = row.get("fps_numerator"), row.get("fps_denominator")
+    try:
+        if numerator is not None and denominator is not None:
+            return parse_fps(Fraction(numerator, denominator))
+        return None if row.get("fps") is None else parse_fps(row["fps"])
+    except (ValueError, TypeError, ZeroDivisionError) as error:
+        raise FormatError(f"fps: {error}", path=path, reason="frame-time") from None
+
+
+def _skeleton(row: Mapping[str, Any], positions: Float32[np.ndarray, "frames joints 3"]) -> Skeleton:
+    names, num_joints = row.get("joint_names"), positions.shape[1]
+    if names is None:
+        return next(each for each in STANDARD_SKELETONS.values() if each.num_joints == num_joints)
+    tips = zip(row.get("end_site_joints") or (), np.reshape(_array(row, "end_site_offsets"), (-1, 3)), strict=True)
+    pairs = np.reshape(_array(row, "left_right_pairs"), (-1, 2)).astype(int).tolist()
+    feet = row.get("feet") or ()
+    return Skeleton(
+        row.get("skeleton") or "",
+        tuple(names),
+        tuple(row["parents"]),
+        np.asarray(row["offsets"], np.float32).reshape(num_joints, 3),
+        left_right_pairs=tuple((left, right) for left, right in pairs),
+        feet=Feet(*feet) if len(feet) else None,
+        end_sites=tuple((joint, (float(x), float(y), float(z))) for joint, (x, y, z) in tips),
+    )
+
+
+def _array(row: Mapping[str, Any], name: str) -> np.ndarray:
+    value = row.get(name)
+    return np.asarray([] if value is None else value)
+
+
+def _sha256(fps: Fraction, *arrays: Float32[np.ndarray, "frames ..."] | None) -> str:
+    """Hash of what the row holds: a file holds thousands, and is not read for each."""
+    digest = hashlib.sha256(str(fps).encode())
+    for array in arrays:
+        digest.update(b"-" if array is None else np.ascontiguousarray(array, "<f4").tobytes())
+    return digest.hexdigest()
+
+
+def _broken(path: Path, error: Exception, key: str = "") -> FormatError:
+    where = f"row {key}: " if key else ""
+    text = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return FormatError(f"{where}not rows of motions ({text[:160]})", path=path, reason="truncated")
