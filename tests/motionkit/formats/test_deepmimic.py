@@ -120,6 +120,33 @@ def test_a_bad_file_is_refused_with_its_reason(tmp_path: Path, reason: str) -> N
     assert caught.value.reason == reason and message in str(caught.value)
 
 
+def test_windows_line_ends_and_a_byte_order_mark_are_fine(tmp_path: Path) -> None:
+    path = written(tmp_path / "m.txt", [standing(), standing()])
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b", ", b",\r\n"))
+    (item,) = scan([tmp_path]).items
+    assert read(item).num_frames == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b'{"Loop": "w\xffrap", "Frames": []}', "encoding"),
+        (b'{"Loop": "wrap", "Frames": [[0,033, 0,0, 0,85, 0,0', "not-what-it-says"),
+        (b'{"Loop": "wrap", "Frames": [[0.033, 0.0, 0.85', "truncated"),
+        (b'[["Frames"]]', "not-what-it-says"),
+        (b'{"Frames": ' + b"[" * 100_000, "not-what-it-says"),
+        (b"\0" * 10, "empty"),
+        (b"version https://git-lfs.github.com/spec/v1", "not-what-it-says"),
+    ],
+)
+def test_what_is_no_json_of_frames_is_refused(tmp_path: Path, content: bytes, reason: str) -> None:
+    path = tmp_path / "m.txt"
+    path.write_bytes(content)
+    with pytest.raises(FormatError) as caught:
+        read_deepmimic(path)
+    assert caught.value.reason == reason
+
+
 @pytest.mark.parametrize("duration", [0.0, 1e-9, 1e9, 1e5])
 def test_unusable_durations_are_refused(tmp_path: Path, duration: float) -> None:
     with pytest.raises(FormatError) as caught:
