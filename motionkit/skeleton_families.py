@@ -73,9 +73,7 @@ def parse_layout_map(text: str) -> SkeletonFamily:
     try:
         return _family(json.loads(text))
     except (ValueError, RecursionError) as error:
-        raise MotionkitError(
-            f"the layout map of a skeleton is none ({error}); 'motionkit validate' says whether the store is damaged"
-        ) from None
+        raise MotionkitError(f"the layout map of a skeleton is none: {error}") from None
 
 
 def with_layout_map(skeleton: Skeleton, layout_maps: Sequence[str]) -> Skeleton:

@@ -5,14 +5,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from motionkit.errors import FormatError
+from motionkit.errors import FormatError, MotionkitError
 from motionkit.formats import npz_archive
 from motionkit.formats.npz_archive import NpzArchive
 from motionkit.skeleton import STANDARD_SKELETONS, Feet, Skeleton
+from motionkit.skeleton_families import parse_layout_map
 
 
 def skeleton_arrays(skeleton: Skeleton) -> dict[str, Any]:
-    """Everything that a skeleton is: names, parents, offsets in metres; pairs, feet and end sites where it has them."""
+    """Everything that a skeleton is: names, parents, offsets in metres; pairs, feet, end sites, map if it has them."""
     arrays: dict[str, Any] = {
         "skeleton": np.array(skeleton.name),
         "joint_names": np.array(skeleton.joint_names),
@@ -26,6 +27,8 @@ def skeleton_arrays(skeleton: Skeleton) -> dict[str, Any]:
     if skeleton.end_sites:
         arrays["end_site_joints"] = np.array([joint for joint, _ in skeleton.end_sites], np.int64)
         arrays["end_site_offsets"] = np.array([offset for _, offset in skeleton.end_sites], np.float64)
+    if skeleton.layout_map:
+        arrays["layout_map"] = np.array(skeleton.layout_map)
     return arrays
 
 
@@ -80,9 +83,20 @@ def _described(
             left_right_pairs=_pairs(archive, num_joints),
             feet=_feet(archive, num_joints),
             end_sites=_end_sites(archive, num_joints),
+            layout_map=_layout_map(archive),
         )
     except (ValueError, IndexError) as error:
         raise FormatError(str(error), path=archive.path, reason="bones") from None
+
+
+def _layout_map(archive: NpzArchive) -> str:
+    text = "".join(npz_archive.read_strings(archive, "layout_map")) if "layout_map" in archive else ""
+    try:
+        if text:
+            parse_layout_map(text)
+    except MotionkitError as error:
+        raise FormatError(str(error), path=archive.path, reason="skeleton-map") from None
+    return text
 
 
 def _pairs(archive: NpzArchive, num_joints: int) -> tuple[tuple[int, int], ...]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from motionkit.errors import FormatError, MotionkitError
+from motionkit.formats.npz import read_npz, write_npz
 from motionkit.formats.registry import ReadOptions, read, scan
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map, read_skeleton_map, shipped_families, with_layout_map
@@ -141,6 +142,20 @@ def test_a_map_that_names_joints_which_are_not_there_says_so(tmp_path: Path) -> 
     ) as caught:
         joint_map(with_layout_map(skeleton, (layout_map,)), "smpl22")
     assert caught.value.missing == ("neck", "left_wrist")
+
+
+def test_a_map_travels_in_an_npz_file(tmp_path: Path) -> None:
+    layout_map = read_skeleton_map(write_map(tmp_path, robot_map()))
+    (tmp_path / "walk.bvh").write_text(robot_bvh())
+    (item,) = scan([tmp_path / "walk.bvh"]).items
+    motion = read(item, ReadOptions(skeleton_maps=(layout_map,)))
+    write_npz(motion, tmp_path / "walk.npz")
+    again = read_npz(tmp_path / "walk.npz")
+    assert again.skeleton == motion.skeleton and again.skeleton.layout_map == layout_map
+    with np.load(tmp_path / "walk.npz") as arrays:
+        np.savez(tmp_path / "bad.npz", **{**arrays, "layout_map": np.array("{}")})
+    with pytest.raises(FormatError, match="layout map of a skeleton is none: name = None"):
+        read_npz(tmp_path / "bad.npz")
 
 
 def test_every_shipped_table_is_a_valid_map() -> None:
