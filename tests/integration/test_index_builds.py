@@ -289,6 +289,8 @@ def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
         (("--index", "index.csv", "--splits", "texts"), "has none of train.txt"),
         (("--index", "kitml.json", "--compat", "humanml3d-20fps"), "only HumanML3D's index.csv has frames at 20 fps"),
         (("--index", "babel.json", "--mirrored"), "has no mirrored sequences"),
+        (("--index", "humanml3d.json", "--compat", "humanml3d-20fps"), "only HumanML3D's index.csv has frames"),
+        (("--index", "humanml3d.json", "--mirrored"), "has no mirrored sequences"),
         (("babel.json", "--index", "index.csv"), "babel.json is not a folder"),
         (("nowhere", "--index", "index.csv"), "nowhere is not a folder"),
     ],
@@ -296,7 +298,8 @@ def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
 def test_requests_that_make_no_sense(motionkit, amass, humanml3d, monkeypatch, arguments, message):
     monkeypatch.chdir(humanml3d)
     Path("babel.json").write_text('{"1": {"feat_p": "CMU/CMU/01/01_01_poses.npz"}}')
-    Path("kitml.json").write_text('{"1": {"path": "CMU/01/01_01_poses", "annotations": []}}')
+    for name in ("kitml.json", "humanml3d.json"):
+        Path(name).write_text('{"1": {"path": "CMU/01/01_01_poses", "annotations": []}}')
     outcome = motionkit("ingest", amass, *arguments, "--store", "s", "--workers", 1)
     assert outcome.code == 2
     assert message in outcome.stderr

@@ -48,12 +48,16 @@ class Entry:
 
 @dataclass(frozen=True)
 class Index:
-    """One index: its name, which its sequences' ids begin with, its entries, and the rows that could not be used."""
+    """One index: its name, which its sequences' ids begin with, its entries, and the rows that could not be used.
+
+    `in_published_frames` says that its stretches are `StepCut`s, and that each has a mirrored copy without a row.
+    """
 
     name: str
     path: Path
     entries: tuple[Entry, ...]
     problems: tuple[FormatError, ...] = field(default=())
+    in_published_frames: bool = False
 
 
 def source_parts(value: object, path: Path, place: str, line: int | None) -> tuple[str, ...]:

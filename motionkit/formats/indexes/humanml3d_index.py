@@ -59,7 +59,7 @@ def read_humanml3d_index(path: Path) -> Index:
     except csv.Error as error:
         raise FormatError(f"not a CSV table ({error})", path=path, reason="index", line=reader.line_num) from None
     kept, repeated = unique(entries, path)
-    return Index(NAME, path, kept, (*problems, *repeated))
+    return Index(NAME, path, kept, (*problems, *repeated), in_published_frames=True)
 
 
 def _entry(row: Mapping[str, str | None], path: Path, line: int) -> Entry:

@@ -12,7 +12,6 @@ from motionkit.errors import FormatError, UsageError
 from motionkit.formats import texts
 from motionkit.formats.cuts import PublishedCut, StepCut
 from motionkit.formats.folders import walk
-from motionkit.formats.indexes import humanml3d_index
 from motionkit.formats.indexes.catalogue import read_index
 from motionkit.formats.indexes.datasets import Key, dataset_of, file_key
 from motionkit.formats.indexes.entries import Entry, Index
@@ -62,13 +61,12 @@ def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf
 
 def _chosen(index: Index, options: IndexOptions) -> Index:
     """The index as the options want it: with or without mirrored sequences, and in which frames."""
-    of_humanml3d = index.name == humanml3d_index.NAME
-    if options.published and not of_humanml3d:
+    if options.published and not index.in_published_frames:
         raise UsageError(f"only HumanML3D's index.csv has frames at 20 fps to reproduce, {index.path} has none")
     entries = list(index.entries)
     if not options.mirrored:
         entries = [entry for entry in entries if not entry.mirrored]
-    elif of_humanml3d:
+    elif index.in_published_frames:
         copies = [replace(entry, name=MIRROR + entry.name, mirrored=True) for entry in entries]
         entries = [each for pair in zip(entries, copies, strict=True) for each in pair]
     elif not any(entry.mirrored for entry in entries):
