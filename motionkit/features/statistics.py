@@ -1,16 +1,15 @@
-"""Mean and standard deviation of pose vectors: streamed, merged, kept in one file that names its convention."""
+"""Mean and standard deviation of pose vectors, kept in one file that names its convention."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from jaxtyping import Float, Float32, Float64
 
 from motionkit.errors import FormatError
 from motionkit.features.layout import layout_of, vector_layout
+from motionkit.moments import Moments
 
 Signature = Literal["published", "evaluator"]
 
@@ -18,48 +17,6 @@ Signature = Literal["published", "evaluator"]
 EVALUATOR_FACTOR = 25.0
 # Root speed and joint speeds vary alike (0.87 for HumanML3D), 25 times less so after that division (0.035; KIT 0.040).
 _ROOT_TO_JOINT_SPEED = 0.17
-
-
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Count, mean and sum of squared deviations of rows, float64: enough to merge and to finish."""
-
-    count: int
-    mean: Float64[np.ndarray, "numbers"]
-    squared_deviations: Float64[np.ndarray, "numbers"]
-
-    @property
-    def std(self) -> Float64[np.ndarray, "numbers"]:
-        """Standard deviation over all rows (ddof 0)."""
-        return np.sqrt(self.squared_deviations / self.count)
-
-
-def moments(rows: Float[np.ndarray, "rows numbers"]) -> Moments:
-    """Moments of some rows; raises `ValueError` for no rows or a number that is not finite."""
-    values = rows.astype(np.float64)
-    if len(values) == 0 or not np.isfinite(values).all():
-        raise ValueError(f"statistics need at least one row of finite numbers; these {rows.shape} are not")
-    mean = values.mean(axis=0)
-    return Moments(len(values), mean, np.square(values - mean).sum(axis=0))
-
-
-def merge(a: Moments, b: Moments) -> Moments:
-    """Moments of all rows of both (Chan, Golub & LeVeque 1979)."""
-    count = a.count + b.count
-    difference = b.mean - a.mean
-    deviations = a.squared_deviations + b.squared_deviations + difference**2 * (a.count * b.count / count)
-    return Moments(count, a.mean + difference * (b.count / count), deviations)
-
-
-def stream(parts: Iterable[npt.NDArray[np.floating]]) -> Moments:
-    """Moments of many parts [rows, numbers], one at a time in memory; raises `ValueError` where there are none."""
-    total: Moments | None = None
-    for part in parts:
-        found = moments(part)
-        total = found if total is None else merge(total, found)
-    if total is None:
-        raise ValueError("statistics need at least one part")
-    return total
 
 
 @dataclass(frozen=True, eq=False)

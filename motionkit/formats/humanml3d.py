@@ -15,6 +15,7 @@ from jaxtyping import Float, Float32, Float64
 from motionkit.errors import FormatError
 from motionkit.formats import joints_npy, npy, sourcefile, texts
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
+from motionkit.moments import Moments, merge, moments
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.timegrid import TimeGrid
@@ -187,7 +188,7 @@ class Entry:
 
 
 class FolderWriter:
-    """Writes a folder of the published form sequence by sequence; owns the lists of names and the sums for Mean, Std.
+    """Writes a folder of the published form sequence by sequence; owns lists of names and what Mean, Std are made of.
 
     `layout.fps` says how long the sequences are, for captions that last to their end.
     """
@@ -197,7 +198,8 @@ class FolderWriter:
         self._layout = layout
         self._members: dict[str, list[str]] = {split: [] for split in ("all", *SPLITS)}
         self._names: set[str] = set()
-        self._sums = {True: _Sums(layout.num_values), False: _Sums(layout.num_values)}
+        # Of the training vectors, and of the others.
+        self._moments: dict[bool, Moments] = {}
         for name in (JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER):
             (folder / name).mkdir(parents=True, exist_ok=True)
 
@@ -209,7 +211,10 @@ class FolderWriter:
         np.save(self._folder / JOINTS_FOLDER / f"{entry.name}.npy", entry.joint_positions, allow_pickle=False)
         if entry.vectors is not None:
             np.save(self._folder / VECTORS_FOLDER / f"{entry.name}.npy", entry.vectors, allow_pickle=False)
-            self._sums[entry.split == "train"].add(entry.vectors)
+            if len(entry.vectors):
+                trained, more = entry.split == "train", moments(entry.vectors)
+                known = self._moments.get(trained)
+                self._moments[trained] = more if known is None else merge(known, more)
         if entry.captions:
             lines = texts.format_texts(entry.captions, len(entry.joint_positions) / float(self._layout.fps))
             (self._folder / TEXTS_FOLDER / f"{entry.name}.txt").write_text(lines, encoding="utf-8")
@@ -220,15 +225,15 @@ class FolderWriter:
     def finish(self) -> int:
         """Write the splits, `Mean.npy` and `Std.npy`; returns the number of sequences.
 
-        The statistics (float64 sums; Std averaged inside each block, as published) are of the training vectors, or of
+        The statistics (in float64; Std averaged inside each block, as published) are of the training vectors, or of
         all where no sequence is marked train.
         """
         members = {**self._members, "train_val": [*self._members["train"], *self._members["val"]]}
         for split, names in members.items():
             (self._folder / f"{split}.txt").write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
-        chosen = self._sums[True] if self._sums[True].count else self._sums[False]
-        if chosen.count:
-            mean, std = chosen.statistics(self._layout)
+        chosen = self._moments.get(True, self._moments.get(False))
+        if chosen is not None:
+            mean, std = _block_averaged(chosen, self._layout)
             np.save(self._folder / "Mean.npy", mean, allow_pickle=False)
             np.save(self._folder / "Std.npy", std, allow_pickle=False)
         return len(self._names)
@@ -242,28 +247,14 @@ def write_humanml3d(folder: Path, entries: Iterable[Entry], layout: Layout = HUM
     return writer.finish()
 
 
-class _Sums:
-    """Running sums of vectors and their squares."""
-
-    def __init__(self, num_values: int) -> None:
-        self.count = 0
-        self.total = np.zeros(num_values)
-        self.squares = np.zeros(num_values)
-
-    def add(self, vectors: Float32[np.ndarray, "rows values"]) -> None:
-        """Take in the rows of one sequence."""
-        values = vectors.astype(np.float64)
-        self.count += len(values)
-        self.total += values.sum(axis=0)
-        self.squares += np.square(values).sum(axis=0)
-
-    def statistics(self, layout: Layout) -> tuple[Float32[np.ndarray, "values"], Float32[np.ndarray, "values"]]:
-        """Mean, and the standard deviation averaged inside each block."""
-        mean = self.total / self.count
-        std = np.sqrt(np.maximum(self.squares / self.count - np.square(mean), 0.0))
-        for block in vector_blocks(layout.skeleton.num_joints):
-            std[block] = std[block].mean()
-        return mean.astype(np.float32), std.astype(np.float32)
+def _block_averaged(
+    found: Moments, layout: Layout
+) -> tuple[Float32[np.ndarray, "values"], Float32[np.ndarray, "values"]]:
+    """Mean, and the standard deviation averaged inside each block."""
+    std = found.std
+    for block in vector_blocks(layout.skeleton.num_joints):
+        std[block] = std[block].mean()
+    return found.mean.astype(np.float32), std.astype(np.float32)
 
 
 def _arrays(folder: Path) -> dict[str, Path]:

@@ -19,7 +19,7 @@ from motionkit.store.manifest import read_manifest
 from motionkit.store.schema import FLOAT_COLUMNS, KEY_COLUMNS, part_name
 
 # An open part is its footer: about 500 bytes for each row group. A decoded row group of long takes is 2 to 10 MB.
-KEPT_PARTS = 8
+KEPT_PARTS = 32
 KEPT_ROW_GROUPS = 4
 
 Key = TypeVar("Key")
