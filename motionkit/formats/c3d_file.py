@@ -184,15 +184,12 @@ def _points(
             path=path,
             reason="frame-count",
         )
-    body = data[start : start + needed]
+    # Analog values stand behind the points of each frame, and are often the most of a file.
+    whole = np.frombuffer(data, f"<u{size}", num_frames * values, start).reshape(num_frames, values)
+    body, shape = whole[:, : 4 * header.num_points].tobytes(), (num_frames, header.num_points, 4)
     if size == 4:
-        return (
-            _floats(body, processor)
-            .reshape(num_frames, values)[:, : 4 * header.num_points]
-            .reshape(num_frames, header.num_points, 4)
-        )
-    words = np.frombuffer(body, ">i2" if processor == MIPS else "<i2").reshape(num_frames, values)
-    points = words[:, : 4 * header.num_points].reshape(num_frames, header.num_points, 4).astype(np.float64)
+        return _floats(body, processor).reshape(shape)
+    points = np.frombuffer(body, ">i2" if processor == MIPS else "<i2").reshape(shape).astype(np.float64)
     points[..., :3] *= scale
     return points
 
