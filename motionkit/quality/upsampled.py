@@ -79,7 +79,10 @@ def _rate_of_held(moved: Float[np.ndarray, "steps"], fps: float) -> float | None
     regular = float(np.mean((gaps == np.floor(spacing)) | (gaps == np.ceil(spacing))))
     if 1.0 / spacing > MAX_NEW_SHARE or regular < MIN_REGULAR:
         return None
-    return min(_captured_rates(fps), key=lambda rate: abs(rate - fps / spacing))
+    counted = fps / spacing
+    known = [fps / factor for factor in range(2, 9)] + [float(rate) for rate in COMMON_FPS if rate.denominator < 1001]
+    nearest = min(known, key=lambda rate: abs(rate - counted))
+    return nearest if abs(nearest - counted) < 0.02 * counted else counted
 
 
 @lru_cache(maxsize=64)

@@ -65,6 +65,21 @@ def test_pulldown_from_film_is_held_frames():
     assert quality.held_share == pytest.approx(0.2, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("captured", "stated"), [(10, 20), (Fraction(25, 4), Fraction(25, 2)), (5, 10), (40, 60), (7, 30)]
+)
+def test_held_frames_are_counted_at_any_rate(captured, stated):
+    quality = measure(upsample(capture(Fraction(captured), "walk", 20.0, NOISE), "hold", Fraction(stated)))
+    assert quality.effective_fps == pytest.approx(float(captured), rel=0.02)
+
+
+@pytest.mark.parametrize("fps", [1, 5, Fraction(25, 2), 20, 1000, 10_000])
+def test_any_framerate_is_measured(fps):
+    motion = capture(Fraction(60), "walk", 3.0, NOISE)
+    odd = replace(motion, timegrid=TimeGrid(Fraction(fps), motion.num_frames))
+    assert measure(odd).effective_fps is not None
+
+
 def test_a_frozen_stretch_alone_is_not_upsampling():
     motion = capture(Fraction(120), "walk", 6.0, NOISE)
     positions = motion.joint_positions.copy()

@@ -1,0 +1,133 @@
+"""Files beside the motions (tables, texts, manifests, licences, rules, maps) that are hostile or broken."""
+
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from motionkit.errors import MotionkitError
+from motionkit.formats.framerate_rules import read_rules
+from motionkit.formats.registry import ReadOptions, read, scan
+from motionkit.skeleton_families import read_skeleton_map
+from motionkit.store.ingest import ingest
+from tests.motionkit.formats.damage import damaged
+from tests.motionkit.formats.every_format import SOURCES
+
+OPTIONS = ReadOptions(fps=Fraction(30), unit_metres=1.0)
+CAPTIONS = (
+    b"file,caption,captions,fps\n"
+    b'take.bvh,"walks, slowly","[""walks"", {""text"": ""runs"", ""start_seconds"": 1}]",30\n'
+)
+RULES = b'[[rule]]\nfiles = "walk*.bvh"\nstated = 60\nfps = 120\nsource = "a letter"\n'
+MAP = b'name = "mine"\nsource = "me"\nrequires = ["a"]\n[smpl22]\npelvis = "a"\nleft_hip = { a = 0.5, b = 0.5 }\n'
+
+# Format whose source it lies beside, its name there, and what it holds where all is well.
+BESIDE = {
+    "annotations": ("bvh", "captions.csv", CAPTIONS),
+    "manifest": ("joints-npy", "motions.json", b'{"fps": "30000/1001", "layout": "smpl22", "unit_metres": 1.0}'),
+    "cuts": ("100style", "Frame_Cuts.csv", b"STYLE_NAME,FW_START,FW_STOP\nOld,0,3\n"),
+    "styles": ("100style", "Dataset_List.csv", b"Style Name,Description\nOld,Old man\n"),
+    "texts": ("humanml3d", "texts/000001.txt", b"a person walks#a/DET person/NOUN walk/VERB#0.0#0.0\n"),
+    "split": ("humanml3d", "train.txt", b"000001\n"),
+    "licence": ("bvh", "LICENSE", b"MIT License\n"),
+    "skeleton": ("asfamc", "07.asf", b""),
+}
+DEEP = b"[" * 100_000
+HOSTILE = {
+    "nothing": b"",
+    "zeros": bytes(512),
+    "not UTF-8": b"caf\xe9,caption\n\xff\xfe",
+    "UTF-16": "file,caption\ntake.bvh,walks\n".encode("utf-16"),
+    "nested without end": DEEP,
+    "nested in an object": b'{"fps": ' + DEEP,
+    "a number of 5,000 digits": b'{"fps": ' + b"9" * 5000 + b"}",
+    "a quote without end": b'file,caption\n"take.bvh,walks\n',
+    "one line of a megabyte": b"file,caption\ntake.bvh," + b"x" * (1 << 20) + b"\n",
+    "half a surrogate": b'file,captions\ntake.bvh,"[""\\ud800""]"\n',
+    "a path that leaves the folder": b"file,caption\n../../../etc/passwd,x\n/etc/passwd,y\ntake.bvh,walks\n",
+    "carriage returns": b"file,caption\rtake.bvh,walks\r",
+    "a column twice": b"file,file,caption,caption\ntake.bvh,take.bvh,a,b\n",
+    "no fps at all": b'{"fps": null}',
+    "an fps of nan": b'{"fps": NaN}',
+}
+
+
+def write_beside(folder: Path, side: str, content: bytes) -> None:
+    name, file_name, _ = BESIDE[side]
+    SOURCES[name](folder)
+    (folder / file_name).parent.mkdir(exist_ok=True)
+    (folder / file_name).write_bytes(content)
+
+
+def read_all(folder: Path, options: ReadOptions) -> None:
+    """Scan and read; anything but an explained error comes out as it is."""
+    found = scan([folder], options)
+    for item in found.items:
+        assert item.path.is_relative_to(folder.resolve())
+        try:
+            assert np.isfinite(read(item, options).joint_positions).all()
+        except MotionkitError as problem:
+            assert str(problem)
+
+
+@pytest.mark.parametrize("content", HOSTILE)
+@pytest.mark.parametrize("side", BESIDE)
+@pytest.mark.parametrize("options", [OPTIONS, ReadOptions()], ids=["told", "found"])
+def test_hostile_files_beside_motions_are_explained(tmp_path, side, content, options):
+    write_beside(tmp_path, side, HOSTILE[content])
+    read_all(tmp_path, options)
+
+
+@pytest.mark.parametrize("side", [side for side in BESIDE if side != "skeleton"])
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_damaged_files_beside_motions_are_explained(tmp_path_factory, side, data):
+    folder = tmp_path_factory.mktemp("side", numbered=True)
+    write_beside(folder, side, data.draw(damaged(BESIDE[side][2])))
+    read_all(folder, ReadOptions())
+
+
+@pytest.mark.parametrize(("content", "reader"), [(RULES, read_rules), (MAP, read_skeleton_map)], ids=["rules", "map"])
+@settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_tables_of_the_user_are_explained(tmp_path, content, reader: Callable[[Path], object], data):
+    path = tmp_path / "table.toml"
+    path.write_bytes(data.draw(damaged(content) | st.sampled_from(sorted(HOSTILE.values()))))
+    try:
+        reader(path)
+    except MotionkitError as problem:
+        assert str(path) in str(problem) or path.name in str(problem)
+
+
+def test_captions_that_are_no_text_cost_their_motion_only(tmp_path):
+    """A JSON escape can say what no text is; a store holds text."""
+    source = tmp_path / "source"
+    source.mkdir()
+    write_beside(source, "annotations", HOSTILE["half a surrogate"])
+    SOURCES["csv"](source).rename(source / "other.csv")
+    report = ingest([source], tmp_path / "store", num_workers=1, options=OPTIONS)
+    assert report.num_stored == 1
+    assert [problem.reason for problem in report.problems] == ["not-unicode"]
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".amc", ".c3d", ".json", ".npz", ".pkl", ".npy", ".csv", ".txt", ".asf"])
+def test_links_that_lead_nowhere_or_to_themselves_are_told(tmp_path, suffix):
+    SOURCES["csv"](tmp_path)
+    name = "a0_d1_p001_c1_color" if suffix in (".npz", ".pkl") else "walk"
+    (tmp_path / f"{name}{suffix}").symlink_to(tmp_path / f"{name}{suffix}")
+    (tmp_path / f"gone{suffix}").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "LICENSE").symlink_to(tmp_path / "LICENSE")
+    read_all(tmp_path, OPTIONS)
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".amc", ".c3d", ".json", ".npz", ".pkl", ".npy", ".csv", ".txt", ".asf"])
+def test_folders_named_like_files_are_no_motions(tmp_path, suffix):
+    SOURCES["csv"](tmp_path)
+    (tmp_path / f"walk{suffix}").mkdir()
+    (tmp_path / "LICENSE").mkdir()
+    (tmp_path / "motions.json").mkdir()
+    read_all(tmp_path, OPTIONS)
