@@ -18,14 +18,23 @@ from motionkit.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
 PUBLISHED_FPS = 20
 # Two readings of the same instant differ by less than this.
 SAME_SECONDS = 1e-6
+# AMASS' releases differ by some frames at the ends of files; wrong framerates are off by a fifth or more.
+UNLIKE_SECONDS = 0.25
+UNLIKE_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class TimeCut:
-    """Seconds [start_seconds, end_seconds) of a file; None: to its end."""
+    """Seconds [start_seconds, end_seconds) of a file; None: to its end. `file_seconds` is the file's stated length."""
 
     start_seconds: float = 0.0
     end_seconds: float | None = None
+    file_seconds: float | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is all of the file."""
+        return self.start_seconds == 0.0 and self.end_seconds is None
 
 
 @dataclass(frozen=True)
@@ -77,7 +86,7 @@ def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
 def missing_seconds(cut: Cut, num_frames: int, fps: Fraction, stated_fps: str) -> float:
     """By how much a cropped motion is shorter than its cut asks for; 0 where a frame's rounding explains it."""
     match cut:
-        case TimeCut(start, end):
+        case TimeCut(start, end, _):
             missing = 0.0 if end is None else end - start - float(num_frames / fps)
             return missing if missing > 1.5 / float(fps) else 0.0
         case StepCut(start_frame, end_frame):
@@ -100,6 +109,13 @@ def counted_by(path: Path, stated_fps: str, fps: Fraction) -> str:
     return "" if corrected and path.stem.endswith("_stageii") else stated_fps
 
 
+def unlike_stated_seconds(cut: Cut, num_frames: int, fps: Fraction) -> bool:
+    """Whether a whole file lasts notably longer or shorter than its index says: a framerate that is wrong shows so."""
+    if not isinstance(cut, TimeCut) or not cut.is_whole or cut.file_seconds is None:
+        return False
+    return abs(float(num_frames / fps) - cut.file_seconds) > max(UNLIKE_SECONDS, UNLIKE_SHARE * cut.file_seconds)
+
+
 def stated_rate(stated_fps: str, fps: Fraction) -> float:
     """The framerate that a file states, unrounded where it is a number, else the one in use.
 
@@ -116,6 +132,8 @@ def stated_rate(stated_fps: str, fps: Fraction) -> float:
 
 
 def _crop_seconds(motion: Motion, cut: TimeCut, path: Path) -> Motion:
+    if cut.is_whole:
+        return motion
     start = _first_frame_at(cut.start_seconds, motion.fps)
     stop = motion.num_frames if cut.end_seconds is None else _first_frame_at(cut.end_seconds, motion.fps)
     end = "the end" if cut.end_seconds is None else f"{cut.end_seconds:g} s"

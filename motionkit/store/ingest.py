@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from motionkit.errors import FormatError, StoreError
-from motionkit.formats.cuts import counted_by, missing_seconds
+from motionkit.formats.cuts import counted_by, missing_seconds, unlike_stated_seconds
 from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, scan
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map
@@ -215,9 +215,9 @@ class _Run:
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
-        shortened = shortfall(item, motion)
-        if shortened is not None:
-            self._warn(shortened)
+        warning = doubt(item, motion)
+        if warning is not None:
+            self._warn(warning)
         self._num_stored += 1
         self._num_frames += motion.num_frames
         self._duration_seconds += motion.row["duration_seconds"]
@@ -263,21 +263,25 @@ class _Run:
             raise _Stopped
 
 
-def shortfall(item: SourceItem, motion: EncodedMotion) -> FormatError | None:
-    """A warning (`shortened`) where a file ends before the stretch that was wanted of it; the rest of it is kept."""
+def doubt(item: SourceItem, motion: EncodedMotion) -> FormatError | None:
+    """A warning where a file is not as long as its index has it: `shortened`, or `duration` of a whole file."""
     if item.cut is None:
         return None
     row = motion.row
     fps = Fraction(row["fps_numerator"], row["fps_denominator"])
+    seconds = row["duration_seconds"]
     stated = counted_by(item.path, row["stated_fps"], fps)
     missing = missing_seconds(item.cut, motion.num_frames, fps, stated)
-    if missing <= 0.0:
-        return None
-    return FormatError(
-        f"ends {missing:.3g} s before {item.sequence_id} does; {row['duration_seconds']:.3g} s of it are kept",
-        path=item.path,
-        reason="shortened",
-    )
+    if missing > 0.0:
+        message = f"ends {missing:.3g} s before {item.sequence_id} does; {seconds:.3g} s of it are kept"
+        return FormatError(message, path=item.path, reason="shortened")
+    if unlike_stated_seconds(item.cut, motion.num_frames, fps):
+        message = (
+            f"lasts {seconds:.4g} s at {float(fps):g} fps, which is not what the index says of {item.sequence_id}; "
+        )
+        message += "its captions' seconds won't fit: is the framerate wrong (--fps-rules)?"
+        return FormatError(message, path=item.path, reason="duration")
+    return None
 
 
 def batches(items: Sequence[SourceItem]) -> Iterator[list[SourceItem]]:

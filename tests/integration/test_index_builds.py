@@ -246,6 +246,7 @@ def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
     (tmp_path / "kitml.json").write_text(json.dumps(kit))
     babel = {
         "31": {
+            "dur": 3.333,
             "feat_p": "BMLrub/BioMotionLab_NTroje/rub110/0001_treadmill_fast_poses.npz",
             "seq_ann": {"labels": [{"raw_label": "runs", "proc_label": "run", "act_cat": ["run"]}]},
             "frame_ann": {"labels": [{"raw_label": "turns", "act_cat": None, "start_t": 1.0, "end_t": 2.0}]},
@@ -257,6 +258,10 @@ def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
         "--store", tmp_path / "s", "--workers", 1,
     )  # fmt: skip
     assert outcome.code == 0
+    assert outcome.stderr.splitlines() == [
+        f"warning: {amass}/BMLrub/rub110/0001_treadmill_fast_stageii.npy: lasts 6.667 s at 60 fps, which is not what "
+        "the index says of babel/31; its captions' seconds won't fit: is the framerate wrong (--fps-rules)?"
+    ]
     store = Store.open(tmp_path / "s")
     assert store.sequences["sequence_id"].tolist() == ["kitml/00001", "kitml/00002", "babel/31"]
     assert frame_numbers(store, "kitml/00001") == list(range(600))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.errors import FormatError
+from motionkit.formats.cuts import TimeCut
 from motionkit.formats.indexes.entries import (
     Entry,
     Index,
@@ -60,10 +61,12 @@ def _entry(name: str, value: Any, split: str, path: Path) -> Entry:
         if _text(label):
             captions.append(Caption(_text(label), min(start, end), max(start, end)))
     categories = {category for label in of_whole for category in _categories(label)}
+    duration = seconds_of(value["dur"], "dur", path, name) if "dur" in value else None
     return Entry(
         name=name,
         parts=source_parts(value.get("feat_p"), path, name, None),
         place=name,
+        cut=TimeCut(file_seconds=duration),
         captions=tuple(dict.fromkeys(captions)),
         action=next(iter(categories)) if len(categories) == 1 else "",
         split=split,

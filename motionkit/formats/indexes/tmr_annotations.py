@@ -61,15 +61,14 @@ def _entry(name: str, value: Any, path: Path) -> Entry:
     said = [_caption(caption, path, name) for caption in value["annotations"]]
     start = min((caption.start_seconds for caption in said), default=0.0)
     end = max((caption.end_seconds or 0.0 for caption in said), default=None)
-    if end is not None and "duration" in value:
-        duration = seconds_of(value["duration"], "duration", path, name)
-        end = None if end >= duration - SAME_SECONDS else end
-    whole = start == 0.0 and end is None
+    duration = seconds_of(value["duration"], "duration", path, name) if "duration" in value else None
+    if end is not None and duration is not None and end >= duration - SAME_SECONDS:
+        end = None
     return Entry(
         name=name,
         parts=_with_suffix(parts[1:] if mirrored else parts),
         place=name,
-        cut=None if whole else TimeCut(start, end),
+        cut=TimeCut(start, end, duration),
         captions=tuple(_from_start(caption, start, end) for caption in said),
         mirrored=mirrored,
     )

@@ -11,7 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.errors import FormatError
-from motionkit.formats.cuts import Cut, PublishedCut, StepCut, TimeCut, crop, missing_seconds, stated_rate
+from motionkit.formats.cuts import (
+    Cut,
+    PublishedCut,
+    StepCut,
+    TimeCut,
+    crop,
+    missing_seconds,
+    stated_rate,
+    unlike_stated_seconds,
+)
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import SMPL22
 from motionkit.timegrid import TimeGrid, parse_fps
@@ -172,6 +181,22 @@ def test_seconds_beyond_the_end_are_missed():
     assert missed(motion, TimeCut(0.5, 1.5)) == pytest.approx(0.5)
     assert missed(motion, TimeCut(0.5, 1.01)) == 0.0
     assert missed(motion, TimeCut(0.5, None)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("num_frames", "fps", "stated", "unlike"),
+    [
+        (600, 100, 6.0, False),
+        (600, 100, 6.2, False),
+        (600, 120, 6.0, True),
+        (1200, 60, 10.0, True),
+        (20, 60, 0.5, False),
+    ],
+)
+def test_a_whole_file_that_is_not_as_long_as_stated(num_frames, fps, stated, unlike):
+    assert unlike_stated_seconds(TimeCut(file_seconds=stated), num_frames, Fraction(fps)) == unlike
+    assert not unlike_stated_seconds(TimeCut(1.0, None, stated), num_frames, Fraction(fps))
+    assert not unlike_stated_seconds(TimeCut(), num_frames, Fraction(fps))
 
 
 def test_framerates_below_20_have_no_step():
