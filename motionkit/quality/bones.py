@@ -13,9 +13,15 @@ MIN_BONE_METRES = 0.03
 def bone_length_drift(
     positions: Float32[np.ndarray, "frames joints 3"], skeleton: Skeleton, fps: float
 ) -> float | None:
-    """(longest − shortest) / mean length of the bone where that is largest; None without a bone of 3 cm."""
+    """(longest − shortest) / mean length of the bone where that is largest; None without a bone of 3 cm.
+
+    A joint that rests where its parent does has no bone: markers, which all hang from the first, move freely.
+    """
     poses = positions[:: max(1, round(fps / POSES_PER_SECOND))]
-    joints = np.array([joint for joint, parent in enumerate(skeleton.parents) if parent >= 0], np.int64)
+    has_bone = np.any(skeleton.offsets != 0, axis=1).tolist()
+    joints = np.array(
+        [joint for joint, parent in enumerate(skeleton.parents) if parent >= 0 and has_bone[joint]], np.int64
+    )
     bones = poses[:, joints] - poses[:, np.array(skeleton.parents, np.int64)[joints]]
     lengths = np.sqrt(np.einsum("tbc,tbc->tb", bones, bones))
     mean = lengths.mean(axis=0)

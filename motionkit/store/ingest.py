@@ -223,8 +223,9 @@ class _Run:
         self._duration_seconds += motion.row["duration_seconds"]
 
     def _check_rig(self, item: SourceItem, skeleton: Skeleton) -> None:
-        # Joints that no layout knows are told once, whatever the lengths of their bones; the motions are kept.
-        rig = (skeleton.joint_names, skeleton.layout_map)
+        # Joints that no layout knows are told once, whatever the lengths of their bones; the motions are kept. Markers,
+        # which have no bones, are told once for all their sets.
+        rig = (skeleton.joint_names if skeleton.offsets.any() else (), skeleton.layout_map)
         if rig in self._rigs:
             return
         self._rigs.add(rig)

@@ -8,6 +8,8 @@ import pytest
 
 from motionkit.skeleton_map import map_joints
 from motionkit.store import Store
+from tests.motionkit.formats.test_c3d import points as marker_points
+from tests.motionkit.formats.test_c3d import write as write_c3d
 
 
 @pytest.fixture
@@ -198,3 +200,15 @@ def test_a_bad_skeleton_map_is_told_before_anything_is_read(motionkit, takes, tm
     outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--skeleton-map", path)
     assert outcome.code == 1 and not (tmp_path / "store").exists()
     assert outcome.stderr.endswith("rig.toml: the weights of neck sum to 1.25, expected 1\n")
+
+
+def test_markers_are_told_once_and_have_no_bones_to_change(motionkit, tmp_path):
+    takes = tmp_path / "markers"
+    takes.mkdir()
+    for number, labels in enumerate((("A", "B", "C"), ("A", "B", "D"))):
+        write_c3d(takes / f"{number}.c3d", 20 * marker_points(), labels)
+    store = tmp_path / "s"
+    outcome = motionkit("ingest", takes, "--store", store, "--workers", 1, "--json")
+    assert json.loads(outcome.stdout)["warnings"] == {"unmapped-skeleton": 1}
+    flags = Store.open(store).sequences["quality_flags"]
+    assert len(flags) == 2 and all("bone_length" not in found for found in flags)
