@@ -166,13 +166,17 @@ def _sidecars(index: Index, options: IndexOptions) -> Sidecars:
         folder = next((each for each in beside if (each / "train.txt").is_file()), None)
     elif not any((folder / f"{split}.txt").is_file() for split in SPLITS):
         raise UsageError(f"{folder} has none of {', '.join(f'{split}.txt' for split in SPLITS)}")
+    return Sidecars({} if folder is None else _splits(folder), folder, options.texts)
+
+
+def _splits(folder: Path) -> dict[str, str]:
     splits: dict[str, str] = {}
-    for split in SPLITS if folder else ():
-        path = folder / f"{split}.txt" if folder else Path()
+    for split in SPLITS:
+        path = folder / f"{split}.txt"
         if path.is_file():
             lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
             splits |= {line.strip(): split for line in lines if line.strip()}
-    return Sidecars(splits, folder, options.texts)
+    return splits
 
 
 def _warnings(index: Index, items: Iterable[SourceItem], sidecars: Sidecars) -> tuple[FormatError, ...]:
