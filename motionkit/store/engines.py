@@ -20,4 +20,4 @@ def make_engine(name: str, num_workers: int | None) -> Engine:
     check_engine(name)
     if name != LOCAL:
         return RayEngine(None if name == RAY else name, num_workers)
-    return ThisProcess() if num_workers in (None, 1) else Processes(num_workers)
+    return ThisProcess() if num_workers in (None, 1) else Processes(num_workers, ["motionkit.store.read_batch"])

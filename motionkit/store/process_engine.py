@@ -49,13 +49,15 @@ class _Ticket:
 
 
 class Processes:
-    """Processes of this machine, spawned, not forked, since Arrow has threads; they end with this one, however it ends.
+    """Processes of this machine; they end with this one, however it ends.
 
-    A pool of which one process died is of no more use: the next batch starts another.
+    They are forked from a small server that has imported `modules` and started no thread, not from this process, where
+    Arrow has threads. A pool of which one process died is of no more use: the next batch starts another.
     """
 
-    def __init__(self, num_workers: int) -> None:
+    def __init__(self, num_workers: int, modules: Sequence[str] = ()) -> None:
         self.num_workers = num_workers
+        self._modules = ["__main__", *modules]
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> "Processes":
@@ -67,7 +69,8 @@ class Processes:
     def submit(self, function: Function, batch: Sequence[Any]) -> _Ticket:
         """Hand a batch to the pool, which is started where there is none."""
         if self._pool is None:
-            context = multiprocessing.get_context("spawn")
+            context = multiprocessing.get_context("forkserver")
+            context.set_forkserver_preload(self._modules)
             self._pool = ProcessPoolExecutor(self.num_workers, mp_context=context, initializer=_start_worker)
         try:
             return _Ticket(self._pool, self._pool.submit(function, batch))

@@ -3,12 +3,11 @@
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from jaxtyping import Int, Int64
 
@@ -166,7 +165,7 @@ class Store:
         """Result of one SQL statement over `sequences`, `segments`, `skeletons`; raises `UsageError` for bad SQL."""
         from motionkit.store.sql import query
 
-        views: dict[str, pa.Table | ds.Dataset] = {"sequences": self.sequences_table, "skeletons": self.skeletons_table}
+        views: dict[str, Any] = {"sequences": self.sequences_table, "skeletons": self.skeletons_table}
         try:
             # Only where they are asked for: a dataset looks at each of its files.
             if "segments" in sql.lower():
@@ -178,7 +177,9 @@ class Store:
         except (pa.ArrowException, OSError) as error:
             raise StoreError(f"{error}: 'motionkit validate --store {self.path}' says what is damaged") from None
 
-    def _segments_dataset(self) -> "pa.Table | ds.Dataset":
+    def _segments_dataset(self) -> Any:
+        import pyarrow.dataset as ds  # which imports pandas: a third of a second that no worker of an ingest needs
+
         parts = [str(self.path / name) for name in self.manifest.parts]
         if not parts:
             return SEGMENTS.empty_table()

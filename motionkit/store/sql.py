@@ -2,14 +2,15 @@
 
 from collections import Counter
 from collections.abc import Mapping
+from typing import Any
 
 import duckdb
 import pyarrow as pa
-import pyarrow.dataset as ds
 
 from motionkit.errors import UsageError
 
-Views = Mapping[str, pa.Table | ds.Dataset]
+# Arrow tables and datasets.
+Views = Mapping[str, Any]
 
 
 def query(views: Views, sql: str) -> pa.Table:
