@@ -1,6 +1,6 @@
 """All figures of one motion, and the flags that follow from them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,10 @@ MAX_JITTER = 400.0
 MAX_FROZEN_SECONDS = 0.25
 MAX_FOOT_SKATE_SHARE = 0.5
 MAX_BONE_LENGTH_DRIFT = 0.1
+
+
+# Squares of larger numbers leave float32; a motion that reaches this far carries flags for it in any case.
+FAR_METRES = 1e9
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,7 @@ def measure(motion: Motion) -> Quality:
     Flags: `single_frame`, `joint_speed`, `teleport`, `jitter`, `frozen`, `foot_skate`, `floor_height`, `bone_length`,
     `upsampled`.
     """
+    motion = _bounded(motion)
     positions, fps = motion.joint_positions, float(motion.fps)
     squared = squared_lengths(np.diff(positions, axis=0))
     steps = measure_steps(squared, fps)
@@ -85,3 +90,10 @@ def measure(motion: Motion) -> Quality:
         effective_fps=captured,
         flags=tuple(flag for flag, holds in odd.items() if holds),
     )
+
+
+def _bounded(motion: Motion) -> Motion:
+    positions = motion.joint_positions
+    if positions.min() >= -FAR_METRES and positions.max() <= FAR_METRES:
+        return motion
+    return replace(motion, joint_positions=np.clip(positions, -FAR_METRES, FAR_METRES, dtype=np.float32))

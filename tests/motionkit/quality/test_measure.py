@@ -140,6 +140,17 @@ def test_short_takes_are_measured_as_far_as_they_go(num_frames):
     assert quality.num_teleports == 0
 
 
+@pytest.mark.parametrize("scale", [0.0, 1e-30, 1e6, 1e12, 3e38])
+@pytest.mark.parametrize("num_frames", [1, 2, 61, 200])
+def test_figures_are_finite_whatever_the_numbers(scale, num_frames):
+    """They become columns and JSON, and no warning may come out of an ingest."""
+    values = scale * np.random.default_rng(0).uniform(-1, 1, (num_frames, 22, 3))
+    for fps in (1, 30, 10_000):
+        motion = Motion(values.astype(np.float32), SMPL22, TimeGrid(Fraction(fps), num_frames))
+        figures = [figure for figure in vars(measure(motion)).values() if isinstance(figure, float)]
+        assert np.isfinite(figures).all()
+
+
 def test_the_result_travels_between_processes():
     quality = measure(capture(Fraction(60)))
     assert pickle.loads(pickle.dumps(quality)) == quality  # noqa: S301
