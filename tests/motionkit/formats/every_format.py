@@ -3,12 +3,19 @@
 import json
 import struct
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
+from motionkit.formats import parquet_schema
 from motionkit.formats.deepmimic import humanoid3d
 from motionkit.formats.humanml3d import Entry, write_humanml3d
+from motionkit.motion import Caption, Motion
+from motionkit.skeleton import SMPL22
+from motionkit.timegrid import TimeGrid
 from tests.motionkit.formats.amass_samples import smplh_fields, write_amass
 from tests.motionkit.formats.samples import bvh_text, lafan1_text, write_asfamc
 
@@ -49,6 +56,14 @@ def write_arrays(name: str, **arrays: np.ndarray) -> Callable[[Path], Path]:
         return folder / name
 
     return write
+
+
+def write_rows(folder: Path) -> Path:
+    positions, path = bodies(5, 22), folder / "rows.parquet"
+    motion = Motion(positions, SMPL22, TimeGrid(Fraction(30), 5), captions=(Caption("walks"),), sequence_id="take")
+    columns = {name: [value] for name, value in parquet_schema.row_of(motion).items()}
+    pq.write_table(pa.table(columns, parquet_schema.SCHEMA), path, compression="zstd")
+    return path
 
 
 def write_acclaim(folder: Path) -> Path:
@@ -116,5 +131,6 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
     "humanact12": write_array("P01G01R01F0069T0143A0102.npy", bodies(8, 24)),
     "joints-npy": write_array("take.npy", bodies(8, 22)),
     "npz": write_arrays("take.npz", joint_positions=bodies(5, 22), fps=np.array(30.0), captions=np.array(["walks"])),
+    "parquet": write_rows,
     "csv": write_text("take.csv", "time_seconds,a_x,a_y,a_z\n0.0,1,2,3\n0.5,1,2,3.5\n1.0,1,2,3.25\n"),
 }
