@@ -84,10 +84,12 @@ class ScanResult:
     """What a scan found: `items` to read, `problems` that cost a sequence, and `warnings` that cost none.
 
     A motion without a caption, in a source that has captions, is a warning: the motion is kept. `missing` counts, by
-    dataset, the sequences of an index whose files are not there; each is one of the problems too.
+    dataset, the sequences of an index whose files are not there, `refused` those whose captions cannot be read; each is
+    one of the problems too.
     """
 
     items: tuple[SourceItem, ...]
     problems: tuple[FormatError, ...] = ()
     warnings: tuple[FormatError, ...] = field(default=())
     missing: Mapping[str, int] = field(default_factory=dict)
+    refused: Mapping[str, int] = field(default_factory=dict)

@@ -248,10 +248,11 @@ class _Run:
         self._listener.on_warning(warning)
 
     def _datasets(self, found: ScanResult) -> tuple[DatasetCount, ...]:
-        of_files = Counter(item.subset for item in found.items)
+        of_files = Counter(item.subset for item in found.items) + Counter(found.refused)
+        failed = self._failed_by_dataset + Counter(found.refused)
         wanted = of_files + Counter(found.missing)
         return tuple(
-            DatasetCount(name, of_files[name], found.missing.get(name, 0), self._failed_by_dataset[name])
+            DatasetCount(name, of_files[name], found.missing.get(name, 0), failed[name])
             for name, _ in wanted.most_common()
         )
 

@@ -187,6 +187,20 @@ def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_
     assert stopped.code == 1
 
 
+def test_captions_that_cannot_be_read_cost_their_sequence(motionkit, amass, humanml3d, tmp_path):
+    (humanml3d / "texts/000002.txt").write_text("a person walks#a/DET\n")
+    (humanml3d / "texts/000003.txt").unlink()
+    outcome = motionkit(
+        "ingest", amass, "--index", humanml3d / "index.csv", "--texts", humanml3d / "texts", "--store", tmp_path / "s",
+        "--workers", 1, "--json",
+    )  # fmt: skip
+    told = json.loads(outcome.stdout)
+    assert told["failed"] == {"text": 1}
+    assert told["warnings"] == {"no-caption": 1, "shortened": 1}
+    assert told["datasets"]["CMU"] == {"found": 2, "missing": 0, "failed": 1}
+    assert told["stored"] == 6
+
+
 def test_thousands_of_missing_files_are_told_once(motionkit, amass, tmp_path):
     rows = "".join(f"KIT/3/none_{number}_poses.npy,0,5,{number:06}.npy\n" for number in range(50))
     (tmp_path / "index.csv").write_text(HEADER + "KIT/3/kick_poses.npy,0,5,a.npy\n" + rows)

@@ -49,13 +49,16 @@ def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf
     files = _find_files(sources, {entry.key for index in indexes for entry in index.entries})
     found = [_scan_index(index, sources, files, options, item_of) for index in indexes]
     missing: Counter[str] = Counter()
+    refused: Counter[str] = Counter()
     for result in found:
         missing.update(result.missing)
+        refused.update(result.refused)
     return ScanResult(
         items=tuple(_one_file_at_a_time(item for result in found for item in result.items)),
         problems=tuple(problem for result in found for problem in result.problems),
         warnings=tuple(warning for result in found for warning in result.warnings),
         missing=missing,
+        refused=refused,
     )
 
 
@@ -114,6 +117,7 @@ def _scan_index(
     items: list[SourceItem] = []
     problems = list(index.problems)
     missing: Counter[str] = Counter()
+    refused: Counter[str] = Counter()
     found: dict[Key, SourceItem | None] = {}
     for entry in index.entries:
         key = entry.key
@@ -128,8 +132,10 @@ def _scan_index(
         try:
             items.append(_item(index, entry, file, sidecars))
         except FormatError as problem:
+            refused[entry.dataset] += 1
             problems.append(problem)
-    return ScanResult(tuple(items), tuple(problems), _warnings(index, items, sidecars), missing=missing)
+    warnings = _warnings(index, items, sidecars)
+    return ScanResult(tuple(items), tuple(problems), warnings, missing, refused)
 
 
 def _item(index: Index, entry: Entry, file: SourceItem, sidecars: Sidecars) -> SourceItem:
