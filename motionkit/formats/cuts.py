@@ -42,20 +42,13 @@ class StepCut:
     """Frames [start_frame, end_frame) among every step-th of a file, without the first `trim_frames` of them.
 
     All native frames in between are kept: [(trim + start)·step, (trim + end)·step); `end_frame` None is the file's end.
-    `seen_fps` is the framerate that HumanML3D's code saw, where files of another release may state another one.
+    `seen_fps` is the framerate that HumanML3D's code saw, where other files of the take may state another one.
     """
 
     start_frame: int
     end_frame: int | None
     trim_frames: int = 0
     seen_fps: float | None = None
-
-    def step(self, stated_fps: str, fps: Fraction) -> int:
-        """HumanML3D's step, int(fps / 20), by the framerate that the file states, to the last digit; 0 below 20 fps.
-
-        A framerate that was corrected changes what a frame's time is, not which frames were published.
-        """
-        return int((self.seen_fps or stated_rate(stated_fps, fps)) / PUBLISHED_FPS)
 
 
 @dataclass(frozen=True)
@@ -78,12 +71,14 @@ def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
         case TimeCut():
             return _crop_seconds(motion, cut, path)
         case StepCut():
-            return _with_true_seconds(_crop_frames(motion, cut, path), _step(motion, cut, path))
+            step = _step(motion, cut, path)
+            return _with_true_seconds(_crop_frames(motion, cut, step, path), step)
         case PublishedCut(stretch):
-            return _called_20_fps(_crop_frames(motion, stretch, path), _step(motion, stretch, path))
+            step = _step(motion, stretch, path)
+            return _called_20_fps(_crop_frames(motion, stretch, step, path), step)
 
 
-def missing_seconds(cut: Cut, num_frames: int, fps: Fraction, stated_fps: str) -> float:
+def missing_seconds(cut: Cut, path: Path, num_frames: int, fps: Fraction, stated_fps: str) -> float:
     """By how much a cropped motion is shorter than its cut asks for; 0 where a frame's rounding explains it."""
     match cut:
         case TimeCut(start, end, _):
@@ -91,22 +86,29 @@ def missing_seconds(cut: Cut, num_frames: int, fps: Fraction, stated_fps: str) -
             return missing if missing > 1.5 / float(fps) else 0.0
         case StepCut(start_frame, end_frame):
             # The last published frame stands for `step` native ones, of which a file needs to have but the first.
-            step = cut.step(stated_fps, fps)
+            step = published_step(cut, path, fps, stated_fps)
             found = math.ceil(num_frames / step)
             return 0.0 if end_frame is None else float((end_frame - start_frame - found) * step / fps)
         case PublishedCut(StepCut(start_frame, end_frame)):
             return 0.0 if end_frame is None else (end_frame - start_frame - num_frames) / PUBLISHED_FPS
-    raise AssertionError(cut)
 
 
-def counted_by(path: Path, stated_fps: str, fps: Fraction) -> str:
-    """The stated framerate by which an index's frames were counted; none where an SMPL-X file's was corrected to `fps`.
+def published_step(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> int:
+    """HumanML3D's step, int(fps / 20), by the framerate that its code saw, to the last digit; 0 below 20 fps.
 
-    The indexes were made on SMPL+H files. SMPL-X files (NAME_stageii) of the same takes say 120 for nearly all, and
-    `framerate_rules` gives them what the SMPL+H files say.
+    It read SMPL+H files (NAME_poses), which therefore say it themselves: a framerate that was corrected to `fps`
+    changes what a frame's time is, not which frames were published. Of other files the index may know it. SMPL-X files
+    (NAME_stageii) say 120 for nearly all takes, and `framerate_rules` gives them what the SMPL+H files say.
     """
-    corrected = abs(stated_rate(stated_fps, fps) - float(fps)) > SNAP_TOLERANCE * float(fps)
-    return "" if corrected and path.stem.endswith("_stageii") else stated_fps
+    return int(_seen_rate(cut, path, fps, stated_fps) / PUBLISHED_FPS)
+
+
+def _seen_rate(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> float:
+    stated = stated_rate(stated_fps, fps)
+    if cut.seen_fps is not None and not path.stem.endswith("_poses"):
+        return cut.seen_fps
+    corrected = abs(stated - float(fps)) > SNAP_TOLERANCE * float(fps)
+    return float(fps) if corrected and path.stem.endswith("_stageii") else stated
 
 
 def unlike_stated_seconds(cut: Cut, num_frames: int, fps: Fraction) -> bool:
@@ -141,26 +143,25 @@ def _crop_seconds(motion: Motion, cut: TimeCut, path: Path) -> Motion:
 
 
 def _step(motion: Motion, cut: StepCut, path: Path) -> int:
-    stated = counted_by(path, motion.provenance.stated_fps, motion.fps)
-    step = cut.step(stated, motion.fps)
+    stated = motion.provenance.stated_fps
+    step = published_step(cut, path, motion.fps, stated)
     if step < 1:
         raise FormatError(
-            f"{stated_rate(stated, motion.fps):g} frames a second; an index in HumanML3D's frames needs at least "
-            f"{PUBLISHED_FPS}",
+            f"{_seen_rate(cut, path, motion.fps, stated):g} frames a second; an index in HumanML3D's frames needs at "
+            f"least {PUBLISHED_FPS}",
             path=path,
             reason="step",
         )
     return step
 
 
-def _crop_frames(motion: Motion, cut: StepCut, path: Path) -> Motion:
-    step = _step(motion, cut, path)
+def _crop_frames(motion: Motion, cut: StepCut, step: int, path: Path) -> Motion:
     if (cut.start_frame, cut.end_frame, cut.trim_frames) == (0, None, 0):
         return motion
     start = (cut.trim_frames + cut.start_frame) * step
     stop = motion.num_frames if cut.end_frame is None else (cut.trim_frames + cut.end_frame) * step
     trim = f" after a trim of {cut.trim_frames}" if cut.trim_frames else ""
-    asked = f"[{cut.start_frame}, {cut.end_frame or ''}) of every {step}th frame{trim}"
+    asked = f"[{cut.start_frame}, {cut.end_frame or ''}) of one frame in {step}{trim}"
     return _stretch(motion, start, stop, asked, path)
 
 
@@ -207,7 +208,7 @@ def _called_20_fps(motion: Motion, step: int) -> Motion:
         root_translation=None if root is None else root[::step],
     )
     true_fps = float(motion.fps / step)
-    return thinned.logged(f"every {step}th frame, at {true_fps:g} fps, called {PUBLISHED_FPS} fps as HumanML3D does")
+    return thinned.logged(f"one frame in {step}, at {true_fps:g} fps, called {PUBLISHED_FPS} fps as HumanML3D does")
 
 
 def _first_frame_at(seconds: float, fps: Fraction) -> int:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from motionkit.errors import FormatError, StoreError
-from motionkit.formats.cuts import counted_by, missing_seconds, unlike_stated_seconds
+from motionkit.formats.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, scan
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map
@@ -272,8 +272,7 @@ def doubt(item: SourceItem, motion: EncodedMotion) -> FormatError | None:
     row = motion.row
     fps = Fraction(row["fps_numerator"], row["fps_denominator"])
     seconds = row["duration_seconds"]
-    stated = counted_by(item.path, row["stated_fps"], fps)
-    missing = missing_seconds(item.cut, motion.num_frames, fps, stated)
+    missing = missing_seconds(item.cut, item.path, motion.num_frames, fps, row["stated_fps"])
     if missing > 0.0:
         message = f"ends {missing:.3g} s before {item.sequence_id} does; {seconds:.3g} s of it are kept"
         return FormatError(message, path=item.path, reason="shortened")

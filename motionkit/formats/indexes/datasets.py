@@ -3,7 +3,7 @@
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 
@@ -17,12 +17,17 @@ ENDINGS = ("_poses", "_stageii")
 class Dataset:
     """One dataset: its folder's name in AMASS' first release, and how HumanML3D read its files.
 
-    `trim_frames` are dropped before it counts; `seen_fps` is what its code saw where a file may say something else.
+    `trim_frames` are dropped before it counts; `seen_fps` is what its code saw where a file may say something else, by
+    the folder of a subject, under "" for all others.
     """
 
     name: str
     trim_frames: int = 0
-    seen_fps: float | None = None
+    seen_fps: Mapping[str, float] = field(default_factory=dict)
+
+    def seen_fps_of(self, parts: Sequence[str]) -> float | None:
+        """What HumanML3D's code saw of a file by its path; None where nothing else than the file says it."""
+        return next((self.seen_fps[part] for part in (*parts, "") if part in self.seen_fps), None)
 
 
 def dataset_of(parts: Sequence[str]) -> tuple[Dataset, int] | None:
@@ -60,7 +65,7 @@ def _known() -> Mapping[str, Dataset]:
     table = tomllib.loads(resources.files(__package__).joinpath("datasets.toml").read_text(encoding="utf-8"))
     known: dict[str, Dataset] = {}
     for entry in table["dataset"]:
-        dataset = Dataset(entry["name"], entry.get("trim_frames", 0), entry.get("seen_fps"))
+        dataset = Dataset(entry["name"], entry.get("trim_frames", 0), entry.get("seen_fps", {}))
         known |= {_plain(name): dataset for name in (entry["name"], *entry.get("also", ()))}
     return known
 

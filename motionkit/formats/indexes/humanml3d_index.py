@@ -81,7 +81,7 @@ def _entry(row: Mapping[str, str | None], path: Path, line: int) -> Entry:
             reason="index-entry",
             line=line,
         )
-    cut = StepCut(start, None if whole else end, dataset.trim_frames, dataset.seen_fps)
+    cut = StepCut(start, None if whole else end, dataset.trim_frames, dataset.seen_fps_of(parts))
     return Entry(name, parts, place, line, cut)
 
 

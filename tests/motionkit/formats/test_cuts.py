@@ -18,6 +18,7 @@ from motionkit.formats.cuts import (
     TimeCut,
     crop,
     missing_seconds,
+    published_step,
     stated_rate,
     unlike_stated_seconds,
 )
@@ -37,7 +38,7 @@ def take(num_frames: int, stated: str, fps: Fraction | None = None) -> Motion:
 
 
 def missed(motion: Motion, cut: Cut) -> float:
-    return missing_seconds(cut, motion.num_frames, motion.fps, motion.provenance.stated_fps)
+    return missing_seconds(cut, PATH, motion.num_frames, motion.fps, motion.provenance.stated_fps)
 
 
 def frames_of(motion: Motion) -> list[int]:
@@ -66,7 +67,7 @@ def test_of_smplx_files_the_corrected_framerate_counts_as_the_other_release_says
 )
 def test_the_native_frames_of_published_frames_10_to_20(stated, step, first, stop):
     motion = take(400, stated)
-    assert StepCut(10, 20).step(stated, motion.fps) == step
+    assert published_step(StepCut(10, 20), PATH, motion.fps, stated) == step
     cropped = crop(motion, StepCut(10, 20), PATH)
     assert frames_of(cropped) == list(range(first, stop))
     assert cropped.fps == parse_fps(stated)
@@ -132,6 +133,16 @@ def test_another_release_states_what_the_published_code_did_not_see():
     seen = crop(take(400, "60.0"), StepCut(10, 20, 20), PATH)
     cut = StepCut(10, 20, 20, seen_fps=60.0)
     assert frames_of(crop(take(400, "120.0", fps=Fraction(60)), cut, PATH)) == frames_of(seen) == list(range(90, 120))
+    assert missing_seconds(cut, PATH, 27, Fraction(60), "120.0") == pytest.approx(3 / 60)
+
+
+def test_the_release_that_the_published_code_read_says_itself_what_it_saw():
+    # SSM: SMPL+H files of 60 fps say 59.9999885 or 120, SMPL-X files of the same frames 120.
+    for seen, step in ((59.9999885, 2), (120.0, 6)):
+        cut = StepCut(10, 20, seen_fps=seen)
+        smplx = crop(take(400, "120.0", fps=Fraction(60)), cut, Path("SSM/20160330_03333/walking_stageii.npz"))
+        assert frames_of(smplx) == list(range(10 * step, 20 * step))
+    assert published_step(cut, Path("SSM_synced/20160330_03333/walking_poses.npz"), Fraction(60), "59.9999885") == 2
 
 
 @given(

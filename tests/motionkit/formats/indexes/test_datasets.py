@@ -56,6 +56,22 @@ def test_trims_are_those_of_the_published_code():
         assert found[0].trim_frames == trims.get(name, 0)
 
 
+@pytest.mark.parametrize(
+    ("file", "fps"),
+    [
+        ("SSM_synced/20160330_03333/walking_poses.npy", 59.9999885),
+        ("SSM_synced/20161014_50033/dance_sync_poses.npy", 120.0),
+        ("TotalCapture/s3/walking2_poses.npy", 60.0),
+        ("humanact12/humanact12/P11G01R02F1812T1847A0402.npy", 20.0),
+        ("CMU/36/36_15_poses.npy", None),
+    ],
+)
+def test_what_the_published_code_saw_where_files_may_say_otherwise(file, fps):
+    parts = file.split("/")
+    found = dataset_of(parts)
+    assert found is not None and found[0].seen_fps_of(parts) == fps
+
+
 def test_a_file_is_no_dataset():
     assert dataset_of(("a", "CMU")) is None
     assert dataset_of(("CMU",)) is None
