@@ -13,6 +13,7 @@ import pytest
 from motionkit.errors import StoreError
 from motionkit.store import StoreWriter
 from motionkit.store.manifest import commit_manifest, describe_file, read_manifest
+from motionkit.store.removal import remove
 from motionkit.store.schema import segment_writer_options
 from motionkit.store.validate import faults
 
@@ -118,6 +119,19 @@ def test_damage_that_a_checksum_cannot_see(small_store, name, edit, expected):
     for fault, pattern in zip(found, expected, strict=True):
         assert pc.match_substring_regex(pa.array([fault]), pattern)[0].as_py(), f"{fault!r} does not say {pattern!r}"
         assert "\n" not in fault
+
+
+@pytest.mark.parametrize("removed", ["take-1", "take-3", "take-5"])
+def test_segments_of_removed_sequences_are_no_fault(small_store, removed):
+    remove(small_store, [removed])
+    assert list(faults(small_store)) == []
+
+
+def test_a_segment_too_many_is_one(small_store):
+    """Where a sequence was removed, a row may lie between two sequences, but not of one that is there."""
+    remove(small_store, ["take-1"])
+    rewrite(small_store, PART, with_value("sequence_index", 1, 4))
+    assert list(faults(small_store)) == [f"{PART}: row 1 is a segment too many of sequence 4"]
 
 
 def test_counts_in_the_manifest(small_store):

@@ -1,0 +1,124 @@
+"""Reading motions of a store: all in order, one at random, and copying them; beside duckdb and pyarrow on its parts.
+
+The peers fetch the same frames of the same random sequences from the same Parquet files by a condition on
+`sequence_index`, as somebody without motionkit would; positions are compared bit by bit. Processor time of one thread.
+
+    python benchmarks/store/reads.py STORE [--sequences 300] [--json]
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import numpy as np
+import pyarrow as pa
+import pyarrow.dataset as ds
+from rich.table import Table
+
+from motionkit.console import stdout
+from motionkit.store import Store
+from motionkit.store.rewrite import merge
+from motionkit.store.schema import FLOAT_COLUMNS
+
+Fetch = Callable[[int], np.ndarray]
+PEER_READS = 20
+
+
+@contextmanager
+def timed(seconds: dict[str, float], what: str) -> Iterator[None]:
+    begun = time.process_time()
+    yield
+    seconds[what] = time.process_time() - begun
+
+
+def by_store(store: Store) -> Fetch:
+    return lambda index: store.read(index).joint_positions
+
+
+def by_duckdb(store: Store) -> Fetch:
+    connection = duckdb.connect()
+    connection.execute("SET threads = 1")
+    sql = (
+        f"SELECT num_frames, {', '.join(FLOAT_COLUMNS)} FROM '{store.path}/segments/*.parquet' "
+        "WHERE sequence_index = ? ORDER BY start_frame"
+    )
+    return lambda index: _positions(connection.sql(sql, params=[index]).to_arrow_table())
+
+
+def by_pyarrow(store: Store) -> Fetch:
+    parts = ds.dataset([str(store.path / name) for name in store.manifest.parts])
+    columns = ["start_frame", "num_frames", *FLOAT_COLUMNS]
+
+    def fetch(index: int) -> np.ndarray:
+        table = parts.to_table(columns, filter=ds.field("sequence_index") == index, use_threads=False)
+        return _positions(table.sort_by("start_frame"))
+
+    return fetch
+
+
+def _positions(segments: pa.Table) -> np.ndarray:
+    pieces = []
+    for num_frames, values in zip(segments["num_frames"].to_pylist(), segments["joint_positions"], strict=True):
+        flat = values.values.to_numpy(zero_copy_only=False).astype(np.float32, copy=False)
+        pieces.append(flat.reshape(-1, num_frames).T.reshape(num_frames, -1, 3))
+    return np.concatenate(pieces)
+
+
+def measure(path: Path, num_reads: int) -> dict[str, Any]:
+    seconds: dict[str, float] = {}
+    with timed(seconds, "open"):
+        store = Store.open(path)
+    with timed(seconds, "table in pandas"):
+        _ = store.sequences
+    with timed(seconds, "every motion in order"):
+        num_frames = sum(motion.num_frames for motion in store.read_many(store.select()))
+    with tempfile.TemporaryDirectory() as folder, timed(seconds, "copy into another store"):
+        merge(Path(folder) / "copy", [path])
+    chosen = np.random.default_rng(0).choice(store.select(), num_reads).tolist()
+    ways = {"Store.read": by_store(store), "duckdb": by_duckdb(store), "pyarrow": by_pyarrow(store)}
+    rates = {}
+    for name, fetch in ways.items():
+        np.testing.assert_array_equal(fetch(chosen[0]), store.read(chosen[0]).joint_positions)
+        some = chosen[1:] if name == "Store.read" else chosen[1 : 1 + PEER_READS]
+        begun = time.process_time()
+        for index in some:
+            fetch(index)
+        rates[name] = len(some) / (time.process_time() - begun)
+    return {
+        "sequences": store.num_sequences,
+        "frames": num_frames,
+        "frames_per_second_in_order": num_frames / seconds["every motion in order"],
+        "seconds": seconds,
+        "random_motions_per_second": rates,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("store", type=Path)
+    parser.add_argument("--sequences", type=int, default=300, help="number of random reads")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    report = measure(arguments.store, arguments.sequences)
+    if arguments.json:
+        print(json.dumps(report, indent=2))
+        return
+    table = Table(title=f"{report['sequences']:,} sequences, {report['frames']:,} frames; one core")
+    table.add_column("what")
+    table.add_column("figure", justify="right")
+    for what, taken in report["seconds"].items():
+        table.add_row(what, f"{taken:.3f} s")
+    table.add_row("frames a second in order", f"{report['frames_per_second_in_order']:,.0f}")
+    for name, rate in report["random_motions_per_second"].items():
+        table.add_row(f"random motions a second, {name}", f"{rate:,.1f}")
+    stdout.print(table)
+
+
+if __name__ == "__main__":
+    main()
