@@ -91,6 +91,12 @@ def _print_summary(summary: "StoreSummary") -> None:
             stdout.print(
                 f"  {name} {column.disk_bytes / MEGABYTE:,.1f} MB, {column.disk_bytes / column.raw_bytes:.3f} of raw"
             )
+    if summary.num_removed_segments:
+        stdout.print(
+            f"of it {summary.num_removed_segments:,} segments of removed sequences: 'motionkit compact --store "
+            f"{summary.path}' drops them",
+            markup=False,
+        )
     stdout.print(f"fingerprint {summary.fingerprint}")
 
 

@@ -60,6 +60,7 @@ class StoreSummary:
     num_frames: int
     num_skeletons: int
     num_parts: int
+    num_removed_segments: int
     disk_bytes: int
     cache_bytes: int
     columns: dict[str, ColumnSize]
@@ -87,6 +88,7 @@ def summarise(store: Store) -> StoreSummary:
         num_frames=manifest.num_frames,
         num_skeletons=manifest.num_skeletons,
         num_parts=len(manifest.parts),
+        num_removed_segments=manifest.num_removed_segments,
         disk_bytes=manifest.num_bytes,
         cache_bytes=sum(path.stat().st_size for path in cache.rglob("*") if path.is_file()),
         columns=_column_sizes(store),

@@ -43,6 +43,14 @@ def test_remove_and_compact(motionkit, store):
     }
 
 
+def test_info_tells_what_removed_sequences_still_take(motionkit, store, tmp_path):
+    motionkit("merge", tmp_path / "one-part", store)
+    assert "motionkit compact" not in motionkit("info", "--store", tmp_path / "one-part").stdout
+    motionkit("remove", "--where", "num_frames = 5", "--store", tmp_path / "one-part")
+    lines = motionkit("info", "--store", tmp_path / "one-part").stdout.splitlines()
+    assert any(line.startswith("of it 1 segments of removed sequences") for line in lines)
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [

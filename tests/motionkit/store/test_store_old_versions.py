@@ -14,7 +14,7 @@ from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import SMPL22, Feet, Skeleton
 from motionkit.store import Store, StoreWriter, files
 from motionkit.store.removal import remove
-from motionkit.store.rewrite import migrate
+from motionkit.store.rewrite import merge, migrate
 from motionkit.store.schema import FORMAT_VERSION
 from motionkit.store.validate import faults
 from motionkit.timegrid import TimeGrid
@@ -99,6 +99,14 @@ def test_a_migrated_store_is_the_one_that_this_version_writes(tmp_path):
     assert parts[0] == parts[1]
     assert migrated.sequences_table.drop_columns("part").equals(fresh.sequences_table.drop_columns("part"))
     assert migrated.skeletons_table.equals(fresh.skeletons_table)
+
+
+def test_a_merge_brings_an_earlier_version_up(tmp_path):
+    merge(tmp_path / "merged", [STORES / "v1"])
+    with StoreWriter.create(tmp_path / "fresh") as writer:
+        for motion in motions(1):
+            writer.add(motion)
+    assert Store.open(tmp_path / "merged").fingerprint == Store.open(tmp_path / "fresh").fingerprint
 
 
 def test_the_present_version_is_kept_too(tmp_path):
