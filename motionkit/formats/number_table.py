@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32, Int64
+from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from motionkit.errors import FormatError
 
@@ -65,10 +65,21 @@ def find_words(text: bytes) -> Words:
     solid = characters > SPACE
     edges = np.flatnonzero(solid[1:] != solid[:-1]) + 1
     starts, ends = edges[::2], edges[1::2]
-    first_of_lines = np.searchsorted(starts, np.flatnonzero(characters == NEWLINE))
-    opens_line = np.zeros(len(starts) + 1, bool)
-    opens_line[first_of_lines] = True
-    return Words(padded, starts, ends - starts, opens_line[:-1])
+    return Words(padded, starts, ends - starts, _opens_line(characters, starts, ends))
+
+
+def _opens_line(
+    characters: UInt8[np.ndarray, "bytes"], starts: Int64[np.ndarray, "words"], ends: Int64[np.ndarray, "words"]
+) -> Bool[np.ndarray, "words"]:
+    # The byte before a word tells, except where there are several between two words.
+    opens: np.ndarray = characters[starts - 1] == NEWLINE
+    gap_starts = np.concatenate(([0], ends[:-1]))[: len(starts)]
+    unclear = np.flatnonzero(~opens & (starts - gap_starts > 1))
+    if unclear.size:
+        newlines = np.flatnonzero(characters == NEWLINE)
+        before, after = (np.searchsorted(newlines, places[unclear]) for places in (gap_starts, starts))
+        opens[unclear] = before < after
+    return opens
 
 
 def to_numbers(words: Words) -> Float64[np.ndarray, "words"] | None:
