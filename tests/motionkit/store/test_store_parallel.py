@@ -2,12 +2,15 @@
 
 import os
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
-from motionkit.errors import MotionkitError
+from motionkit.errors import FormatError, MotionkitError
+from motionkit.formats.items import ReadOptions, SourceItem
 from motionkit.store.parallel import WorkerDied, map_in_order
 from motionkit.store.process_engine import Processes, ThisProcess
+from motionkit.store.read_batch import read_batch
 
 
 def ten_times(numbers: Sequence[int]) -> list[int]:
@@ -58,3 +61,11 @@ def test_few_inputs_are_in_flight() -> None:
         for _ in range(10):
             next(results)
     assert len(taken) <= 10 + 3 * 2
+
+
+def test_a_file_that_a_worker_does_not_see(tmp_path: Path) -> None:
+    gone = SourceItem(format="bvh", path=tmp_path / "gone.bvh", root=tmp_path, sequence_id="takes/gone")
+    (problem,) = read_batch([gone], ReadOptions())
+    assert isinstance(problem, FormatError)
+    assert problem.reason == "not-visible"
+    assert "there is no such file on" in str(problem)
