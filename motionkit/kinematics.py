@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from motionkit.skeleton import Skeleton
 
@@ -151,6 +151,19 @@ def euler_to_quaternion(
         w, along, first, second = q[0] * c - q[k] * s, q[k] * c + q[0] * s, q[i] * c + q[j] * s, q[j] * c - q[i] * s
         q[0], q[k], q[i], q[j] = w, along, first, second
     return np.moveaxis(q, 0, -1)
+
+
+def rotation_vector_to_quaternion(vectors: Float32[np.ndarray, "*n 3"]) -> Float32[np.ndarray, "*n 4"]:
+    """Rotation vectors (axis times angle in radians) → unit quaternions; a vector of no length is no turn."""
+    components = np.ascontiguousarray(np.moveaxis(vectors, -1, 0))
+    angle = np.sqrt(np.sum(components * components, axis=0))
+    half = 0.5 * angle
+    scale = np.where(angle > 1e-6, np.sin(half) / np.maximum(angle, 1e-6), 0.5)
+    quaternions = np.empty((*vectors.shape[:-1], 4), np.float32)
+    quaternions[..., 0] = np.cos(half)
+    for axis, component in enumerate(components, start=1):
+        quaternions[..., axis] = component * scale
+    return quaternions
 
 
 def forward_kinematics(

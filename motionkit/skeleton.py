@@ -1,7 +1,7 @@
 """Skeletons: joint names, parents, rest offsets, left/right pairs, feet; and the standard ones."""
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -79,6 +79,14 @@ class Skeleton:
             raise KeyError(
                 f"skeleton {self.name!r} has no joint {joint_name!r}: {', '.join(self.joint_names)}"
             ) from None
+
+    def scaled(self, factor: float) -> "Skeleton":
+        """The same skeleton with all lengths multiplied."""
+        return replace(
+            self,
+            offsets=self.offsets * np.float32(factor),
+            end_sites=tuple((joint, (x * factor, y * factor, z * factor)) for joint, (x, y, z) in self.end_sites),
+        )
 
     def children(self, joint: int) -> tuple[int, ...]:
         """Indices of a joint's children."""

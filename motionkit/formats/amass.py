@@ -6,7 +6,6 @@ Loper et al., "SMPL: A Skinned Multi-Person Linear Model", 2015, Eq. 2–4 and 1
 issues 8, 49 and 68 (names of the two generations of files).
 """
 
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,17 +16,17 @@ from motionkit import kinematics
 from motionkit.errors import FormatError
 from motionkit.formats import body_frame, npz_archive, sourcefile
 from motionkit.formats.amass_layouts import BODY, LAYOUTS, POSE_PARTS, SMPLH, PoseLayout
-from motionkit.formats.body_model import find_body_model
+from motionkit.formats.body import Body, mean_body, own_body
 from motionkit.formats.items import ReadOptions, SourceItem
-from motionkit.formats.mean_shape import mean_shape_skeleton
 from motionkit.formats.npz_archive import NpzArchive
 from motionkit.motion import Motion, Provenance
-from motionkit.skeleton import Skeleton
 from motionkit.timegrid import TimeGrid, parse_fps
 
 MOTION_NAMES = ("_poses", "_stageii")
 FRAMERATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
 PUBLISHED_BETAS = 10
+# Eight turns.
+MAX_RADIANS = 50.0
 GENDERS = ("male", "female", "neutral")
 # The quarter turn about x that takes z up to y up: (x, y, z) → (x, z, −y).
 UPRIGHT = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0], np.float32)
@@ -56,7 +55,9 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     trans = npz_archive.read_numbers(archive, "trans", (len(poses), 3))
     fps, stated_fps, operations = _framerate(archive, options)
     body = _body(archive, layout, options)
-    rotations = axis_angle_to_quaternion(poses[:, : 3 * body.skeleton.num_joints])
+    rotations = kinematics.rotation_vector_to_quaternion(
+        poses[:, : 3 * body.skeleton.num_joints].reshape(len(poses), -1, 3)
+    )
     root = body_frame.turn_to_y_up(trans + body.skeleton.offsets[0])
     rotations[:, 0] = kinematics.quaternion_multiply(UPRIGHT, rotations[:, 0])
     operations += [*body.operations, "turned from z up to y up: (x, y, z) → (x, z, −y)"]
@@ -78,42 +79,14 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     )
 
 
-def axis_angle_to_quaternion(vectors: Float32[np.ndarray, "frames values"]) -> Float32[np.ndarray, "frames joints 4"]:
-    """Rotation vectors in radians, three numbers a joint, as unit quaternions; vectors of no length are no turn."""
-    x, y, z = np.ascontiguousarray(vectors.reshape(len(vectors), -1, 3).transpose(2, 1, 0))
-    angle = np.sqrt(x * x + y * y + z * z)
-    half = 0.5 * angle
-    scale = np.where(angle > 1e-6, np.sin(half) / np.maximum(angle, 1e-6), 0.5)
-    quaternions = np.empty((*vectors.shape[:1], angle.shape[0], 4), np.float32)
-    for column, values in enumerate((np.cos(half), x * scale, y * scale, z * scale)):
-        quaternions[:, :, column] = values.T
-    return quaternions
-
-
-@dataclass(frozen=True)
-class _Body:
-    skeleton: Skeleton
-    operations: tuple[str, ...]
-
-
-def _body(archive: NpzArchive, layout: PoseLayout, options: ReadOptions) -> _Body:
+def _body(archive: NpzArchive, layout: PoseLayout, options: ReadOptions) -> Body:
     if options.body_models is None:
-        operations = ["joints: SMPL's mean shape, no body model given"]
-        if layout is not BODY:
-            left_out = layout.num_joints - BODY.num_joints
-            operations.append(f"rotations of {left_out} joints left out (hands, face): they need a body model")
-        return _Body(mean_shape_skeleton(), tuple(operations))
+        return mean_body(layout)
     gender, betas = _gender(archive), _betas(archive)
     if options.index is not None and options.index.published:
         # HumanML3D's code: the female model for every gender but male, and ten betas (raw_pose_processing.ipynb).
         gender, betas = "male" if gender == "male" else "female", betas[:PUBLISHED_BETAS]
-    family = layout if layout is not BODY else LAYOUTS.get(_family(archive), SMPLH)
-    model = find_body_model(options.body_models, family, gender)
-    rest = model.rest_joints(betas)[: layout.num_joints]
-    used = min(len(betas), model.shape_directions.shape[-1])
-    fallback = "" if model.gender == gender else f" (the file's gender: {gender or 'unknown'})"
-    line = f"joints: {model.family} {model.gender}{fallback}, {used} betas"
-    return _Body(layout.skeleton(f"{model.family}-{model.gender}", rest), (line,))
+    return own_body(options.body_models, layout, LAYOUTS.get(_family(archive), SMPLH), gender, betas)
 
 
 def _gender(archive: NpzArchive) -> str:
@@ -143,6 +116,15 @@ def _read_poses(archive: NpzArchive) -> tuple[Float32[np.ndarray, "frames values
         parts = [(key, size) for key, size in POSE_PARTS[1:] if key in archive or key == "pose_body"]
         others = [npz_archive.read_numbers(archive, key, (len(first), size)) for key, size in parts]
         poses = np.concatenate((first, *others), axis=1)
+    turned = np.abs(poses).max(axis=1)
+    if turned.max() > MAX_RADIANS:
+        frame = int(np.argmax(turned > MAX_RADIANS))
+        raise FormatError(
+            f"poses: {turned[frame]:.4g} where a rotation vector in radians was expected; are these degrees?",
+            path=archive.path,
+            reason="radians",
+            frame=frame,
+        )
     return poses, _layout(archive, poses.shape[1])
 
 

@@ -81,11 +81,7 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
 def _to_motion(pose: ChannelPose, fps: Fraction, options: ReadOptions, path: Path) -> Motion:
     unit, reason = _unit(pose, options, path)
     pose = bvh_channels.settle_offsets(pose, RIGID_METRES / unit)
-    skeleton = replace(
-        pose.skeleton,
-        offsets=pose.skeleton.offsets * np.float32(unit),
-        end_sites=tuple((joint, (x * unit, y * unit, z * unit)) for joint, (x, y, z) in pose.skeleton.end_sites),
-    )
+    skeleton = pose.skeleton.scaled(unit)
     operations = [*pose.operations, f"lengths × {unit:.6g} to metres ({reason})"]
     offsets = None
     if pose.placed_joints:

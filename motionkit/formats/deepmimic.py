@@ -10,7 +10,7 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from importlib import resources
@@ -24,6 +24,7 @@ from motionkit import kinematics
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
 from motionkit.formats.items import ReadOptions
+from motionkit.formats.lengths import in_metres
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import Feet, Skeleton
 from motionkit.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
@@ -78,16 +79,12 @@ def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
     rotations, normalised = _rotations(table, character, path)
     operations += normalised
     root = table[:, 1:FIRST_ROTATION].astype(np.float32)
-    skeleton = character.skeleton
-    if options.unit_metres is not None:
-        skeleton, root = _scaled(skeleton, options.unit_metres), root * np.float32(options.unit_metres)
-        operations.append(f"lengths × {options.unit_metres:g} to metres (given)")
     if content.get("Loop") == "wrap":
         operations.append('read as it is; the file says that it repeats (Loop "wrap")')
     named = NAME.fullmatch(path.stem)
-    return Motion(
-        joint_positions=kinematics.forward_kinematics(rotations, root, skeleton),
-        skeleton=skeleton,
+    motion = Motion(
+        joint_positions=kinematics.forward_kinematics(rotations, root, character.skeleton),
+        skeleton=character.skeleton,
         timegrid=TimeGrid(fps, len(table)),
         local_rotations=rotations,
         root_translation=root,
@@ -101,6 +98,7 @@ def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
             operations=tuple(operations),
         ),
     )
+    return in_metres(motion, options.unit_metres)
 
 
 @cache
@@ -240,11 +238,3 @@ def _rotations(
             rotations[:, joint] = values / lengths[:, None]
     log = [f"quaternions normalised; they were off unit length by up to {worst:.3f}"]
     return rotations, log if worst > LOGGED_LENGTH_ERROR else []
-
-
-def _scaled(skeleton: Skeleton, factor: float) -> Skeleton:
-    return replace(
-        skeleton,
-        offsets=skeleton.offsets * np.float32(factor),
-        end_sites=tuple((joint, (x * factor, y * factor, z * factor)) for joint, (x, y, z) in skeleton.end_sites),
-    )

@@ -17,6 +17,7 @@ from jaxtyping import Float64
 from motionkit.errors import FormatError
 from motionkit.formats import clock, sourcefile
 from motionkit.formats.items import ReadOptions
+from motionkit.formats.lengths import in_metres
 from motionkit.formats.npz_skeleton import bones_of_pose
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
@@ -53,14 +54,10 @@ def read_joints_csv(path: Path, options: ReadOptions | None = None) -> Motion:
     skeleton, order = _skeleton(joints)
     columns = [names.index(f"{joint}_{axis}") for joint in order for axis in AXES]
     positions = table[:, columns].reshape(len(table), len(order), 3).astype(np.float32)
-    unit = options.unit_metres or 1.0
-    if unit != 1.0:
-        positions *= np.float32(unit)
-        operations.append(f"lengths × {unit:g} to metres (given)")
     if skeleton is None:
         parents = (-1, *(0,) * (len(order) - 1))
         skeleton = Skeleton(path.stem, order, parents, bones_of_pose(positions[0], parents))
-    return Motion(
+    motion = Motion(
         joint_positions=positions,
         skeleton=skeleton,
         timegrid=grid,
@@ -73,6 +70,7 @@ def read_joints_csv(path: Path, options: ReadOptions | None = None) -> Motion:
             operations=tuple(operations),
         ),
     )
+    return in_metres(motion, options.unit_metres)
 
 
 def write_joints_csv(motion: Motion, path: Path) -> None:

@@ -1,7 +1,8 @@
-"""Numeric .npy arrays from strangers: the header is checked against the file before anything is allocated."""
+""".npy arrays of numbers or strings from strangers: the header is checked against the bytes before use."""
 
 import ast
 import io
+import math
 import re
 from pathlib import Path
 
@@ -13,7 +14,10 @@ from motionkit.formats import sourcefile
 
 MAGIC = b"\x93NUMPY"
 HEADER_BYTES = 10_000
-NUMERIC = re.compile(r"[<>|=]?(f[248]|[iu][1248])")
+NUMBERS = re.compile(r"[<>|=]?(f[248]|[iu][1248])")
+STRINGS = re.compile(r"[<>|=]?[US][1-9]\d*")
+# A kilometre in millimetres.
+MAX_NUMBER = 1e6
 
 
 def peek_shape(path: Path) -> tuple[int, ...] | None:
@@ -26,9 +30,22 @@ def peek_shape(path: Path) -> tuple[int, ...] | None:
 
 
 def read_npy(path: Path, data: bytes, shape: tuple[int | None, ...]) -> Float32[np.ndarray, "..."]:
-    """A numeric array as float32 that agrees with `shape` (None: any size).
+    """A numeric array as float32 that agrees with `shape` (None: any size), without empty axes and of finite numbers.
 
-    Raises `FormatError` (`not-what-it-says`, `object-array`, `channel-count`, `no-frames`, `truncated`, `nan` …).
+    Raises `FormatError` as `parse_npy` does, and with the reasons `no-frames`, `nan` and `range`.
+    """
+    array = parse_npy(path, data, shape)
+    if 0 in array.shape:
+        raise FormatError("0 frames, expected at least one", path=path, reason="no-frames")
+    return _checked(array, path)
+
+
+def parse_npy(
+    path: Path, data: bytes, shape: tuple[int | None, ...] | None, codes: re.Pattern[str] = NUMBERS
+) -> np.ndarray:
+    """The array in a file's bytes, as it is, of a type among `codes` and of a `shape` (None: any, whole or by axis).
+
+    Raises `FormatError` (`not-what-it-says`, `object-array`, `not-a-number`, `channel-count`, `truncated`).
     """
     if not data.startswith(MAGIC):
         raise FormatError(
@@ -41,34 +58,32 @@ def read_npy(path: Path, data: bytes, shape: tuple[int | None, ...]) -> Float32[
         stated, column_major, code = read_header(file)
     except ValueError as error:
         raise FormatError(f"broken .npy header ({error})", path=path, reason="truncated") from None
-    if not NUMERIC.fullmatch(code):
+    if not codes.fullmatch(code):
         raise FormatError(
-            f"array of {code[:40]!r}, expected plain numbers; Python objects are not loaded, because they can run code",
+            f"array of {code[:40]!r}, expected plain {'numbers' if codes is NUMBERS else 'values'}; Python objects are "
+            "not loaded, because they can run code",
             path=path,
             reason="object-array" if "O" in code else "not-a-number",
         )
-    dtype = np.dtype(code)
-    if len(stated) != len(shape) or any(n is not None and n != m for n, m in zip(shape, stated, strict=True)):
+    if shape is not None and (
+        len(stated) != len(shape) or any(n is not None and n != m for n, m in zip(shape, stated, strict=True))
+    ):
         expected = ", ".join("any" if n is None else str(n) for n in shape)
         raise FormatError(f"array of shape {stated}, expected ({expected})", path=path, reason="channel-count")
-    if 0 in stated:
-        raise FormatError("0 frames, expected at least one", path=path, reason="no-frames")
-    count = 1
-    for size in stated:
-        count *= size
+    dtype, count = np.dtype(code), math.prod(stated)
     if count * dtype.itemsize != len(data) - file.tell():
         raise FormatError(
-            f"the header states {count} numbers of {dtype.itemsize} bytes, but {len(data) - file.tell()} bytes follow",
+            f"the header states {count} values of {dtype.itemsize} bytes, but {len(data) - file.tell()} bytes follow",
             path=path,
             reason="truncated",
         )
     flat = np.frombuffer(data, dtype, count, offset=file.tell())
-    return _checked(flat.reshape(stated, order="F" if column_major else "C"), path)
+    return flat.reshape(stated, order="F" if column_major else "C")
 
 
 def _checked(array: np.ndarray, path: Path) -> Float32[np.ndarray, "..."]:
     rows = array.reshape(len(array), -1)
-    for reason, bad in (("nan", ~np.isfinite(rows)), ("range", np.abs(rows) > 1e9)):
+    for reason, bad in (("nan", ~np.isfinite(rows)), ("range", np.abs(rows) > MAX_NUMBER)):
         if bad.any():
             frame = int(np.flatnonzero(bad.any(axis=1))[0])
             value = rows[frame][bad[frame]][0]

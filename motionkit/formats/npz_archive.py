@@ -4,6 +4,8 @@ An .npz file is a zip of .npy members. Nothing is extracted to disk: a member's 
 """
 
 import io
+import math
+import re
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -20,6 +22,7 @@ from motionkit.formats import npy, object_scalar, sourcefile
 MAX_RATIO = 200
 HARMLESS_BYTES = 1 << 26
 SCALAR_BYTES = 1 << 14
+PLAIN = re.compile(f"{npy.NUMBERS.pattern}|{npy.STRINGS.pattern}")
 BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, OverflowError, IndexError)
 
 
@@ -76,23 +79,30 @@ def read_shape(archive: NpzArchive, key: str) -> tuple[int, ...]:
 def read_numbers(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -> Float32[np.ndarray, "..."]:
     """A numeric member as float32 that agrees with `shape` (None: any size).
 
-    The zip directory's size and the header's shape are compared before anything is allocated. Raises `FormatError` as
-    `npy.read_npy` does, and with `missing-key` or `too-large`.
+    Raises `FormatError` as `npy.read_npy` does, and with `missing-key` or `too-large`.
     """
-    info = _checked_info(archive, key)
-    stated = read_shape(archive, key)
-    if np.prod(stated, dtype=object) > info.file_size:
-        raise FormatError(
-            f"{key}: the header states an array of {stated}, but the member has {info.file_size} bytes",
-            path=archive.path,
-            reason="truncated",
-        )
+    data = _unpack(archive, _checked_info(archive, key))
     try:
-        return npy.read_npy(archive.path, _unpack(archive, info), shape)
+        return npy.read_npy(archive.path, data, shape)
     except FormatError as error:
-        frame = error.frame if len(shape) > 1 else None
-        message = f"{key}: {error.message}"
-        raise FormatError(message, path=archive.path, reason=error.reason, frame=frame) from None
+        raise _named(key, error, frame=error.frame if len(shape) > 1 else None) from None
+
+
+def read_exact(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -> Float64[np.ndarray, "..."]:
+    """A numeric member as float64 that agrees with `shape` (None: any size); NaN and empty arrays are let through.
+
+    For clocks, indices and bounds. Raises `FormatError` as `npy.parse_npy` does, and with `missing-key` or `too-large`.
+    """
+    return _parse(archive, key, shape, npy.NUMBERS).astype(np.float64)
+
+
+def read_strings(archive: NpzArchive, key: str) -> tuple[str, ...]:
+    """A member of strings in one list (a single string is a list of one); raises `FormatError` as `read_exact`."""
+    found = _parse(archive, key, None, npy.STRINGS).ravel()
+    try:
+        return tuple(str(value.decode() if isinstance(value, bytes) else value) for value in found.tolist())
+    except UnicodeDecodeError as error:
+        raise _broken(archive, key, error) from None
 
 
 def read_scalar(archive: NpzArchive, key: str) -> str | int | float | None:
@@ -109,71 +119,30 @@ def read_scalar(archive: NpzArchive, key: str) -> str | int | float | None:
     file = io.BytesIO(_unpack(archive, info))
     try:
         shape, _, code = npy.read_header(file)
-        if np.prod(shape, dtype=object) != 1:
-            raise FormatError(
-                f"{key}: array of shape {shape}, expected one value", path=archive.path, reason="channel-count"
-            )
-        content = file.read()
-        if code in ("|O", "O"):
-            return object_scalar.parse_scalar(content)
-        return _to_scalar(content, code)
-    except (ValueError, TypeError) as error:
+    except ValueError as error:
         raise _broken(archive, key, error) from None
-
-
-def read_exact(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -> Float64[np.ndarray, "..."]:
-    """A numeric member as float64 that agrees with `shape` (None: any size); NaN and empty arrays are let through.
-
-    For clocks, indices and bounds. Raises `FormatError` as `read_numbers` does.
-    """
-    return _read_plain(archive, key, shape, "fiu").astype(np.float64)
-
-
-def read_strings(archive: NpzArchive, key: str) -> tuple[str, ...]:
-    """A member of strings in one list (a single string is a list of one); raises `FormatError` as `read_numbers`."""
-    found = _read_plain(archive, key, None, "US").ravel()
-    try:
-        return tuple(str(value.decode() if isinstance(value, bytes) else value) for value in found.tolist())
-    except UnicodeDecodeError as error:
-        raise _broken(archive, key, error) from None
-
-
-def _read_plain(archive: NpzArchive, key: str, shape: tuple[int | None, ...] | None, kinds: str) -> np.ndarray:
-    info = _checked_info(archive, key)
-    file = io.BytesIO(_unpack(archive, info))
-    try:
-        stated, column_major, code = npy.read_header(file)
-        if "O" in code:
-            raise FormatError(
-                f"{key}: array of Python objects, which are not loaded, because they can run code",
-                path=archive.path,
-                reason="object-array",
-            )
-        dtype = np.dtype(code)
-        content = file.read()
-        if dtype.kind not in kinds or np.prod(stated, dtype=object) * dtype.itemsize != len(content):
-            raise ValueError(f"{len(content)} bytes for an array of {stated} of type {code[:20]!r}")
-        flat = np.frombuffer(content, dtype) if dtype.itemsize else np.zeros(stated, dtype)
-        found = flat.reshape(stated, order="F" if column_major else "C")
-    except (ValueError, TypeError) as error:
-        raise _broken(archive, key, error) from None
-    if shape is not None and not _agrees(found.shape, shape):
-        expected = ", ".join("any" if size is None else str(size) for size in shape)
-        message = f"{key}: array of shape {found.shape}, expected ({expected})"
-        raise FormatError(message, path=archive.path, reason="channel-count")
-    return found
-
-
-def _agrees(stated: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
-    return len(stated) == len(shape) and all(n is None or n == m for n, m in zip(shape, stated, strict=True))
-
-
-def _to_scalar(content: bytes, code: str) -> str | int | float:
-    dtype = np.dtype(code)
-    if dtype.kind not in "fiuUS" or dtype.itemsize != len(content):
-        raise ValueError(f"{len(content)} bytes of type {code[:20]!r}")
-    value = np.frombuffer(content, dtype)[0].item()
+    if math.prod(shape) != 1:
+        raise FormatError(
+            f"{key}: array of shape {shape}, expected one value", path=archive.path, reason="channel-count"
+        )
+    if code in ("|O", "O"):
+        return object_scalar.parse_scalar(file.read())
+    value: str | int | float | bytes = _parse(archive, key, shape, PLAIN).item()
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _parse(archive: NpzArchive, key: str, shape: tuple[int | None, ...] | None, codes: re.Pattern[str]) -> np.ndarray:
+    data = _unpack(archive, _checked_info(archive, key))
+    try:
+        return npy.parse_npy(archive.path, data, shape, codes)
+    except FormatError as error:
+        raise _named(key, error) from None
+    except ValueError as error:  # characters beyond Unicode's
+        raise _broken(archive, key, error) from None
+
+
+def _named(key: str, error: FormatError, frame: int | None = None) -> FormatError:
+    return FormatError(f"{key}: {error.message}", path=error.path, reason=error.reason, frame=frame)
 
 
 def _checked_info(archive: NpzArchive, key: str) -> zipfile.ZipInfo:

@@ -8,7 +8,7 @@ database (names, 30 Hz, sides and views).
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -18,17 +18,15 @@ from jaxtyping import Float32
 from motionkit import kinematics
 from motionkit.errors import FormatError
 from motionkit.formats import npz_archive, sourcefile
-from motionkit.formats.amass import axis_angle_to_quaternion
 from motionkit.formats.amass_layouts import SMPL
-from motionkit.formats.body_model import find_body_model
+from motionkit.formats.body import Body, mean_body, own_body
 from motionkit.formats.items import ReadOptions
-from motionkit.formats.mean_shape import mean_shape_skeleton
 from motionkit.formats.npz_archive import NpzArchive
 from motionkit.motion import Motion, Provenance
-from motionkit.skeleton import Skeleton
 from motionkit.timegrid import TimeGrid
 
 FPS = Fraction(30)
+NUM_BETAS = 10
 PICKLE = "vibe_cache_refined.pkl"
 NAME = re.compile(r"a(?P<action>\d{1,2})_d(?P<view>\d)_p(?P<subject>\d{1,3})_c(?P<side>\d)(_\w+)?", re.IGNORECASE)
 FRONT_SIDE = "1"
@@ -95,7 +93,8 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
     data = sourcefile.read_bytes(path)
     archive = npz_archive.open_archive(path, data)
     pose = npz_archive.read_numbers(archive, "pose", (None, 3 * SMPL.num_joints))
-    skeleton, operations = _skeleton(archive, len(pose), options)
+    body = _body(archive, len(pose), options)
+    operations = list(body.operations)
     trans = np.zeros((len(pose), 3), np.float32)
     if "trans" in archive:
         trans = npz_archive.read_numbers(archive, "trans", (len(pose), 3))
@@ -103,14 +102,16 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
         operations.append("no translation in the file: the pelvis stays in place")
     turn, turned = _to_front(name)
     operations += turned
-    rotations = axis_angle_to_quaternion(pose[:, : 3 * skeleton.num_joints])
+    rotations = kinematics.rotation_vector_to_quaternion(
+        pose[:, : 3 * body.skeleton.num_joints].reshape(len(pose), -1, 3)
+    )
     rotations[:, 0] = kinematics.quaternion_multiply(turn, rotations[:, 0])
     root = kinematics.quaternion_rotate(turn, trans)
     fps = options.fps or FPS
     operations += [f"framerate set to {fps}; the data set's is {FPS}"] if fps != FPS else []
     return Motion(
-        joint_positions=kinematics.forward_kinematics(rotations, root, skeleton),
-        skeleton=skeleton,
+        joint_positions=kinematics.forward_kinematics(rotations, root, body.skeleton),
+        skeleton=body.skeleton,
         timegrid=TimeGrid(fps, len(pose)),
         local_rotations=rotations,
         root_translation=root,
@@ -137,18 +138,14 @@ def _parse_name(path: Path) -> _Name:
     return _Name(ACTIONS[int(match["action"])], int(match["subject"]), int(match["view"]), match["side"] == FRONT_SIDE)
 
 
-def _skeleton(archive: NpzArchive, num_frames: int, options: ReadOptions) -> tuple[Skeleton, list[str]]:
+def _body(archive: NpzArchive, num_frames: int, options: ReadOptions) -> Body:
     if options.body_models is None:
-        left_out = SMPL.num_joints - mean_shape_skeleton().num_joints
-        return mean_shape_skeleton(), [
-            "joints: SMPL's mean shape, no body model given",
-            f"rotations of {left_out} joints left out (hands): they need a body model",
-        ]
-    betas = np.zeros(10, np.float32)
+        return mean_body(SMPL)
+    betas = np.zeros(NUM_BETAS, np.float32)
     if "betas" in archive:
-        betas = npz_archive.read_numbers(archive, "betas", (num_frames, 10)).mean(axis=0)
-    rest = find_body_model(options.body_models, SMPL, "").rest_joints(betas)[: SMPL.num_joints]
-    return SMPL.skeleton("smpl", rest), ["joints: the neutral SMPL model with the mean of the file's betas"]
+        betas = npz_archive.read_numbers(archive, "betas", (num_frames, NUM_BETAS)).mean(axis=0)
+    body = own_body(options.body_models, SMPL, SMPL, "neutral", betas)
+    return replace(body, operations=(*body.operations, "betas: their mean over the sequence"))
 
 
 def _to_front(name: _Name) -> tuple[Float32[np.ndarray, "4"], list[str]]:

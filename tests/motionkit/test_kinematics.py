@@ -22,6 +22,16 @@ def test_quaternion_algebra_agrees_with_scipy() -> None:
     assert np.allclose(kinematics.quaternion_to_matrix(kinematics.matrix_to_quaternion(ra.as_matrix())), ra.as_matrix())
 
 
+def test_rotation_vectors_agree_with_scipy() -> None:
+    vectors = np.random.default_rng(2).normal(0, 3, size=(40, 3, 3)).astype(np.float32)
+    vectors[0] = 0.0
+    vectors[1] *= 1e-8
+    found = kinematics.rotation_vector_to_quaternion(vectors)
+    assert np.array_equal(found[0], np.tile(np.float32([1, 0, 0, 0]), (3, 1)))
+    expected = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(40, 3, 3, 3)
+    assert np.allclose(kinematics.quaternion_to_matrix(found), expected, atol=1e-5)
+
+
 @pytest.mark.parametrize("order", ["XYZ", "ZYX", "ZXY", "YXZ"])
 def test_euler_orders_agree_with_scipy(order: str) -> None:
     angles = np.random.default_rng(1).uniform(-3, 3, size=(20, 3))

@@ -70,7 +70,7 @@ def test_arrays_that_are_no_motion_are_told_by_name_and_reason(tmp_path: Path) -
         ({"poses": standing_poses().astype("S4")}, "not-a-number", "poses", None),
         ({"poses": standing_poses().astype(complex)}, "not-a-number", "poses", None),
         ({"mocap_framerate": np.array([120.0, 60.0])}, "channel-count", "mocap_framerate", None),
-        ({"mocap_framerate": np.array(120j)}, "truncated", "mocap_framerate", None),
+        ({"mocap_framerate": np.array(120j)}, "not-a-number", "mocap_framerate", None),
         ({"mocap_framerate": np.array([1, 2], dtype=object)}, "channel-count", "mocap_framerate", None),
         ({"mocap_framerate": np.array({"fps": 120}, dtype=object)}, "framerate", "mocap_framerate", None),
     ]

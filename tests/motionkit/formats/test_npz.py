@@ -191,6 +191,13 @@ def test_options_replace_the_clock_and_scale_every_length(tmp_path):
     )
 
 
+def test_a_standard_skeleton_is_in_metres_whatever_the_files_unit(tmp_path):
+    path = save(tmp_path / "a.npz", joint_positions=body() * 100)
+    motion = npz.read_npz(path, ReadOptions(unit_metres=0.01))
+    np.testing.assert_allclose(motion.joint_positions, body(), atol=1e-5)
+    assert motion.skeleton == SMPL22
+
+
 def test_formats_of_one_suffix_are_told_apart_without_reading(tmp_path):
     np.savez(tmp_path / "amass.npz", poses=np.zeros((4, 156)), trans=np.zeros((4, 3)), mocap_framerate=120.0)
     save(tmp_path / "ours.npz")
@@ -216,6 +223,17 @@ def test_a_header_that_claims_more_than_there_is(tmp_path):
     with pytest.raises(FormatError, match="the header states") as caught:
         npz.read_npz(tmp_path / "bomb.npz")
     assert caught.value.reason == "truncated"
+
+
+def test_characters_without_width_take_no_memory(tmp_path):
+    path = save(tmp_path / "bomb.npz")
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<U0", "fortran_order": False, "shape": (10**12,)})
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("captions.npy", header.getvalue())
+    with pytest.raises(FormatError, match=r"captions: array of '<U0'") as caught:
+        npz.read_npz(path)
+    assert caught.value.reason == "not-a-number"
 
 
 def test_column_major_arrays_and_other_widths(tmp_path):
