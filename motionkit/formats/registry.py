@@ -1,28 +1,23 @@
-"""Finding the sequences of a source, and reading one.
+"""Finding the sequences of a source; reading one (`formats.reading`).
 
 `scan` looks at names and folders only, `read` opens one sequence: so ingest can scan once and read in many processes.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 
 from motionkit.errors import FormatError, UsageError
-from motionkit.formats import annotations, cuts, framerate_rules
+from motionkit.formats import annotations
 from motionkit.formats.annotations import Annotation, AnnotationTable
 from motionkit.formats.catalogue import FORMATS, Format
 from motionkit.formats.folders import walk
 from motionkit.formats.indexes import search
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
-from motionkit.mirror import mirror
-from motionkit.motion import Motion
-from motionkit.skeleton_families import with_layout_map
+from motionkit.formats.reading import read
 
 __all__ = ["FORMATS", "Format", "ReadOptions", "ScanResult", "SourceItem", "read", "scan"]
-
-# Reasons for which a file is refused where only its framerate is missing or unusable.
-NO_FRAMERATE = frozenset({"no-framerate", "framerate", "frame-time"})
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
@@ -59,81 +54,6 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     problems += _problems_of_given(given, {item.path for item in items})
     kept, duplicates = _unique(items)
     return ScanResult(kept, (*problems, *duplicates), tuple(warnings))
-
-
-def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
-    """Read one sequence with its annotations; raises `FormatError`."""
-    options = options or ReadOptions()
-    if options.fps is None and item.fps is not None:
-        options = replace(options, fps=item.fps)
-    if item.cut is None and not item.mirrored:
-        motion = _read_file(item, options)
-        motion = replace(motion, captions=item.captions or motion.captions)
-    else:
-        motion = _read_stretch(item, options)
-    provenance = replace(
-        motion.provenance,
-        source=item.source,
-        subset=item.subset,
-        source_path=item.path.relative_to(item.root).as_posix(),
-        licence=item.licence or motion.provenance.licence,
-        subject=item.subject or motion.provenance.subject,
-        stated_fps=item.stated_fps or motion.provenance.stated_fps,
-    )
-    return replace(
-        motion,
-        skeleton=with_layout_map(motion.skeleton, options.skeleton_maps),
-        sequence_id=item.sequence_id,
-        action=item.action or motion.action,
-        style=item.style or motion.style,
-        split=item.split or motion.split,
-        provenance=provenance,
-    )
-
-
-def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
-    # All of a file, its framerate corrected by a rule unless the user has given one.
-    if options.fps is not None:
-        return FORMATS[item.format].read(item, options)
-    rules = framerate_rules.matching_rules(item.path, item.root, (*options.fps_rules, *framerate_rules.shipped_rules()))
-    try:
-        motion = FORMATS[item.format].read(item, options)
-    except FormatError as problem:
-        rule = next((rule for rule in rules if rule.stated is None), None)
-        if rule is None or problem.reason not in NO_FRAMERATE:
-            raise
-        motion = FORMATS[item.format].read(item, replace(options, fps=rule.fps))
-        return motion.logged(f"framerate by rule ({rule.where})")
-    return framerate_rules.corrected(motion, rules)
-
-
-def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
-    whole = SourceItem(item.format, item.path, item.root, sequence_id="", key=item.key, fps=item.fps)
-    motion = _read_once(whole, options, _version(item.path))
-    motion = replace(motion, captions=item.captions or motion.captions)
-    if item.cut is not None:
-        motion = cuts.crop(motion, item.cut, item.path)
-    if not item.mirrored:
-        return motion
-    try:
-        return mirror(motion)
-    except ValueError as error:
-        raise FormatError(f"cannot be mirrored: {error}", path=item.path, reason="mirror") from None
-
-
-@lru_cache(maxsize=1)
-def _read_once(whole: SourceItem, options: ReadOptions, version: tuple[int, int]) -> Motion:
-    # The stretches of a file follow each other, and reading a file costs far more than cutting it. A file that has
-    # changed since is read again.
-    return _read_file(whole, options)
-
-
-def _version(path: Path) -> tuple[int, int]:
-    try:
-        status = path.stat()
-    except OSError:
-        return 0, 0  # the reader will say so
-    return status.st_mtime_ns, status.st_size
 
 
 def _file_items(options: ReadOptions, of_tables: list[FormatError]) -> Callable[[Path, Path], SourceItem | None]:
@@ -193,7 +113,9 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
         problems += [_no_motion(table, path, row) for table, path, row in rows if path not in known]
     captioned = [root] if given is not None and given.has_captions else []
     captioned += [table.path.parent for table in beside if table.has_captions]
-    return ScanResult(tuple(items), tuple(problems), (*warnings, *_motions_without_caption(items, captioned)))
+    told = {warning.path for warning in warnings if warning.reason == "no-caption"}
+    silent = [item for item in items if not item.captions and item.path not in told]
+    return ScanResult(tuple(items), tuple(problems), (*warnings, *_motions_without_caption(silent, captioned)))
 
 
 def _unlisted(error: OSError) -> FormatError:
@@ -299,7 +221,7 @@ def _motions_without_caption(items: Iterable[SourceItem], folders: Sequence[Path
     return [
         FormatError(message, path=item.path, reason="no-caption")
         for item in items
-        if not item.captions and any(item.path.is_relative_to(folder) for folder in folders)
+        if any(item.path.is_relative_to(folder) for folder in folders)
     ]
 
 

@@ -87,6 +87,15 @@ def test_captions_and_motions_that_miss_each_other(tmp_path: Path) -> None:
     assert sorted(warning.reason for warning in result.warnings) == ["no-caption", "split-without-motion"]
 
 
+def test_a_motion_without_a_caption_is_told_once(tmp_path: Path) -> None:
+    body = np.zeros((5, 22, 3), np.float32)
+    entries = [Entry("000001", body, captions=(Caption("a person walks"),)), Entry("000002", body)]
+    write_humanml3d(tmp_path / "h", entries)
+    (tmp_path / "h" / "motions.csv").write_text("file,caption\nnew_joints/000001.npy,a person walks\n")
+    result = scan([tmp_path / "h"])
+    assert [(warning.reason, warning.path.stem) for warning in result.warnings] == [("no-caption", "000002")]
+
+
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
