@@ -147,7 +147,7 @@ def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str
     value = None if key is None else npz_archive.read_scalar(archive, key)
     stated = "" if value is None else str(value)
     try:
-        if not isinstance(value, (int, float)):
+        if value is None:
             raise ValueError("no number")
         fps = parse_fps(value)
     except ValueError as error:

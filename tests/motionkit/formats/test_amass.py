@@ -82,6 +82,7 @@ def test_left_stays_left_and_the_layout_maps(tmp_path: Path) -> None:
         (np.uint8(150), Fraction(150)),
         (np.array([100.0]), Fraction(100)),
         (np.array(30.0, dtype=object), Fraction(30)),
+        ("59.94", Fraction(60000, 1001)),
     ],
 )
 @pytest.mark.parametrize("key", ["mocap_framerate", "mocap_frame_rate"])

@@ -210,7 +210,7 @@ def test_names_that_are_not_utf8_are_told(tmp_path):
 
 
 def test_the_process_may_be_small(tmp_path):
-    """With an address space of 4 GB, a header that claims 100 GB is a problem of the file, not of the process."""
+    """With an address space of 16 GB, a header that claims 100 GB is a problem of the file, not of the process."""
     before = resource.getrlimit(resource.RLIMIT_AS)
     path = SOURCES["joints-npy"](tmp_path)
     path.write_bytes(npy_header(HUGE) + path.read_bytes()[128:])

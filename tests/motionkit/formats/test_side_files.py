@@ -16,6 +16,7 @@ from motionkit.skeleton_families import read_skeleton_map
 from motionkit.store.ingest import ingest
 from tests.motionkit.formats.damage import damaged
 from tests.motionkit.formats.every_format import SOURCES
+from tests.motionkit.formats.samples import ASF
 
 OPTIONS = ReadOptions(fps=Fraction(30), unit_metres=1.0)
 CAPTIONS = (
@@ -34,7 +35,7 @@ BESIDE = {
     "texts": ("humanml3d", "texts/000001.txt", b"a person walks#a/DET person/NOUN walk/VERB#0.0#0.0\n"),
     "split": ("humanml3d", "train.txt", b"000001\n"),
     "licence": ("bvh", "LICENSE", b"MIT License\n"),
-    "skeleton": ("asfamc", "07.asf", b""),
+    "skeleton": ("asfamc", "07.asf", ASF.encode()),
 }
 DEEP = b"[" * 100_000
 HOSTILE = {
@@ -82,7 +83,7 @@ def test_hostile_files_beside_motions_are_explained(tmp_path, side, content, opt
     read_all(tmp_path, options)
 
 
-@pytest.mark.parametrize("side", [side for side in BESIDE if side != "skeleton"])
+@pytest.mark.parametrize("side", BESIDE)
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_damaged_files_beside_motions_are_explained(tmp_path_factory, side, data):
