@@ -16,6 +16,7 @@ from motionkit import kinematics
 from motionkit.formats import bvh
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion
+from motionkit.resample import continuous_quaternions
 
 THEMES = (
     *("aiming", "dance", "fallAndGetUp", "fight", "fightAndSports", "ground", "jumps", "multipleActions", "obstacles"),
@@ -85,7 +86,7 @@ def benchmark_windows(motion: Motion, *, window_frames: int, step_frames: int) -
         raise ValueError(f"windows of {window_frames} frames every {step_frames}, expected at least 10 every 1")
     starts = np.arange(0, max(motion.num_frames - window_frames, 0), step_frames)
     frames = starts[:, None] + np.arange(window_frames)
-    rotations = _continuous(motion.local_rotations)[frames].astype(np.float64)
+    rotations = continuous_quaternions(motion.local_rotations)[frames].astype(np.float64)
     root = motion.root_translation[frames].astype(np.float64)
     root[..., ::2] -= root[..., ::2].mean(axis=1, keepdims=True)
     back = _turn_to_x(rotations[:, NUM_PAST_FRAMES - 1, 0])[:, None]
@@ -95,15 +96,6 @@ def benchmark_windows(motion: Motion, *, window_frames: int, step_frames: int) -
         root_translation=kinematics.quaternion_rotate(back, root).astype(np.float32),
         local_rotations=rotations.astype(np.float32),
     )
-
-
-def _continuous(rotations: Float32[np.ndarray, "frames joints 4"]) -> Float32[np.ndarray, "frames joints 4"]:
-    # A quaternion whose product with its predecessor is negative changes its sign, and so do all after it.
-    products = np.sum(rotations[1:] * rotations[:-1], axis=-1)
-    signs = np.cumprod(np.where(products < 0, np.float32(-1.0), np.float32(1.0)), axis=0)
-    continuous = rotations.copy()
-    continuous[1:] *= signs[..., None]
-    return continuous
 
 
 def _turn_to_x(root: Float64[np.ndarray, "windows 4"]) -> Float64[np.ndarray, "windows 4"]:
