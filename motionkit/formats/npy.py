@@ -11,13 +11,12 @@ from jaxtyping import Float32
 
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
+from motionkit.formats.arrays import checked_numbers
 
 MAGIC = b"\x93NUMPY"
 HEADER_BYTES = 10_000
 NUMBERS = re.compile(r"[<>|=]?(f[248]|[iu][1248])")
 STRINGS = re.compile(r"[<>|=]?[US][1-9]\d*")
-# A kilometre in millimetres.
-MAX_NUMBER = 1e6
 
 
 def peek_shape(path: Path) -> tuple[int, ...] | None:
@@ -37,7 +36,7 @@ def read_npy(path: Path, data: bytes, shape: tuple[int | None, ...]) -> Float32[
     array = parse_npy(path, data, shape)
     if 0 in array.shape:
         raise FormatError("0 frames, expected at least one", path=path, reason="no-frames")
-    return _checked(array, path)
+    return checked_numbers(array, path)
 
 
 def parse_npy(
@@ -79,16 +78,6 @@ def parse_npy(
         )
     flat = np.frombuffer(data, dtype, count, offset=file.tell())
     return flat.reshape(stated, order="F" if column_major else "C")
-
-
-def _checked(array: np.ndarray, path: Path) -> Float32[np.ndarray, "..."]:
-    rows = array.reshape(len(array), -1)
-    for reason, bad in (("nan", ~np.isfinite(rows)), ("range", np.abs(rows) > MAX_NUMBER)):
-        if bad.any():
-            frame = int(np.flatnonzero(bad.any(axis=1))[0])
-            value = rows[frame][bad[frame]][0]
-            raise FormatError(f"{value} where a number of a body was expected", path=path, reason=reason, frame=frame)
-    return np.ascontiguousarray(array, dtype=np.float32)
 
 
 def read_header(file: io.BytesIO) -> tuple[tuple[int, ...], bool, str]:

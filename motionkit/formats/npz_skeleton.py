@@ -1,5 +1,6 @@
 """A skeleton as arrays of an .npz file, and back."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,11 +42,7 @@ def read_skeleton(archive: NpzArchive, joint_positions: Float32[np.ndarray, "fra
     """
     num_joints = joint_positions.shape[1]
     if "joint_names" not in archive:
-        for skeleton in STANDARD_SKELETONS.values():
-            if skeleton.num_joints == num_joints:
-                return skeleton
-        message = f"{num_joints} joints without joint_names; only 22 (SMPL's) and 21 (KIT's) are known without"
-        raise FormatError(message, path=archive.path, reason="channel-count")
+        return unnamed_skeleton(num_joints, archive.path)
     names = npz_archive.read_strings(archive, "joint_names")
     if len(names) != num_joints:
         message = f"{len(names)} joint_names for {num_joints} joints"
@@ -54,6 +51,25 @@ def read_skeleton(archive: NpzArchive, joint_positions: Float32[np.ndarray, "fra
         if names == skeleton.joint_names and "offsets" not in archive:
             return skeleton
     return _described(archive, names, joint_positions)
+
+
+def unnamed_skeleton(num_joints: int, path: Path) -> Skeleton:
+    """The standard skeleton of so many joints; raises `FormatError` (`channel-count`) where there is none."""
+    for skeleton in STANDARD_SKELETONS.values():
+        if skeleton.num_joints == num_joints:
+            return skeleton
+    message = f"{num_joints} joints without joint_names; only 22 (SMPL's) and 21 (KIT's) are known without"
+    raise FormatError(message, path=path, reason="channel-count")
+
+
+def checked_layout_map(text: str, path: Path) -> str:
+    """A skeleton's own map as it is; raises `FormatError` (`skeleton-map`) for a text that is none."""
+    try:
+        if text:
+            parse_layout_map(text)
+    except MotionkitError as error:
+        raise FormatError(str(error), path=path, reason="skeleton-map") from None
+    return text
 
 
 def bones_of_pose(pose: Float32[np.ndarray, "joints 3"], parents: tuple[int, ...]) -> Float32[np.ndarray, "joints 3"]:
@@ -74,6 +90,7 @@ def _described(
             offsets = npz_archive.read_numbers(archive, "offsets", (num_joints, 3))
         else:
             offsets = bones_of_pose(joint_positions[0], parents)
+        layout_map = "".join(npz_archive.read_strings(archive, "layout_map")) if "layout_map" in archive else ""
         name = npz_archive.read_strings(archive, "skeleton")[0] if "skeleton" in archive else archive.path.stem
         return Skeleton(
             name,
@@ -83,20 +100,10 @@ def _described(
             left_right_pairs=_pairs(archive, num_joints),
             feet=_feet(archive, num_joints),
             end_sites=_end_sites(archive, num_joints),
-            layout_map=_layout_map(archive),
+            layout_map=checked_layout_map(layout_map, archive.path),
         )
     except (ValueError, IndexError) as error:
         raise FormatError(str(error), path=archive.path, reason="bones") from None
-
-
-def _layout_map(archive: NpzArchive) -> str:
-    text = "".join(npz_archive.read_strings(archive, "layout_map")) if "layout_map" in archive else ""
-    try:
-        if text:
-            parse_layout_map(text)
-    except MotionkitError as error:
-        raise FormatError(str(error), path=archive.path, reason="skeleton-map") from None
-    return text
 
 
 def _pairs(archive: NpzArchive, num_joints: int) -> tuple[tuple[int, int], ...]:

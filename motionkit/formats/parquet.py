@@ -18,10 +18,12 @@ import pyarrow.parquet as pq
 from jaxtyping import Float32
 
 from motionkit.errors import FormatError
+from motionkit.formats.arrays import checked_numbers, checked_rotations
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.formats.lengths import in_metres
+from motionkit.formats.npz_skeleton import checked_layout_map, unnamed_skeleton
 from motionkit.motion import Caption, Motion, Provenance
-from motionkit.skeleton import STANDARD_SKELETONS, Feet, Skeleton
+from motionkit.skeleton import Feet, Skeleton
 from motionkit.timegrid import TimeGrid, format_fps, parse_fps
 
 DATA_FOLDER = "data"
@@ -53,7 +55,11 @@ def find(folder: Path, root: Path) -> ScanResult:
         except FAULTS as error:
             problems.append(_broken(path, error))
             continue
-        items += [_item(path, root, number, row) for number, row in enumerate(rows)]
+        for number, row in enumerate(rows):
+            if row["sequence_id"] in (None, ""):
+                problems.append(FormatError(f"row {number}: no sequence_id", path=path, reason="missing-key"))
+            else:
+                items.append(_item(path, root, number, row))
     return ScanResult(tuple(items), tuple(problems))
 
 
@@ -130,6 +136,8 @@ def _read_group(path: Path, group: int, _modified: int) -> pa.Table:
 
 def _motion(row: Mapping[str, Any], options: ReadOptions, path: Path) -> Motion:
     num_joints = int(row["num_joints"])
+    if num_joints < 1:
+        raise FormatError(f"num_joints is {num_joints}, expected at least 1", path=path, reason="channel-count")
     positions = _frames(row, "joint_positions", (num_joints, 3), path)
     stated = _stated_fps(row, path)
     fps = options.fps or stated
@@ -141,12 +149,15 @@ def _motion(row: Mapping[str, Any], options: ReadOptions, path: Path) -> Motion:
         _frames(row, name, shape, path) if row.get(name) is not None else None
         for name, shape in (("local_rotations", (num_joints, 4)), ("root_translation", (3,)))
     )
+    if rotations is not None:
+        checked_rotations(rotations, path, "local_rotations")
+    said_fps = row.get("stated_fps")
     said = {name: row.get(name) or "" for name in ("source", "subset", "licence", "subject")}
     return Motion(
         joint_positions=positions,
-        skeleton=_skeleton(row, positions),
+        skeleton=_skeleton(row, num_joints, path),
         timegrid=TimeGrid(fps, len(positions), float(row.get("start_seconds") or 0.0)),
-        captions=tuple(Caption(**caption) for caption in row.get("captions") or ()),
+        captions=tuple(_caption(caption) for caption in row.get("captions") or ()),
         local_rotations=rotations,
         root_translation=root,
         action=row.get("action") or "",
@@ -158,7 +169,7 @@ def _motion(row: Mapping[str, Any], options: ReadOptions, path: Path) -> Motion:
             source_path=path.name,
             source_sha256=_sha256(fps, positions, rotations, root),
             source_format="parquet",
-            stated_fps=row.get("stated_fps") or ("" if stated is None else f"fps: {format_fps(stated)}"),
+            stated_fps=f"fps: {format_fps(stated)}" if said_fps is None and stated is not None else said_fps or "",
             operations=(*(row.get("operations") or ()), *operations),
         ),
     )
@@ -169,12 +180,16 @@ def _frames(row: Mapping[str, Any], name: str, shape: tuple[int, ...], path: Pat
     if not values.size or values.size % int(np.prod(shape)):
         message = f"{name}: {values.size} numbers, expected frames of {' × '.join(map(str, shape))}"
         raise FormatError(message, path=path, reason="channel-count")
-    frames = np.ascontiguousarray(values).reshape(-1, *shape)
-    finite = np.isfinite(frames).reshape(len(frames), -1).all(axis=1)
-    if not finite.all():
-        frame = int(np.argmin(finite))
-        raise FormatError(f"{name}: a value that is no number", path=path, reason="nan", frame=frame)
-    return frames
+    return checked_numbers(values.reshape(-1, *shape), path, name)
+
+
+def _caption(value: str | Mapping[str, Any]) -> Caption:
+    # A list of plain sentences is what most tables have.
+    if isinstance(value, str):
+        return Caption(value)
+    return Caption(
+        value["text"], value.get("start_seconds") or 0.0, value.get("end_seconds"), value.get("tokens") or ""
+    )
 
 
 def _stated_fps(row: Mapping[str, Any], path: Path) -> Fraction | None:
@@ -187,10 +202,10 @@ def _stated_fps(row: Mapping[str, Any], path: Path) -> Fraction | None:
         raise FormatError(f"fps: {error}", path=path, reason="frame-time") from None
 
 
-def _skeleton(row: Mapping[str, Any], positions: Float32[np.ndarray, "frames joints 3"]) -> Skeleton:
-    names, num_joints = row.get("joint_names"), positions.shape[1]
+def _skeleton(row: Mapping[str, Any], num_joints: int, path: Path) -> Skeleton:
+    names = row.get("joint_names")
     if names is None:
-        return next(each for each in STANDARD_SKELETONS.values() if each.num_joints == num_joints)
+        return unnamed_skeleton(num_joints, path)
     tips = zip(row.get("end_site_joints") or (), np.reshape(_array(row, "end_site_offsets"), (-1, 3)), strict=True)
     pairs = np.reshape(_array(row, "left_right_pairs"), (-1, 2)).astype(int).tolist()
     feet = row.get("feet") or ()
@@ -202,6 +217,7 @@ def _skeleton(row: Mapping[str, Any], positions: Float32[np.ndarray, "frames joi
         left_right_pairs=tuple((left, right) for left, right in pairs),
         feet=Feet(*feet) if len(feet) else None,
         end_sites=tuple((joint, (float(x), float(y), float(z))) for joint, (x, y, z) in tips),
+        layout_map=checked_layout_map(row.get("layout_map") or "", path),
     )
 
 

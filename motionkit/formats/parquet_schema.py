@@ -52,6 +52,7 @@ SCHEMA = pa.schema(
         ("feet", _list(pa.int32())),
         ("end_site_joints", _list(pa.int32())),
         ("end_site_offsets", _list(pa.float64())),
+        ("layout_map", pa.string()),
     ]
 )
 MOTION_COLUMNS = ("joint_positions", "local_rotations", "root_translation")
@@ -71,6 +72,7 @@ MEANING = {
     "left_right_pairs": "[pairs, 2], joints that are mirror images",
     "feet": "left ankle, left toe, right ankle, right toe; empty where they are not known",
     "end_site_offsets": "metres; tips of the joints in end_site_joints; [tips, 3]",
+    "layout_map": "the user's own table of how the skeleton becomes the 22 joints of SMPL, as JSON; empty without one",
 }
 
 
@@ -110,4 +112,5 @@ def row_of(motion: Motion) -> dict[str, Any]:
         "feet": [] if skeleton.feet is None else list(astuple(skeleton.feet)),
         "end_site_joints": [joint for joint, _ in skeleton.end_sites],
         "end_site_offsets": [value for _, offset in skeleton.end_sites for value in offset],
+        "layout_map": skeleton.layout_map,
     }

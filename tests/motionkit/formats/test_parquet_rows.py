@@ -1,5 +1,7 @@
 """Rows of motions: what the least of them needs, and what is said of those that are none."""
 
+import json
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -7,11 +9,17 @@ import pandas as pd
 import pytest
 
 from motionkit.errors import FormatError
+from motionkit.formats import parquet_schema
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.registry import read, scan
+from motionkit.motion import Caption, Motion
 from motionkit.skeleton import SMPL22
+from motionkit.skeleton_map import map_joints
+from motionkit.timegrid import TimeGrid
 
 LEAST = {"sequence_id": "a", "joint_positions": np.arange(132, dtype=np.float32), "num_joints": 22, "fps": 59.94}
+
+BONES = {"parents": SMPL22.parents, "offsets": SMPL22.offsets.ravel()}
 
 
 def save(folder, *rows):
@@ -43,13 +51,46 @@ def test_options(tmp_path):
     np.testing.assert_allclose(motion.joint_positions.ravel(), np.arange(132) / 100, rtol=1e-6)
 
 
+def test_captions_are_sentences_or_structs(tmp_path):
+    sentences = read_one(save(tmp_path / "a", LEAST | {"captions": ["walks", "a man walks"]}))
+    assert sentences.captions == (Caption("walks"), Caption("a man walks"))
+    timed = read_one(save(tmp_path / "b", LEAST | {"captions": [{"text": "walks", "end_seconds": 0.5, "who": "me"}]}))
+    assert timed.captions == (Caption("walks", 0.0, 0.5),)
+
+
+def test_what_the_source_said_of_its_framerate(tmp_path):
+    assert read_one(save(tmp_path / "a", LEAST)).provenance.stated_fps == "fps: 60000/1001"
+    assert read_one(save(tmp_path / "b", LEAST | {"stated_fps": ""})).provenance.stated_fps == ""
+
+
+def test_a_skeleton_comes_back_with_the_users_own_map(tmp_path):
+    # The standard layout's rows with every joint called by another name.
+    rows = {name: f"My {name}" for name in SMPL22.joint_names}
+    layout_map = json.dumps({"name": "mine", "requires": ["My pelvis"], "smpl22": rows}, sort_keys=True)
+    skeleton = replace(SMPL22, name="mine", joint_names=tuple(rows.values()), layout_map=layout_map)
+    motion = Motion(np.ones((2, 22, 3), np.float32), skeleton, TimeGrid(Fraction(30), 2), sequence_id="a")
+    after = read_one(save(tmp_path / "mine", parquet_schema.row_of(motion)))
+    assert after.skeleton == skeleton and after.skeleton.layout_map == layout_map
+    np.testing.assert_array_equal(map_joints(after, "smpl22"), motion.joint_positions)
+
+
+def test_a_row_without_an_id_is_told(tmp_path):
+    found = scan([save(tmp_path / "mine", LEAST, LEAST | {"sequence_id": None})])
+    assert [str(problem.message) for problem in found.problems] == ["row 1: no sequence_id"]
+    assert [item.sequence_id for item in found.items] == ["mine/a"]
+
+
 @pytest.mark.parametrize(
     ("change", "reason", "says"),
     [
         ({"num_joints": 23}, "channel-count", "132 numbers, expected frames of 23 × 3"),
-        ({"num_joints": 0}, "truncated", "not rows of motions"),
+        ({"num_joints": 0}, "channel-count", "num_joints is 0"),
+        ({"num_joints": 11}, "channel-count", "11 joints without joint_names"),
         ({"joint_positions": np.zeros(0, np.float32)}, "channel-count", "0 numbers"),
-        ({"joint_positions": np.full(132, np.nan, np.float32)}, "nan", "no number"),
+        ({"joint_positions": np.full(132, np.nan, np.float32)}, "nan", "joint_positions: nan where a number"),
+        ({"joint_positions": np.full(132, 1e30, np.float32)}, "range", "joint_positions: 1.0"),
+        ({"local_rotations": np.full(176, 3, np.float32)}, "range", "local_rotations: a quaternion's length"),
+        ({"joint_names": SMPL22.joint_names, "layout_map": "{"} | BONES, "skeleton-map", "layout map"),
         ({"joint_positions": ["x"] * 132}, "truncated", "not rows of motions"),
         ({"fps": None}, "no-framerate", "--fps"),
         ({"fps": -1.0}, "frame-time", "between 1 and"),
