@@ -102,7 +102,7 @@ def _print_summary(summary: "StoreSummary") -> None:
 
 def _print_rigs(found: "tuple[Rig, ...]") -> None:
     mapped = sum(not rig.missing for rig in found)
-    stdout.print(f"{len(found):,} kinds of skeleton, {mapped:,} of them reach the 22 joints", markup=False)
+    stdout.print(f"kinds of skeleton: {len(found):,}, of which {mapped:,} reach the 22 joints", markup=False)
     for rig in found:
         stdout.print()
         for name, text in _rig_lines(rig):

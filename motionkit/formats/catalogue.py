@@ -48,6 +48,11 @@ class Format:
     writes: bool = False
 
 
+def _of_path(read: Callable[[Path, ReadOptions], Motion]) -> Callable[[SourceItem, ReadOptions], Motion]:
+    # A reader for which a file is all there is to a sequence.
+    return lambda item, options: read(item.path, options)
+
+
 FORMATS: Mapping[str, Format] = {
     entry.name: entry
     for entry in (
@@ -56,7 +61,7 @@ FORMATS: Mapping[str, Format] = {
             description="LaFAN1's takes (.bvh named walk1_subject5), with theme, subject and the benchmark's split",
             framerate="Frame Time",
             rotations=True,
-            read=lambda item, options: lafan1.read_lafan1(item.path, options),
+            read=_of_path(lafan1.read_lafan1),
             suffixes=(".bvh",),
             accepts=lafan1.accepts,
         ),
@@ -65,7 +70,7 @@ FORMATS: Mapping[str, Format] = {
             description="100STYLE's takes (.bvh named Style_FW), cut as Frame_Cuts.csv says, with style and movement",
             framerate="Frame Time",
             rotations=True,
-            read=lambda item, options: style100.read_100style(item.path, options),
+            read=_of_path(style100.read_100style),
             suffixes=(".bvh",),
             accepts=style100.accepts,
         ),
@@ -74,7 +79,7 @@ FORMATS: Mapping[str, Format] = {
             description="BioVision hierarchy (.bvh), any skeleton and channel order",
             framerate="Frame Time",
             rotations=True,
-            read=lambda item, options: bvh.read_bvh(item.path, options),
+            read=_of_path(bvh.read_bvh),
             suffixes=(".bvh",),
             begins=b"HIERARCHY",
             writes=True,
@@ -84,7 +89,7 @@ FORMATS: Mapping[str, Format] = {
             description="Acclaim skeleton and motion (.amc with its .asf beside it), as CMU publishes them",
             framerate="not stated: annotation CSV or --fps",
             rotations=True,
-            read=lambda item, options: asfamc.read_asfamc(item.path, options),
+            read=_of_path(asfamc.read_asfamc),
             suffixes=(".amc",),
             begins=b":FULLY-SPECIFIED",
         ),
@@ -93,7 +98,7 @@ FORMATS: Mapping[str, Format] = {
             description="C3D (.c3d): markers without bones; a --skeleton-map makes the 22 joints of them",
             framerate="POINT:RATE",
             rotations=False,
-            read=lambda item, options: c3d.read_c3d(item.path, options),
+            read=_of_path(c3d.read_c3d),
             suffixes=(".c3d",),
         ),
         Format(
@@ -101,7 +106,7 @@ FORMATS: Mapping[str, Format] = {
             description="DeepMimic's motions (.txt or .json, Loop and Frames; the humanoid of 15 joints)",
             framerate="the frames' durations",
             rotations=True,
-            read=lambda item, options: deepmimic.read_deepmimic(item.path, options),
+            read=_of_path(deepmimic.read_deepmimic),
             suffixes=(".txt", ".json"),
             accepts=deepmimic.accepts,
         ),
@@ -110,7 +115,7 @@ FORMATS: Mapping[str, Format] = {
             description="UESTC as ACTOR uses it (.npz, SMPL poses, action, view and subject in the name)",
             framerate="30, by definition",
             rotations=True,
-            read=lambda item, options: uestc.read_uestc(item.path, options),
+            read=_of_path(uestc.read_uestc),
             suffixes=(".npz", ".pkl"),
             accepts=uestc.accepts,
         ),
@@ -148,7 +153,7 @@ FORMATS: Mapping[str, Format] = {
             description="HumanAct12 clips (.npy, 24 joints, action in the name)",
             framerate="20, by definition",
             rotations=False,
-            read=lambda item, options: humanact12.read_humanact12(item.path, options),
+            read=_of_path(humanact12.read_humanact12),
             suffixes=(".npy",),
             accepts=humanact12.accepts,
         ),
@@ -157,7 +162,7 @@ FORMATS: Mapping[str, Format] = {
             description="joint positions (.npy, frames × joints × 3; 21, 22 or 24 joints)",
             framerate="motions.json, annotation CSV or --fps",
             rotations=False,
-            read=lambda item, options: joints_npy.read_joints_npy(item.path, options),
+            read=_of_path(joints_npy.read_joints_npy),
             suffixes=(".npy",),
             accepts=joints_npy.accepts,
             begins=npy.MAGIC,
@@ -168,7 +173,7 @@ FORMATS: Mapping[str, Format] = {
             description="this project's .npz: joint_positions, a clock, anything else that is known",
             framerate="fps_numerator/fps_denominator, fps, or time_seconds",
             rotations=True,
-            read=lambda item, options: npz.read_npz(item.path, options),
+            read=_of_path(npz.read_npz),
             suffixes=(".npz",),
             accepts=npz.accepts,
             writes=True,
@@ -178,7 +183,7 @@ FORMATS: Mapping[str, Format] = {
             description="joint positions (.csv, time_seconds or frame, then JOINT_x, JOINT_y, JOINT_z)",
             framerate="time_seconds; else annotation CSV or --fps",
             rotations=False,
-            read=lambda item, options: joints_csv.read_joints_csv(item.path, options),
+            read=_of_path(joints_csv.read_joints_csv),
             suffixes=(".csv",),
             accepts=joints_csv.accepts,
             writes=True,
