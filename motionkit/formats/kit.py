@@ -4,12 +4,11 @@ Published files have the root at 560 units on average, which is the hip's height
 makes such a body 1.7 m tall. Source: https://github.com/EricGuo5513/HumanML3D, https://motion-annotation.humanoids.kit.edu.
 """
 
-from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
 
 from motionkit.formats import humanml3d
-from motionkit.formats.humanml3d import Entry, Layout
+from motionkit.formats.humanml3d import Layout
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.motion import Motion
 from motionkit.skeleton import KIT21
@@ -32,8 +31,3 @@ def find(folder: Path, root: Path) -> ScanResult:
 def read_kit(item: SourceItem, options: ReadOptions) -> Motion:
     """Read one sequence in metres at 12.5 fps; raises `FormatError`."""
     return humanml3d.read_humanml3d(item, options, KIT)
-
-
-def write_kit(folder: Path, entries: Iterable[Entry]) -> int:
-    """Write a folder of the published form; joints and vectors are in its unit, metres / `UNIT_METRES`."""
-    return humanml3d.write_humanml3d(folder, entries, KIT)

@@ -70,7 +70,8 @@ def test_vectors_alone_are_enough(tmp_path: Path, golden_humanml3d: Path) -> Non
 
 def test_kit_is_told_apart_and_becomes_metres(tmp_path: Path) -> None:
     body = np.full((25, 21, 3), 560.0, np.float32)
-    kit.write_kit(tmp_path / "kit", [Entry("00001", body, captions=(Caption("a person walks"),), split="test")])
+    entry = Entry("00001", body, captions=(Caption("a person walks"),), split="test")
+    write_humanml3d(tmp_path / "kit", [entry], kit.KIT)
     (item,) = scan([tmp_path / "kit"]).items
     motion = read(item)
     assert (item.format, motion.fps, motion.skeleton.name) == ("kit", Fraction(25, 2), "kit21")
