@@ -65,7 +65,9 @@ def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
 def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
     whole = SourceItem(item.format, item.path, item.root, sequence_id="", key=item.key, fps=item.fps)
     motion = _read_once(whole, options, _version(item.path))
-    motion = replace(motion, captions=item.captions or motion.captions)
+    stated_fps = item.stated_fps or motion.provenance.stated_fps  # which frames an index counted depends on it
+    provenance = replace(motion.provenance, stated_fps=stated_fps)
+    motion = replace(motion, captions=item.captions or motion.captions, provenance=provenance)
     if item.cut is not None:
         motion = cuts.crop(motion, item.cut, item.path)
     if not item.mirrored:
