@@ -24,7 +24,7 @@ def export(
     format: Annotated[str, typer.Option(help=f"{FORMATS}.")] = "bvh",
     store: Annotated[Path | None, typer.Option(help="Store to export from.", show_default="./store")] = None,
     where: Annotated[
-        str | None, typer.Option(help="SQL condition over the table of sequences: \"split = 'test'\".")
+        str | None, typer.Option(metavar="SQL", help="Condition over the table of sequences: \"split = 'test'\".")
     ] = None,
     fps: Annotated[
         str | None,

@@ -23,7 +23,8 @@ def merge(
     out: Annotated[Path, typer.Argument(help="Store to make or to add to.", show_default=False)],
     sources: Annotated[list[Path], typer.Argument(help="Stores to copy from.", show_default=False)],
     where: Annotated[
-        str | None, typer.Option(help="SQL condition over each source's table of sequences: \"split = 'test'\".")
+        str | None,
+        typer.Option(metavar="SQL", help="Condition over each source's table of sequences: \"split = 'test'\"."),
     ] = None,
     on_conflict: Annotated[
         OnConflict, typer.Option(help="One id, two files: write nothing, or keep the first.")

@@ -13,7 +13,7 @@ from motionkit.settings import default_path
 def remove(
     ids: Annotated[list[str] | None, typer.Argument(help="Ids of sequences.", show_default=False)] = None,
     where: Annotated[
-        str | None, typer.Option(help="SQL condition over the table of sequences: \"source = 'CMU'\".")
+        str | None, typer.Option(metavar="SQL", help="Condition over the table of sequences: \"source = 'CMU'\".")
     ] = None,
     store: Annotated[Path | None, typer.Option(help="Store to remove from.", show_default="./store")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the removed ids as JSON.")] = False,

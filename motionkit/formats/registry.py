@@ -3,9 +3,11 @@
 `scan` looks at names and folders only, `read` opens one sequence: so ingest can scan once and read in many processes.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 from motionkit.errors import FormatError, UsageError
@@ -18,6 +20,9 @@ from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.formats.reading import read
 
 __all__ = ["FORMATS", "Format", "ReadOptions", "ScanResult", "SourceItem", "read", "scan"]
+
+# What a folder without motions is said to hold.
+SEEN_FILES, SHOWN_KINDS = 1_000, 3
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
@@ -107,7 +112,8 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     warnings = [warning for result in found for warning in result.warnings]
     problems += [problem for table in beside for problem in table.problems]
     problems += [_unlisted(error) for error in unlisted]
-    if source.is_dir():  # of a single file, the other rows of its folder's table are not missing
+    # Of a single file the other rows of its folder's table are not missing; where nothing is read, all of them are.
+    if source.is_dir() and items:
         known = {item.path for item in items}
         rows = [(table, path, row) for table in beside for path, row in table.rows.items()]
         problems += [_no_motion(table, path, row) for table, path, row in rows if path not in known]
@@ -229,7 +235,11 @@ def _nothing(source: Path, options: ReadOptions) -> FormatError:
     expected = options.format if options.format != "auto" else ", ".join(FORMATS)
     if source.is_file():
         return FormatError(f"of no known format, expected {expected}", path=source, reason="unknown-format")
-    return FormatError(f"no motions in this folder, expected {expected}", path=source, reason="empty-folder")
+    files = (path for path in source.rglob("*") if path.is_file())
+    kinds = Counter(path.suffix.lower() or path.name for path in islice(files, SEEN_FILES)).most_common(SHOWN_KINDS)
+    there = ", ".join(f"{count} {kind}" for kind, count in kinds) or "no files"
+    message = f"no motions in this folder (it has {there}), expected {expected}"
+    return FormatError(message, path=source, reason="empty-folder")
 
 
 def _unique(items: Iterable[SourceItem]) -> tuple[tuple[SourceItem, ...], list[FormatError]]:

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import Int, Int64
 
-from motionkit.errors import StoreError
+from motionkit.errors import StoreError, UsageError
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
@@ -189,10 +189,16 @@ class Store:
         return segments.filter(pc.field("sequence_index").isin(self.sequences_table["sequence_index"]))
 
     def select(self, where: str | None = None) -> Int64[np.ndarray, "selected"]:
-        """Indices of the sequences for which a SQL condition over the table of sequences holds, ascending."""
+        """Indices of the sequences for which a SQL condition over the table of sequences holds, ascending.
+
+        Raises `UsageError` that names the condition.
+        """
         if where is None:
             return self._indices.copy()
-        chosen = self.query(f"SELECT sequence_index FROM sequences WHERE ({where}) ORDER BY sequence_index")
+        try:
+            chosen = self.query(f"SELECT sequence_index FROM sequences WHERE ({where}) ORDER BY sequence_index")
+        except UsageError as error:
+            raise UsageError(f"the condition {where!r} cannot be asked: {error}") from None
         return np.asarray(chosen["sequence_index"], np.int64)
 
     def __repr__(self) -> str:

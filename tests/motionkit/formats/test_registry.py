@@ -150,3 +150,11 @@ def test_a_pipe_is_no_source(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.bvh")
     with pytest.raises(UsageError, match="neither a file nor a folder"):
         scan([tmp_path / "pipe.bvh"])
+
+
+def test_a_folder_of_nothing_known_says_what_it_has_in_one_line(tmp_path: Path) -> None:
+    for name in ("walk.glb", "run.GLB"):
+        (tmp_path / name).write_bytes(b"glTF")
+    (tmp_path / "motions.csv").write_text("file,caption\nwalk.glb,a person walks\nrun.GLB,a person runs\n")
+    (problem,) = scan([tmp_path]).problems
+    assert problem.reason == "empty-folder" and "(it has 2 .glb, 1 .csv), expected lafan1" in problem.message
