@@ -26,14 +26,21 @@ def grid_of_seconds(seconds: Float64[np.ndarray, "frames"], path: Path, fps: Fra
     grid = TimeGrid(fps, len(seconds), float(seconds[0]))
     off = np.abs(grid.seconds() - seconds) * float(fps)
     if off.max() > UNEVEN_FRAMES:
-        frame = int(np.argmax(off > UNEVEN_FRAMES))
-        raise _fault(
-            f"{seconds[frame]:.6g} s where {grid.seconds()[frame]:.6g} s was expected: time stamps are not those of "
-            f"{float(fps):.6g} fps; sample the motion evenly, nothing is resampled at ingest",
-            path,
-            frame,
-        )
+        raise _uneven(seconds, fps, path, int(np.argmax(off > UNEVEN_FRAMES)))
     return grid
+
+
+def _uneven(seconds: Float64[np.ndarray, "frames"], fps: Fraction, path: Path, frame: int) -> FormatError:
+    # A frame that is missing shifts the mean of all steps; their median says where it is.
+    steps = np.diff(seconds)
+    usual = float(np.median(steps))
+    odd = np.abs(steps - usual) > np.abs(usual) / 2
+    if not odd.any():
+        what = f"is at {seconds[frame]:.6g} s; time stamps are not those of {float(fps):.6g} fps"
+    else:
+        frame = int(np.argmax(odd)) + 1
+        what = f"comes {steps[frame - 1]:.6g} s after the one before, where {usual:.6g} s is usual"
+    return _fault(f"{what}; sample the motion evenly, nothing is resampled at ingest", path, frame)
 
 
 def _framerate(seconds: Float64[np.ndarray, "frames"], path: Path) -> Fraction:

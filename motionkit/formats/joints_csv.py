@@ -6,6 +6,7 @@ The header names the joints; those of a standard layout, in any order, are that 
 
 import csv
 import io
+import re
 from fractions import Fraction
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from jaxtyping import Float64
 
 from motionkit.errors import FormatError
 from motionkit.formats import clock, sourcefile
+from motionkit.formats.arrays import MAX_NUMBER
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.lengths import in_metres
 from motionkit.formats.npz_skeleton import bones_of_pose
@@ -26,7 +28,9 @@ from motionkit.timegrid import TimeGrid, format_fps
 TIME, FRAME = "time_seconds", "frame"
 AXES = ("x", "y", "z")
 HEADER_BYTES = 1 << 20
-MAX_METRES = 1e9
+# What pyarrow says; rows are lines, the header being the first.
+NO_NUMBER = re.compile(r"column #(\d+): Row #(\d+): .*invalid value '(.{0,40}?)'")
+OTHER_WIDTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
 
 
 def accepts(path: Path) -> bool:
@@ -121,19 +125,27 @@ def _table(data: bytes, names: tuple[str, ...], path: Path) -> Float64[np.ndarra
             convert_options=pc.ConvertOptions(column_types=dict.fromkeys(names, pa.float64()), null_values=[]),
         )
     except (pa.ArrowException, ValueError) as error:
-        message = str(error).splitlines()[0]
-        reason = "channel-count" if "Expected" in message and "columns" in message else "not-a-number"
-        hint = "" if reason == "channel-count" else "; numbers have points (1.5), not commas"
-        raise FormatError(f"{message[:160]}{hint}", path=path, reason=reason) from None
+        raise _unreadable(str(error).splitlines()[0], names, path) from None
     if not table.num_rows:
         raise FormatError("0 frames, expected at least one row below the header", path=path, reason="no-frames")
     values = np.stack([table[name].to_numpy() for name in names], axis=1)
-    for reason, bad in (("nan", ~np.isfinite(values)), ("range", np.abs(values) > MAX_METRES)):
+    for reason, bad in (("nan", ~np.isfinite(values)), ("range", np.abs(values) > MAX_NUMBER)):
         if bad.any():
             frame, column = np.argwhere(bad)[0].tolist()
             message = f"{values[frame, column]} in column {names[column]!r}"
             raise FormatError(message, path=path, reason=reason, frame=frame)
     return values
+
+
+def _unreadable(message: str, names: tuple[str, ...], path: Path) -> FormatError:
+    if (found := NO_NUMBER.search(message)) is not None:
+        column, line, value = int(found[1]), int(found[2]), found[3]
+        what = f"{value!r} in column {names[column]!r}, expected a number with a point (1.5, not 1,5)"
+        return FormatError(what, path=path, reason="not-a-number", line=line)
+    if (found := OTHER_WIDTH.search(message)) is not None:
+        what = f"{found[3]} values, expected {found[2]}; numbers have points (1.5), not commas"
+        return FormatError(what, path=path, reason="channel-count", line=int(found[1]))
+    return FormatError(message[:160], path=path, reason="not-a-number")
 
 
 def _clock(
