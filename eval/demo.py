@@ -16,7 +16,7 @@ from motionkit.cli.train import train
 from motionkit.console import stderr
 from motionkit.demo_corpus import write_demo_corpus
 from motionkit.errors import UsageError
-from motionkit.formats.bvh import read_bvh
+from motionkit.formats.bvh.motion import read_bvh
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion
 from motionkit.store.reader import Store

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.features import humanml3d, humanml3d_processing
-from motionkit.formats.bvh import write_bvh
-from motionkit.formats.humanml3d import HUMANML3D, Entry, write_humanml3d
+from motionkit.formats.bvh.motion import write_bvh
+from motionkit.formats.pose_folders.humanml3d import HUMANML3D, Entry, write_humanml3d
 from motionkit.motionfield import to_motion
 from motionkit.synthetic import ACTIONS, Body, SyntheticMotion, draw_body, perform
 from motionkit.synthetic.curves import band_noise

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from motionkit.errors import UsageError
-from motionkit.formats import npz, npz_skeleton
-from motionkit.formats.bvh import write_bvh
+from motionkit.formats.arrays import npz, npz_skeleton
+from motionkit.formats.bvh.motion import write_bvh
 from motionkit.generation import GenerationRequest
 from motionkit.motion import Caption, Motion
 from motionkit.motionfield import FramerateConditioned, MotionField
@@ -88,7 +88,7 @@ def file_name(index: int, request: GenerationRequest) -> str:
 
 
 def write_npz_file(path: Path, sample: GeneratedSample) -> None:
-    """Write a .npz of `motionkit.formats.npz`'s schema, which appears whole or not at all.
+    """Write a .npz of `motionkit.formats.arrays.npz`'s schema, which appears whole or not at all.
 
     Poses at arbitrary instants have `time_seconds` and no `fps`. Beside the schema: `duration_seconds`, the interval
     that was asked for.

@@ -28,8 +28,8 @@ from pymotion.io.bvh import BVH
 from rich.console import Console
 from rich.table import Table
 
-from motionkit.formats import bvh_hierarchy
-from motionkit.formats.bvh import read_bvh
+from motionkit.formats.bvh import hierarchy as bvh_hierarchy
+from motionkit.formats.bvh.motion import read_bvh
 
 pa.set_cpu_count(1)
 

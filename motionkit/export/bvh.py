@@ -6,7 +6,7 @@ from pathlib import Path
 from motionkit.export.files import write_files
 from motionkit.export.names import nested_names
 from motionkit.export.selection import Outcome, Selection
-from motionkit.formats.bvh import write_bvh
+from motionkit.formats.bvh.motion import write_bvh
 
 
 def export_bvh(selection: Selection, folder: Path) -> Iterator[Outcome]:

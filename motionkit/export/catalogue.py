@@ -13,8 +13,8 @@ from motionkit.export.npz import export_npz
 from motionkit.export.parquet import export_parquet
 from motionkit.export.pose_folder import export_humanml3d, export_kit
 from motionkit.export.selection import Outcome, Selection
-from motionkit.formats.humanml3d import HUMANML3D
-from motionkit.formats.kit import KIT
+from motionkit.formats.pose_folders.humanml3d import HUMANML3D
+from motionkit.formats.pose_folders.kit import KIT
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from motionkit.errors import UsageError
 from motionkit.export.files import write_files
 from motionkit.export.names import flat_names
 from motionkit.export.selection import Outcome, Selection
-from motionkit.formats.joints_npy import write_joints_npy
+from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
 from motionkit.skeleton_map import map_joints

@@ -18,9 +18,9 @@ from motionkit.export.names import short_names
 from motionkit.export.selection import Outcome, Selection
 from motionkit.export.templates import render
 from motionkit.features import humanml3d, humanml3d_processing
-from motionkit.formats import joints_npy
-from motionkit.formats.humanml3d import HUMANML3D, JOINTS_FOLDER, Entry, FolderWriter, Layout
-from motionkit.formats.kit import KIT
+from motionkit.formats.arrays import joints_npy
+from motionkit.formats.pose_folders.humanml3d import HUMANML3D, JOINTS_FOLDER, Entry, FolderWriter, Layout
+from motionkit.formats.pose_folders.kit import KIT
 from motionkit.motion import Motion
 from motionkit.skeleton_map import SkeletonMapError, map_joints
 from motionkit.timegrid import format_fps

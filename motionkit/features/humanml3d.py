@@ -14,7 +14,7 @@ from motionkit.features.bones import BoneTree, bone_tree, rotations_6d
 from motionkit.features.facing import smooth, to_z_half_angle
 from motionkit.features.layout import PoseLayout, pose_layout
 from motionkit.features.rows import fill_joint_velocities, fill_positions, turn
-from motionkit.formats.humanml3d import recover_positions
+from motionkit.formats.pose_folders.humanml3d import recover_positions
 
 CONVENTION = "humanml3d"
 SMOOTHING_FRAMES = 20.0

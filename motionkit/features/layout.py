@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from motionkit.errors import UsageError
-from motionkit.formats.humanml3d import vector_blocks
+from motionkit.formats.pose_folders.humanml3d import vector_blocks
 from motionkit.skeleton import KIT21, SMPL22, Skeleton
 
 

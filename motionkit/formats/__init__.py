@@ -1,1 +1,1 @@
-"""Formats: one file each, reader and writer side by side."""
+"""Formats: a file or a folder each, reader and writer together; `catalogue` lists them, `registry` finds and reads."""

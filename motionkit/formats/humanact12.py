@@ -10,7 +10,7 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
-from motionkit.formats import joints_npy, npy
+from motionkit.formats.arrays import joints_npy, npy
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion
 

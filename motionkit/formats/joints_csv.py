@@ -17,10 +17,10 @@ from jaxtyping import Float64
 
 from motionkit.errors import FormatError
 from motionkit.formats import clock, sourcefile
-from motionkit.formats.arrays import MAX_NUMBER
+from motionkit.formats.arrays.npz_skeleton import bones_of_pose
+from motionkit.formats.arrays.plausible import MAX_NUMBER
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.lengths import in_metres
-from motionkit.formats.npz_skeleton import bones_of_pose
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.timegrid import TimeGrid, format_fps

@@ -18,10 +18,10 @@ import pyarrow.parquet as pq
 from jaxtyping import Float32
 
 from motionkit.errors import FormatError
-from motionkit.formats.arrays import checked_numbers, checked_rotations
+from motionkit.formats.arrays.npz_skeleton import checked_layout_map, unnamed_skeleton
+from motionkit.formats.arrays.plausible import checked_numbers, checked_rotations
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.formats.lengths import in_metres
-from motionkit.formats.npz_skeleton import checked_layout_map, unnamed_skeleton
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import Feet, Skeleton
 from motionkit.timegrid import TimeGrid, format_fps, parse_fps

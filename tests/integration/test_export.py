@@ -11,7 +11,7 @@ import pytest
 from eval.sample_folder import read_sample_folder
 from motionkit.cli.export import FORMATS
 from motionkit.export.catalogue import EXPORTS
-from motionkit.formats.bvh import write_bvh
+from motionkit.formats.bvh.motion import write_bvh
 from motionkit.kinematics import forward_kinematics
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import SMPL22, Skeleton

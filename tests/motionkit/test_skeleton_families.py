@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from motionkit.errors import FormatError, MotionkitError
-from motionkit.formats.npz import read_npz, write_npz
+from motionkit.formats.arrays.npz import read_npz, write_npz
 from motionkit.formats.registry import ReadOptions, read, scan
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map, read_skeleton_map, shipped_families, with_layout_map

@@ -10,8 +10,8 @@ import typer
 from typer.testing import CliRunner
 
 from motionkit.errors import FormatError, UsageError
-from motionkit.formats.bvh import read_bvh
-from motionkit.formats.npz import read_npz
+from motionkit.formats.arrays.npz import read_npz
+from motionkit.formats.bvh.motion import read_bvh
 from motionkit.generation import GenerationRequest
 from motionkit.motion import Caption
 from motionkit.motionfield import Poses, check_times

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from motionkit.errors import FormatError, UsageError
-from motionkit.formats import texts
 from motionkit.formats.cuts import PublishedCut, StepCut
 from motionkit.formats.folders import walk
 from motionkit.formats.indexes.catalogue import read_index
 from motionkit.formats.indexes.datasets import Key, dataset_of, file_key
 from motionkit.formats.indexes.entries import Entry, Index
 from motionkit.formats.items import IndexOptions, ScanResult, SourceItem
+from motionkit.formats.pose_folders import texts
 from motionkit.motion import Caption
 
 SPLITS = ("train", "val", "test")

@@ -8,7 +8,7 @@ import pytest
 
 from motionkit.features import humanml3d, humanml3d_processing
 from motionkit.features.statistics import Statistics, check_statistics
-from motionkit.formats.kit import UNIT_METRES
+from motionkit.formats.pose_folders.kit import UNIT_METRES
 from motionkit.motion import Motion
 from motionkit.resample import resample
 from motionkit.skeleton import SMPL22

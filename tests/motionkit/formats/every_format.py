@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from motionkit.formats import parquet_schema
 from motionkit.formats.deepmimic import humanoid3d
-from motionkit.formats.humanml3d import Entry, write_humanml3d
+from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
 from motionkit.motion import Caption, Motion
 from motionkit.skeleton import SMPL22
 from motionkit.timegrid import TimeGrid

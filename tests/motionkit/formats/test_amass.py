@@ -6,8 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from motionkit.formats.items import ReadOptions
-from motionkit.formats.mean_shape import mean_shape_skeleton
 from motionkit.formats.registry import read, scan
+from motionkit.formats.smpl.mean_shape import mean_shape_skeleton
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
 from motionkit.skeleton_map import map_joints, rest_positions

@@ -9,11 +9,11 @@ from motionkit.export.catalogue import EXPORTS
 from motionkit.export.run import export
 from motionkit.export.selection import Selection
 from motionkit.features import humanml3d, humanml3d_processing
-from motionkit.formats.amass import read_amass
-from motionkit.formats.amass_layouts import LAYOUTS
-from motionkit.formats.body_model import find_body_model
 from motionkit.formats.items import IndexOptions, ReadOptions, SourceItem
 from motionkit.formats.registry import read, scan
+from motionkit.formats.smpl.amass import read_amass
+from motionkit.formats.smpl.body_model import find_body_model
+from motionkit.formats.smpl.layouts import LAYOUTS
 from motionkit.kinematics import forward_kinematics
 from motionkit.motion import Motion
 from motionkit.store import Store

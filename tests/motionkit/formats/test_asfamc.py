@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
-from motionkit.formats.asfamc import parse_amc, read_asfamc
-from motionkit.formats.bvh import read_bvh
+from motionkit.formats.acclaim.asfamc import parse_amc, read_asfamc
+from motionkit.formats.bvh.motion import read_bvh
 from motionkit.formats.items import ReadOptions
 from tests.motionkit.formats.samples import amc_text, write_asfamc
 

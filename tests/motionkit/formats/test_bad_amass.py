@@ -13,11 +13,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.errors import FormatError
-from motionkit.formats import npz_archive
-from motionkit.formats.amass import read_amass
+from motionkit.formats.arrays import npz_archive
+from motionkit.formats.arrays.object_scalar import parse_scalar
 from motionkit.formats.items import ReadOptions, SourceItem
-from motionkit.formats.object_scalar import parse_scalar
 from motionkit.formats.registry import scan
+from motionkit.formats.smpl.amass import read_amass
 from motionkit.motion import Motion
 from tests.motionkit.formats.amass_samples import smplh_fields, stageii_fields, standing_poses, write_amass
 

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.errors import FormatError
-from motionkit.formats.asfamc import parse_amc, read_asfamc
+from motionkit.formats.acclaim.asfamc import parse_amc, read_asfamc
 from motionkit.formats.items import ReadOptions
 from tests.motionkit.formats.samples import ASF, amc_text, write_asfamc
 

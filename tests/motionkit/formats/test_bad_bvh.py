@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.errors import FormatError
-from motionkit.formats.bvh import read_bvh
+from motionkit.formats.bvh.motion import read_bvh
 from motionkit.formats.items import ReadOptions
 from tests.motionkit.formats.samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text
 

@@ -8,10 +8,10 @@ import smplx
 import torch
 
 from motionkit.errors import FormatError
-from motionkit.formats.amass_layouts import LAYOUTS, PoseLayout
-from motionkit.formats.body_model import find_body_model
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.registry import read, scan
+from motionkit.formats.smpl.body_model import find_body_model
+from motionkit.formats.smpl.layouts import LAYOUTS, PoseLayout
 from motionkit.skeleton import SMPL22
 from tests.motionkit.formats.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.motionkit.formats.test_amass import read_one

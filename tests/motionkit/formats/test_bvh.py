@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from motionkit import kinematics
-from motionkit.formats.bvh import read_bvh, write_bvh
+from motionkit.formats.bvh.motion import read_bvh, write_bvh
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
 from motionkit.timegrid import TimeGrid

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.errors import FormatError
-from motionkit.formats.c3d import TURNS, read_c3d
-from motionkit.formats.c3d_file import parse_c3d
+from motionkit.formats.c3d.container import parse_c3d
+from motionkit.formats.c3d.motion import TURNS, read_c3d
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.registry import read, scan
 from motionkit.skeleton import SMPL22

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.formats.bvh import T_POSE_DROPPED, read_bvh
+from motionkit.formats.bvh.motion import T_POSE_DROPPED, read_bvh
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
@@ -175,7 +175,7 @@ def test_second_life_writes_inches(tmp_path: Path) -> None:
     body = map_joints(motion, "smpl22")
     joints = [SMPL22.index(name) for name in ("left_hip", "pelvis", "spine1", "spine2", "spine3", "neck", "head")]
     heights = body[0, joints, 1] - body[0, joints[0], 1]
-    # SMPL's mean body has 0.09, 0.20, 0.34, 0.39, 0.60, 0.67 m (motionkit.formats.mean_shape), this figure is taller.
+    # SMPL's mean body has 0.09, 0.20, 0.34, 0.39, 0.60, 0.67 m (formats.smpl.mean_shape), this figure is taller.
     assert np.allclose(heights / heights[-2], np.array([0.0, 0.09, 0.20, 0.34, 0.39, 0.60, 0.67]) / 0.6, atol=0.06)
 
 

@@ -7,8 +7,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from motionkit.formats.bone_mesh import bone_meshes
-from motionkit.formats.gltf import write_gltf
+from motionkit.formats.gltf.bone_mesh import bone_meshes
+from motionkit.formats.gltf.motion import write_gltf
 from motionkit.kinematics import forward_kinematics
 from motionkit.motion import Caption, Motion
 from motionkit.skeleton import KIT21, SMPL22, Skeleton

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from motionkit.errors import FormatError
-from motionkit.formats import humanml3d, kit
-from motionkit.formats.humanml3d import Entry, recover_positions, write_humanml3d
+from motionkit.formats.pose_folders import humanml3d, kit
+from motionkit.formats.pose_folders.humanml3d import Entry, recover_positions, write_humanml3d
+from motionkit.formats.pose_folders.texts import format_texts, read_texts
 from motionkit.formats.registry import ReadOptions, read, scan
-from motionkit.formats.texts import format_texts, read_texts
 from motionkit.motion import Caption
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from motionkit.formats.lafan1 import (
+from motionkit.formats.bvh.lafan1 import (
     TEST_STEP_FRAMES,
     TEST_WINDOW_FRAMES,
     TRAIN_STEP_FRAMES,

@@ -7,9 +7,9 @@ import pytest
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
+from motionkit.formats.arrays.joints_npy import read_joints_npy, write_joints_npy
 from motionkit.formats.humanact12 import read_humanact12
 from motionkit.formats.items import ReadOptions
-from motionkit.formats.joints_npy import read_joints_npy, write_joints_npy
 from motionkit.formats.registry import read, scan
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22

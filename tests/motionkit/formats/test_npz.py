@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.errors import FormatError
-from motionkit.formats import npz
+from motionkit.formats.arrays import npz
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.registry import read, scan
 from motionkit.motion import Caption, Motion, Provenance

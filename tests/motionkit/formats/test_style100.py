@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from motionkit.errors import FormatError
+from motionkit.formats.bvh.style100 import read_100style
 from motionkit.formats.registry import read, scan
-from motionkit.formats.style100 import read_100style
 from tests.motionkit.formats.samples import NUM_BVH_CHANNELS, bvh_text
 
 HEADER = "STYLE_NAME,BR_START,BR_STOP,FW_START,FW_STOP,TR2_START,TR2_STOP"

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from motionkit.errors import FormatError
-from motionkit.formats.amass_layouts import SMPL
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.registry import read, scan
-from motionkit.formats.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
+from motionkit.formats.smpl.layouts import SMPL
+from motionkit.formats.smpl.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
 from motionkit.skeleton import SMPL22
 from motionkit.skeleton_map import map_joints
 from tests.motionkit.formats.test_body_models import write_body_model

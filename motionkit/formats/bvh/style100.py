@@ -14,7 +14,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from motionkit.errors import FormatError
-from motionkit.formats import bvh, sourcefile
+from motionkit.formats import sourcefile
+from motionkit.formats.bvh import motion as bvh
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion
 from motionkit.timegrid import TimeGrid

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from motionkit import kinematics
-from motionkit.formats.bvh_hierarchy import BvhHierarchy
+from motionkit.formats.bvh.hierarchy import BvhHierarchy
 from motionkit.skeleton import Skeleton
 
 

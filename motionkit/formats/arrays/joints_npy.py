@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.errors import FormatError
-from motionkit.formats import body_frame, npy, sourcefile
+from motionkit.formats import body_frame, sourcefile
+from motionkit.formats.arrays import npy
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import STANDARD_SKELETONS, Skeleton

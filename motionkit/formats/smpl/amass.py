@@ -14,11 +14,12 @@ from jaxtyping import Float32
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
-from motionkit.formats import body_frame, npz_archive, sourcefile
-from motionkit.formats.amass_layouts import BODY, LAYOUTS, POSE_PARTS, SMPLH, PoseLayout
-from motionkit.formats.body import Body, mean_body, own_body
+from motionkit.formats import body_frame, sourcefile
+from motionkit.formats.arrays import npz_archive
+from motionkit.formats.arrays.npz_archive import NpzArchive
 from motionkit.formats.items import ReadOptions, SourceItem
-from motionkit.formats.npz_archive import NpzArchive
+from motionkit.formats.smpl.body import Body, mean_body, own_body
+from motionkit.formats.smpl.layouts import BODY, LAYOUTS, POSE_PARTS, SMPLH, PoseLayout
 from motionkit.motion import Motion, Provenance
 from motionkit.timegrid import TimeGrid, parse_fps
 

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from motionkit.errors import FormatError, MotionkitError
-from motionkit.formats import npz_archive
-from motionkit.formats.npz_archive import NpzArchive
+from motionkit.formats.arrays import npz_archive
+from motionkit.formats.arrays.npz_archive import NpzArchive
 from motionkit.skeleton import STANDARD_SKELETONS, Feet, Skeleton
 from motionkit.skeleton_families import parse_layout_map
 

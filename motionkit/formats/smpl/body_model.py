@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from motionkit.errors import FormatError
-from motionkit.formats import npz_archive, sourcefile
-from motionkit.formats.amass_layouts import PoseLayout
+from motionkit.formats import sourcefile
+from motionkit.formats.arrays import npz_archive
+from motionkit.formats.smpl.layouts import PoseLayout
 
 # SMPL-X files hold 300 directions of shape and then 100 of facial expression; the small ones 10 and 10.
 SMPLX_DIRECTIONS, SMPLX_BETAS, SMALL_SMPLX_BETAS = 400, 300, 10

@@ -16,7 +16,7 @@ from jaxtyping import Float32, Float64
 from motionkit import kinematics
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
-from motionkit.formats.asf import ROTATIONS, AsfSkeleton, read_asf
+from motionkit.formats.acclaim.asf import ROTATIONS, AsfSkeleton, read_asf
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.number_table import INLINE_BYTES, Words, blocks, find_words, parse_number, to_numbers
 from motionkit.motion import Motion, Provenance

@@ -18,11 +18,12 @@ import numpy as np
 from jaxtyping import Float32
 
 from motionkit.errors import FormatError
-from motionkit.formats import clock, npz_archive, npz_skeleton, sourcefile
-from motionkit.formats.arrays import checked_rotations
+from motionkit.formats import clock, sourcefile
+from motionkit.formats.arrays import npz_archive, npz_skeleton
+from motionkit.formats.arrays.npz_archive import NpzArchive
+from motionkit.formats.arrays.plausible import checked_rotations
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.lengths import in_metres
-from motionkit.formats.npz_archive import NpzArchive
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.timegrid import TimeGrid, format_fps, parse_fps
 

@@ -17,9 +17,10 @@ from jaxtyping import Float64
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
-from motionkit.formats import body_frame, bvh_channels, number_table, sourcefile
-from motionkit.formats.bvh_channels import ChannelPose
-from motionkit.formats.bvh_hierarchy import BvhHierarchy, parse_hierarchy
+from motionkit.formats import body_frame, number_table, sourcefile
+from motionkit.formats.bvh import channels as bvh_channels
+from motionkit.formats.bvh.channels import ChannelPose
+from motionkit.formats.bvh.hierarchy import BvhHierarchy, parse_hierarchy
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.joint_channels import joint_channels
 from motionkit.motion import Motion, Provenance

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from motionkit.formats.amass_layouts import BODY, PoseLayout
-from motionkit.formats.body_model import find_body_model
-from motionkit.formats.mean_shape import mean_shape_skeleton
+from motionkit.formats.smpl.body_model import find_body_model
+from motionkit.formats.smpl.layouts import BODY, PoseLayout
+from motionkit.formats.smpl.mean_shape import mean_shape_skeleton
 from motionkit.skeleton import Skeleton
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from motionkit.formats.amass_layouts import BODY
+from motionkit.formats.smpl.layouts import BODY
 from motionkit.skeleton import Skeleton
 
 # Rest offsets in metres relative to the parent (pelvis: relative to the model's origin), y up, facing +z, left at +x,

@@ -17,11 +17,12 @@ from jaxtyping import Float32
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
-from motionkit.formats import npz_archive, sourcefile
-from motionkit.formats.amass_layouts import SMPL
-from motionkit.formats.body import Body, mean_body, own_body
+from motionkit.formats import sourcefile
+from motionkit.formats.arrays import npz_archive
+from motionkit.formats.arrays.npz_archive import NpzArchive
 from motionkit.formats.items import ReadOptions
-from motionkit.formats.npz_archive import NpzArchive
+from motionkit.formats.smpl.body import Body, mean_body, own_body
+from motionkit.formats.smpl.layouts import SMPL
 from motionkit.motion import Motion, Provenance
 from motionkit.timegrid import TimeGrid
 

@@ -16,10 +16,12 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
 from motionkit.errors import FormatError
-from motionkit.formats import bvh_channels, marker_gaps, sourcefile
-from motionkit.formats.c3d_file import C3dFile, parse_c3d
+from motionkit.formats import sourcefile
+from motionkit.formats.bvh import channels as bvh_channels
+from motionkit.formats.c3d import gaps as marker_gaps
+from motionkit.formats.c3d.container import C3dFile, parse_c3d
+from motionkit.formats.c3d.gaps import Block
 from motionkit.formats.items import ReadOptions
-from motionkit.formats.marker_gaps import Block
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import Skeleton
 from motionkit.timegrid import TimeGrid, parse_fps

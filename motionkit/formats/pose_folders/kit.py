@@ -7,9 +7,9 @@ makes such a body 1.7 m tall. Source: https://github.com/EricGuo5513/HumanML3D, 
 from fractions import Fraction
 from pathlib import Path
 
-from motionkit.formats import humanml3d
-from motionkit.formats.humanml3d import Layout
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
+from motionkit.formats.pose_folders import humanml3d
+from motionkit.formats.pose_folders.humanml3d import Layout
 from motionkit.motion import Motion
 from motionkit.skeleton import KIT21
 

@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from motionkit.errors import FormatError
-from motionkit.formats import npy, object_scalar, sourcefile
+from motionkit.formats import sourcefile
+from motionkit.formats.arrays import npy, object_scalar
 
 # Deflate reaches 1,032 at most, on constant bytes; arrays of measurements stay below 10. Small members may be constant.
 MAX_RATIO = 200

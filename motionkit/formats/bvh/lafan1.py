@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from motionkit import kinematics
-from motionkit.formats import bvh
+from motionkit.formats.bvh import motion as bvh
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion
 from motionkit.resample import continuous_quaternions

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.formats.bone_mesh import BoneMesh, bone_meshes
-from motionkit.formats.glb import GlbBuffer
+from motionkit.formats.gltf.bone_mesh import BoneMesh, bone_meshes
+from motionkit.formats.gltf.container import GlbBuffer
 from motionkit.formats.joint_channels import JointChannels, joint_channels
 from motionkit.motion import Motion
 from motionkit.resample import continuous_quaternions

@@ -11,7 +11,7 @@ from jaxtyping import Float32
 
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
-from motionkit.formats.arrays import checked_numbers
+from motionkit.formats.arrays.plausible import checked_numbers
 
 MAGIC = b"\x93NUMPY"
 HEADER_BYTES = 10_000

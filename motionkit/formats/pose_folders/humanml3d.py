@@ -13,8 +13,10 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from motionkit.errors import FormatError
-from motionkit.formats import joints_npy, npy, sourcefile, texts
+from motionkit.formats import sourcefile
+from motionkit.formats.arrays import joints_npy, npy
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
+from motionkit.formats.pose_folders import texts
 from motionkit.moments import Moments, merge, moments
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import SMPL22, Skeleton

@@ -1,0 +1,1 @@
+"""Acclaim ASF/AMC: the skeleton and the takes that move it."""

@@ -1,0 +1,1 @@
+"""C3D: the container, its markers as a motion, and the gaps in them."""

@@ -1,0 +1,1 @@
+"""glTF: an animated skeleton with a visible body, in a .glb container."""

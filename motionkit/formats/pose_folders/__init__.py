@@ -1,0 +1,1 @@
+"""Folders of pose vectors as HumanML3D and KIT-ML publish them."""

@@ -1,0 +1,1 @@
+"""SMPL bodies: AMASS and UESTC, joints from a body model or the mean shape."""
