@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Int
 
 from motionkit.errors import StoreError, UsageError
+from motionkit.store import files
 from motionkit.store.commit import committed, require_present_version
 from motionkit.store.encode import EncodedMotion, encode
 from motionkit.store.manifest import Manifest, read_manifest
 from motionkit.store.reader import Store
-from motionkit.store.schema import FORMAT_VERSION, MANIFEST_FILE, PART_BYTES
+from motionkit.store.schema import FORMAT_VERSION, MANIFEST_FILE, PART_BYTES, part_name
 from motionkit.store.writer import StoreWriter
 
 OnSequence = Callable[[], None]
@@ -63,10 +64,26 @@ def _write_anew(path: Path, part_bytes: int, on_sequence: OnSequence) -> None:
 
 
 def _encoded(store: Store, indices: Int[np.ndarray, "chosen"]) -> Iterator[EncodedMotion]:
-    """Sequences as this version stores them: copied, or measured anew where the store is of an earlier version."""
-    if store.manifest.format_version == FORMAT_VERSION:
-        return store.read_encoded(indices)
-    return (encode(motion) for motion in store.read_many(indices.tolist()))
+    """Sequences as this version stores them: copied, or measured anew where the store is of an earlier version.
+
+    Raises `StoreError` for a part that is not what the manifest says: under a new sha256 nobody would see the damage.
+    """
+    parts = store.columns("part").loc[indices, "part"].to_numpy()
+    starts = np.flatnonzero(np.diff(parts, prepend=-1))
+    for start, chosen in zip(starts, np.split(indices, starts[1:]), strict=True) if len(starts) else ():
+        _require_intact(store, part_name(int(parts[start])))
+        if store.manifest.format_version == FORMAT_VERSION:
+            yield from store.read_encoded(chosen)
+        else:
+            yield from (encode(motion) for motion in store.read_many(chosen.tolist()))
+
+
+def _require_intact(store: Store, name: str) -> None:
+    path = store.path / name
+    if not path.is_file() or files.sha256_of(path) != store.manifest.files[name].sha256:
+        raise StoreError(
+            f"{path} is missing or damaged: 'motionkit validate --store {store.path}' says what; restore it from a copy"
+        )
 
 
 @dataclass(frozen=True)

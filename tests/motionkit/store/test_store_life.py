@@ -157,6 +157,20 @@ def test_a_compacted_store_is_that_of_one_ingest(tmp_path, make_motion):
     assert not compact(path, part_bytes=2**18)
 
 
+@pytest.mark.parametrize("copy", [lambda path: compact(path), lambda path: merge(path.parent / "out", [path])])
+def test_damage_is_not_copied_under_a_new_checksum(tmp_path, make_motion, copy):
+    path = write(tmp_path / "store", motions(make_motion, 6), pieces=2)
+    part = path / Store.open(path).manifest.parts[1]
+    content = bytearray(part.read_bytes())
+    content[len(content) // 2] ^= 1
+    part.write_bytes(content)
+    fingerprint = Store.open(path).fingerprint
+    with pytest.raises(StoreError, match=r"part-00001\.parquet is missing or damaged"):
+        copy(path)
+    assert Store.open(path).fingerprint == fingerprint
+    assert not (tmp_path / "out" / "manifest.json").exists()
+
+
 def test_who_opened_a_store_before_it_was_compacted_is_told(tmp_path, make_motion):
     path = write(tmp_path / "store", motions(make_motion, 6), pieces=2)
     before = Store.open(path)
