@@ -1,5 +1,6 @@
 """`motionkit ingest`: sources into a store."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
@@ -135,7 +136,7 @@ def ingest(
             listener=Listener(
                 on_start=lambda num_items: display.update(task, description="ingest", total=num_items),
                 on_item=lambda: display.advance(task),
-                on_warning=lambda warning: stderr.print(_printable(f"warning: {warning}"), markup=False),
+                on_warning=lambda warning: teller.tell(warning, "warning: "),
                 on_problem=teller.tell,
             ),
         )
@@ -190,20 +191,20 @@ def _index_options(
 
 
 class _Teller:
-    """Prints problems as they come, of missing files only the first: a dataset that is not there has thousands."""
+    """Prints problems and warnings as they come, of each reason the first few: a corpus can have thousands."""
 
-    NUM_MISSING_SHOWN = 5
+    NUM_SHOWN = 5
 
     def __init__(self) -> None:
-        self._num_missing = 0
+        self._num_told: Counter[str] = Counter()
 
-    def tell(self, problem: FormatError) -> None:
-        """Print one problem, or what is known by then of the missing files."""
-        self._num_missing += problem.reason == "missing-file"
-        if problem.reason != "missing-file" or self._num_missing <= self.NUM_MISSING_SHOWN:
-            stderr.print(_printable(str(problem)), markup=False)
-        elif self._num_missing == self.NUM_MISSING_SHOWN + 1:
-            stderr.print("more files are missing: the table at the end counts them, --json names them", markup=False)
+    def tell(self, problem: FormatError, kind: str = "") -> None:
+        """Print one problem behind its `kind`, or where the others of its reason are to be found."""
+        self._num_told[problem.reason] += 1
+        if self._num_told[problem.reason] <= self.NUM_SHOWN:
+            stderr.print(_printable(f"{kind}{problem}"), markup=False)
+        elif self._num_told[problem.reason] == self.NUM_SHOWN + 1:
+            stderr.print(f"more of the kind {problem.reason}: counted at the end, --json names them all", markup=False)
 
 
 def _print_summary(report: "IngestReport") -> None:
@@ -246,8 +247,13 @@ def _as_json(report: "IngestReport") -> dict[str, Any]:
             count.dataset: {"found": count.num_found, "missing": count.num_missing, "failed": count.num_failed}
             for count in report.datasets
         },
-        "problems": [{"reason": problem.reason, "message": _printable(str(problem))} for problem in report.problems],
+        "problems": _named(report.problems),
+        "warned": _named(report.warnings),
     }
+
+
+def _named(problems: Sequence[FormatError]) -> list[dict[str, str]]:
+    return [{"reason": problem.reason, "message": _printable(str(problem))} for problem in problems]
 
 
 def _printable(text: str) -> str:

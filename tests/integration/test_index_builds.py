@@ -206,7 +206,7 @@ def test_thousands_of_missing_files_are_told_once(motionkit, amass, tmp_path):
     (tmp_path / "index.csv").write_text(HEADER + "KIT/3/kick_poses.npy,0,5,a.npy\n" + rows)
     outcome = motionkit("ingest", amass, "--index", tmp_path / "index.csv", "--store", tmp_path / "s", "--workers", 1)
     assert len(outcome.error_lines) == 6
-    assert outcome.error_lines[-1] == "more files are missing: the table at the end counts them, --json names them"
+    assert outcome.error_lines[-1] == "more of the kind missing-file: counted at the end, --json names them all"
     assert "failed: 50 (50 missing-file)" in outcome.stdout
 
 
