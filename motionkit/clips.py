@@ -191,11 +191,15 @@ def mirror_positions(
 
 @dataclass(frozen=True, eq=False)
 class WindowPoses:
-    """Poses of windows, gathered from their source: the one place where frames become `field` vectors."""
+    """Poses of windows, gathered from their source: the one place where frames become `field` vectors.
+
+    With `fixed_fps` poses are taken at that framerate only, instead of at the native ones.
+    """
 
     source: PositionSource
     windows: Windows
     left_right_pairs: tuple[tuple[int, int], ...]
+    fixed_fps: Fraction | None = None
 
     def positions(
         self, window: Int64[np.ndarray, "batch"], frame: Int64[np.ndarray, "batch poses"]
@@ -243,17 +247,16 @@ class WindowPoses:
         fps: Fraction | None = None,
         lowest_fps: float | None = None,
     ) -> PoseBatch:
-        """`num_poses` random poses of each window, at its native framerate or at a fixed one.
+        """`num_poses` random poses of each window, at its native framerate or at `fps` (default: `fixed_fps`).
 
         `contiguous`: a clip of m neighbouring poses around a random centre v (NeRM §3.1), in a window with fewer poses
         than m its last pose is repeated; else m independent instants. With `lowest_fps` each window's rate is its
         native one or a random whole fraction of it that isn't lower ("random framerates", the paper's Fig. 2).
         """
-        rows = window.numpy()
+        rows, fps = window.numpy(), fps or self.fixed_fps
         keep_every = np.ones(len(rows), dtype=np.int64)
         if fps is not None:
-            rate = self.windows.fps[rows] / float(fps)
-            available = np.floor((self.windows.num_frames[rows] - 1) / rate + 1e-6).astype(np.int64) + 1
+            available = self._last_tick(rows, fps) + 1
         else:
             if lowest_fps is not None:
                 choices = np.maximum(1.0, np.floor(self.windows.fps[rows] / lowest_fps + 1e-6))
@@ -270,9 +273,18 @@ class WindowPoses:
         return self.at_frames(rows, chosen, keep_every) if fps is None else self.at_rate(rows, chosen, fps)
 
     def evenly(self, window: Int64[np.ndarray, "batch"], num_poses: int) -> PoseBatch:
-        """`num_poses` native poses spread evenly over each window, the first and the last included."""
+        """`num_poses` poses, native or at `fixed_fps`, spread evenly over each window, its first and last included."""
+        spread = np.linspace(0.0, 1.0, num_poses)
+        if self.fixed_fps is not None:
+            last = self._last_tick(window, self.fixed_fps)[:, None]
+            return self.at_rate(window, np.round(spread * last).astype(np.int64), self.fixed_fps)
         last = self.windows.num_frames[window][:, None] - 1
-        return self.at_frames(window, np.round(np.linspace(0.0, 1.0, num_poses) * last).astype(np.int64))
+        return self.at_frames(window, np.round(spread * last).astype(np.int64))
+
+    def _last_tick(self, window: Int64[np.ndarray, "batch"], fps: Fraction) -> Int64[np.ndarray, "batch"]:
+        """The last k for which k / fps seconds lie inside each window."""
+        rate = self.windows.fps[window] / float(fps)
+        return np.asarray(np.floor((self.windows.num_frames[window] - 1) / rate + 1e-6), dtype=np.int64)
 
     def _batch(
         self,

@@ -108,7 +108,7 @@ class FieldNetwork(nn.Module):
         self, codebook: torch.Tensor | None
     ) -> tuple[FourierFeatures | None, CodebookCoordinateAttention | None]:
         config = self.config
-        if config.time_encoding == "none":
+        if config.time_encoding in ("none", "raw"):
             return None, None
         period = None if self.knots is None else self.knots.spacing
         fourier = FourierFeatures(config.num_frequencies, config.frequency_scale, period)
@@ -128,7 +128,7 @@ class FieldNetwork(nn.Module):
     def _feature_width(self) -> int:
         if self.fourier is not None:
             return self.fourier.width
-        return 0 if self.knots is not None else 1
+        return 1 if self.config.time_encoding == "raw" else 0
 
     def encode_coordinates(
         self, coordinates: Float64[torch.Tensor, "batch poses"], fps: Float64[torch.Tensor, "batch"]
@@ -144,7 +144,7 @@ class FieldNetwork(nn.Module):
     def _features(self, values: Float64[torch.Tensor, "distinct"]) -> Float[torch.Tensor, "distinct width"] | None:
         """γ(t), enriched by CCA; with local latents of the phase between two knots, of which there are far fewer."""
         if self.fourier is None:
-            return values[:, None].float() if self.knots is None else None
+            return values[:, None].float() if self.config.time_encoding == "raw" else None
         if self.knots is None:
             read, which = values, torch.arange(len(values), device=values.device)
         else:
@@ -173,7 +173,10 @@ class FieldNetwork(nn.Module):
         for layer in self.layers:
             hidden = layer(hidden)
         vectors: torch.Tensor = self.output(self.finish(hidden))
-        return vectors if self.linear is None else vectors + self.linear(read)
+        if self.linear is not None:
+            vectors = vectors + self.linear(read)
+        # Told no time at all (`none` with a global latent), a window is one pose that is held.
+        return vectors.expand(-1, encoded.which.shape[1], -1)
 
     def forward(
         self,

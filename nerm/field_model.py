@@ -63,7 +63,9 @@ class TrainedField:
 
     @property
     def max_training_fps(self) -> Fraction:
-        """Highest framerate among the training windows."""
+        """Highest framerate that the training saw: the fastest window's, or the one of fixed-framerate training."""
+        if self.config.fixed_framerate is not None:
+            return self.config.fixed_framerate
         fastest = int(np.argmax(self.windows.fps))
         return self.windows.exact_fps(fastest)
 

@@ -5,7 +5,8 @@ import time
 import torch
 from jaxtyping import Float32
 
-from motionkit.clips import WindowPoses, cut_windows
+from motionkit.clips import WindowPoses
+from motionkit.console import stderr
 from motionkit.skeleton import SMPL22
 from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
@@ -16,26 +17,25 @@ from motionkit.training.stage import StageContext
 from nerm.codebook import load_codes
 from nerm.field_model import TrainedField, save_field
 from nerm.field_training import FieldTraining
+from nerm.field_windows import remarks, training_windows
 from nerm.recipes import FieldConfig, NermConfig
 
 
 def train_field(context: StageContext, config: NermConfig) -> None:
     """Train f_θ and the posteriors of all windows; writes both, with the window table, to model.safetensors."""
     settings, store = config.field, Store.open(context.store)
-    folder = context.begin("field", config, store_fingerprint=store.fingerprint)
     started = time.perf_counter()
+    # Everything that may be refused comes before `begin`, which may remove an earlier run (--overwrite).
     source = open_cache(store, layout="smpl22", where=settings.where or None)
-    windows = cut_windows(
-        source,
-        max_duration_seconds=settings.max_duration_seconds,
-        stride_seconds=settings.stride_seconds,
-        min_duration_seconds=settings.min_duration_seconds,
-        mirror_pairs=SMPL22.left_right_pairs if settings.mirrored else None,
-    )
+    windows = training_windows(source, settings)
+    codes = _codes(context, settings)
+    folder = context.begin("field", config, store_fingerprint=store.fingerprint)
+    for remark in remarks(source, windows, settings):
+        stderr.print(f"motionkit: warning: {remark}", markup=False)
     training = FieldTraining(
-        WindowPoses(source, windows, SMPL22.left_right_pairs),
+        WindowPoses(source, windows, SMPL22.left_right_pairs, settings.fixed_framerate),
         settings,
-        codebook=_codes(context, settings),
+        codebook=codes,
         seed=context.seed,
         device=resolve_device(context.device),
     )

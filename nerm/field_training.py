@@ -99,10 +99,10 @@ class FieldTraining:
         return {"loss": loss, "reconstruction": reconstruction, "kl": kl}
 
     def _draw(self, step: int, generator: torch.Generator) -> PoseBatch:
-        """The clips of a step: at one fixed framerate during warm-up, then at all native ones."""
+        """The clips of a step: at one fixed framerate during warm-up, then at all native ones (or at `fixed_fps`)."""
         config = self.config
         rows = self.visits[shuffled_batches(len(self.visits), config.batch, step, self.seed)]
-        warming_up = step < config.warmup_fraction * self.steps
+        warming_up = step < config.warmup_fraction * self.steps and config.fixed_fps is None
         batch = self.poses.draw(
             rows,
             config.num_poses,

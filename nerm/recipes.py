@@ -1,18 +1,20 @@
 """Settings of NeRM and its named recipes: `paper` (the paper's figures), `nano` and `demo` (minutes on two cores).
 
-Ablations of the paper are values here, not forks of the code: Table 5 `field.time_encoding`, Table 6
-`field.variational`, Table 7 `field.decoder`, Table 8 `field.latent_dimension` and `field.kl_weight`, Table 9
-`field.coordinates`.
+Ablations of the paper are values here, not forks of the code: Table 1's "NeRM-fixed" `field.fixed_fps`, Table 5
+`field.time_encoding`, Table 6 `field.variational`, Table 7 `field.decoder`, Table 8 `field.latent_dimension` and
+`field.kl_weight`, Table 9 `field.coordinates`.
 """
 
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Literal
 
+from motionkit.timegrid import parse_fps
 from nerm.denoiser_config import DenoiserConfig, TransformerConfig
 
-TimeEncoding = Literal["none", "fourier", "codebook"]
+TimeEncoding = Literal["none", "raw", "fourier", "codebook"]
 LatentLayout = Literal["global", "local"]
 Activation = Literal["relu", "silu", "gelu"]
 
@@ -46,7 +48,11 @@ class CodebookConfig:
 
 @dataclass(frozen=True)
 class FieldConfig:
-    """The variational implicit representation (paper §3.1, B, D); lengths in seconds, rates in frames a second."""
+    """The variational implicit representation (paper §3.1, B, D); lengths in seconds, rates in frames a second.
+
+    `fixed_fps` is Table 1's "NeRM-fixed": every pose of the training is taken at that framerate (an integer, a decimal
+    or a fraction such as 30000/1001), and slower sequences are left out.
+    """
 
     max_duration_seconds: float = 10.0
     min_duration_seconds: float = 0.5
@@ -64,7 +70,7 @@ class FieldConfig:
     initial_log_variance: float = -6.0
     initialisation: Literal["normal", "ridge"] = "normal"
     ridge: float = 1e-2
-    # Coordinates.
+    # Coordinates. `raw` is t itself (Table 5's "no time encoding"), `none` no coordinate at all.
     time_encoding: TimeEncoding = "codebook"
     coordinates: Literal["normalised", "frames"] = "normalised"
     num_frequencies: int = 64
@@ -92,6 +98,7 @@ class FieldConfig:
     warmup_fps: int = 20
     warmup_fraction: float = 0.5
     lowest_fps: float | None = None
+    fixed_fps: str | None = None
     rate: float = 1e-4
     attention_rate: float = 1e-4
     latent_rate: float = 1e-4
@@ -105,6 +112,19 @@ class FieldConfig:
             raise ValueError(f"exactly one of steps and epochs must be given, not {self.steps} and {self.epochs}")
         if self.latent_layout == "local" and self.latent_dimension % self.num_knots:
             raise ValueError(f"{self.latent_dimension} latent numbers do not divide into {self.num_knots} knots")
+        if self.latent_layout == "local" and self.coordinates == "frames":
+            raise ValueError("knots lie at normalised coordinates: frame numbers (Table 9) need latent_layout=global")
+        for name in ("batch", "num_poses", "max_duration_seconds", "stride_seconds"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        for fps in (self.warmup_fps, self.lowest_fps, self.fixed_fps):
+            if fps is not None:
+                parse_fps(fps)
+
+    @property
+    def fixed_framerate(self) -> Fraction | None:
+        """The one framerate of the whole training, exactly; None where it is continuous-framerate training."""
+        return None if self.fixed_fps is None else parse_fps(self.fixed_fps)
 
     @property
     def query_width(self) -> int:

@@ -25,6 +25,8 @@ VARIANTS = {
     "local": {"latent_layout": "local"},
     "no time encoding": {"time_encoding": "none"},
     "no time encoding, local": {"time_encoding": "none", "latent_layout": "local"},
+    "raw time": {"time_encoding": "raw"},
+    "raw time, local": {"time_encoding": "raw", "latent_layout": "local"},
     "fourier": {"time_encoding": "fourier"},
     "frame numbers": {"coordinates": "frames"},
     "transformer": {"decoder": "transformer"},
@@ -67,6 +69,14 @@ def test_a_pose_depends_on_its_own_coordinate_latent_and_framerate_alone(name: s
                 latents[clip : clip + 1], coordinates[clip : clip + 1, pose : pose + 1], fps[clip : clip + 1]
             )
             torch.testing.assert_close(alone[0, 0], together[clip, pose], atol=2e-6, rtol=1e-4)
+
+
+def test_without_any_time_a_window_is_one_pose() -> None:
+    network = _network(time_encoding="none")
+    vectors = network(*_clips())
+    torch.testing.assert_close(vectors, vectors[:, :1].expand_as(vectors))
+    moving = _network(time_encoding="raw")(*_clips())
+    assert float(moving.detach().std(dim=1).mean()) > 1e-4
 
 
 def test_attention_once_per_distinct_coordinate_equals_attention_per_clip() -> None:
