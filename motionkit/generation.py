@@ -29,6 +29,19 @@ class GenerationRequest:
     action: str = ""
 
 
+@dataclass(frozen=True)
+class SamplingOptions:
+    """How to sample, where it isn't as the model's recipe says: None is the recipe's.
+
+    `guidance_scale` is how strongly the condition is followed (1: as the data does). A model raises `UsageError` for a
+    `sampler` or a number of `steps` that it doesn't have.
+    """
+
+    guidance_scale: float | None = None
+    sampler: str | None = None
+    steps: int | None = None
+
+
 @runtime_checkable
 class GenerativeModel(Protocol):
     """A trained model that turns requests into motion fields."""
@@ -54,7 +67,7 @@ class GenerativeModel(Protocol):
         ...
 
     def generate(
-        self, requests: Sequence[GenerationRequest], *, seed: int, guidance_scale: float | None = None
+        self, requests: Sequence[GenerationRequest], *, seed: int, sampling: SamplingOptions = SamplingOptions()
     ) -> list[MotionField]:
         """One field per request, in order; the same seed and requests give the same fields."""
         ...

@@ -108,10 +108,10 @@ class ConditionEmbedding(nn.Module):
 
 
 ConditionalDenoiser = Callable[[Tensor, Tensor, Conditions], Tensor]
-"""(z_k [batch, latent], k [batch], c) → predicted noise [batch, latent]."""
+"""(z_k [batch, latent], k [batch], c) → the network's output [batch, latent]."""
 
 
-def guided_noise(
+def guided(
     denoiser: ConditionalDenoiser,
     latents: Float[Tensor, "batch latent"],
     steps: Int64[Tensor, "batch"],
@@ -120,7 +120,8 @@ def guided_noise(
 ) -> Float[Tensor, "batch latent"]:
     """r·ε(z, k, c) + (1 − r)·ε(z, k, ∅) (Eq. 6), both passes in one batch.
 
-    One pass is enough where r is 1 or no row has a condition.
+    At a given z_k the same combination of predicted latents, or of velocities, is the same guidance. One pass is enough
+    where r is 1 or no row has a condition.
     """
     nothing_given = bool((conditions.action < 0).all()) and not bool(conditions.text.any())
     if guidance_scale == 1.0 or nothing_given:

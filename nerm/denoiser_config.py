@@ -1,22 +1,36 @@
 """Settings of NeRM's second stage: the diffusion process, the denoiser, its conditions and its training (no torch)."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
+
+NoiseSchedule = Literal["scaled_linear", "cosine"]
+Prediction = Literal["noise", "latent", "velocity"]
+LossMeasure = Literal["noise", "latent", "velocity", "min_snr"]
+Sampler = Literal["ddim", "ddpm"]
+SAMPLERS: tuple[Sampler, ...] = get_args(Sampler)
 
 
 @dataclass(frozen=True)
 class DiffusionConfig:
-    """The schedule and the sampler; the defaults are the paper's (B.1).
+    """The process, what the network predicts, and the sampler; the defaults are the paper's (Eq. 5, B.1).
 
-    The paper's "scaled linearly" is linear in √β, as in latent diffusion models. With `sampling_spacing` "trailing" the
-    steps used at inference start at the noisiest one, the state that z_K ~ N(0, I) belongs to; "leading" (offset 1)
-    starts up to num_steps / sampling_steps earlier, as motion-latent-diffusion does.
+    The paper's "scaled linearly" is linear in √β, as in latent diffusion models; "cosine" is Nichol & Dhariwal's
+    (2021), which knows no `beta_start` and `beta_end`. `prediction` is what the network puts out: the noise ε (the
+    paper), the clean latent z, or the velocity √ᾱ ε − √(1 − ᾱ) z (Salimans & Ho 2022); `loss` is the quantity whose
+    squared error is learned, whichever is put out ("min_snr": that of z, weighed by min(SNR, 5); Hang et al. 2023).
+
+    With `sampling_spacing` "trailing" the steps used at inference start at the noisiest one, the state that
+    z_K ~ N(0, I) belongs to; "leading" (offset 1) starts up to num_steps / sampling_steps earlier, as
+    motion-latent-diffusion does.
     """
 
     num_steps: int = 1000
+    schedule: NoiseSchedule = "scaled_linear"
     beta_start: float = 8.5e-4
     beta_end: float = 0.012
-    sampler: Literal["ddim", "ddpm"] = "ddim"
+    prediction: Prediction = "noise"
+    loss: LossMeasure = "noise"
+    sampler: Sampler = "ddim"
     sampling_steps: int = 50
     sampling_spacing: Literal["trailing", "leading"] = "trailing"
 
@@ -31,8 +45,8 @@ class DiffusionConfig:
 class TransformerConfig:
     """Sizes of the denoiser; the defaults are the `paper` recipe's.
 
-    `latent_tokens` cuts z into that many tokens of equal size: 1 as in the paper, or the number of knots where the
-    field reads z as knots in time.
+    `latent_tokens` cuts z into that many tokens of equal size: 1 as in the paper, or more where the field reads z as
+    knots in time: z goes by time, so each token is then a stretch of the motion.
     """
 
     num_layers: int = 9

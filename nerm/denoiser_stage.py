@@ -10,6 +10,7 @@ from motionkit.training.stage import StageContext
 from nerm.denoiser_training import DenoiserTraining
 from nerm.field_corpus import corpus_of
 from nerm.field_model import load_field
+from nerm.latent_reach import first_read
 from nerm.recipes import NermConfig
 from nerm.text_encoders import file_sha256, load_text_encoder
 from nerm.trained_denoiser import STAGE_NAME, save_denoiser
@@ -31,7 +32,14 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
     started = time.perf_counter()
     encoder = None if settings.text_encoder == "none" else load_text_encoder(settings.text_encoder)
-    corpus = corpus_of(field.posterior_mean, field.posterior_log_variance, field.windows, store, encoder)
+    corpus = corpus_of(
+        field.posterior_mean,
+        field.posterior_log_variance,
+        field.windows,
+        store,
+        encoder,
+        first_read(field.config),
+    )
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=resolve_device(context.device))
     figures = train_loop(training, folder, steps=training.num_steps, seed=context.seed)
     trained = training.finished(

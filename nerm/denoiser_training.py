@@ -5,15 +5,15 @@ from contextlib import contextmanager
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.schedule import WeightAverage, rate_factor, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from nerm.denoiser import Denoiser
 from nerm.denoiser_config import DenoiserConfig
-from nerm.diffusion import add_noise, cumulative_alphas
+from nerm.diffusion import add_noise, cumulative_alphas, loss_weights, prediction_target
 from nerm.latent_corpus import LatentCorpus, latent_statistics
+from nerm.latent_reach import in_use
 from nerm.trained_denoiser import TrainedDenoiser
 
 
@@ -27,17 +27,19 @@ class DenoiserTraining:
         self.config = config
         self.corpus = corpus
         self.device = device
-        self.statistics = latent_statistics(corpus.means, corpus.log_variances)
+        used = in_use(corpus.first_read, corpus.duration)
+        self.statistics = latent_statistics(corpus.means, corpus.log_variances, used)
         self.alphas = cumulative_alphas(config.diffusion)
+        self.weights = loss_weights(config.diffusion.prediction, config.diffusion.loss, self.alphas)
         self.num_steps = config.num_steps(len(corpus))
         with seeded_initialisation(seed, "denoiser"):
-            self.denoiser = Denoiser(config.network, corpus.means.shape[1], corpus.layout).to(device)
+            self.denoiser = Denoiser(config.network, corpus.first_read, corpus.layout).to(device)
         self.average = WeightAverage(self.denoiser, config.ema_decay)
         self.optimizer = torch.optim.AdamW(self.denoiser.parameters(), lr=config.rate, weight_decay=config.weight_decay)
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
-        """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over numbers)."""
-        config = self.config
+        """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over the numbers in use)."""
+        config, diffusion = self.config, self.config.diffusion
         factor = rate_factor(
             step, self.num_steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction
         )
@@ -47,14 +49,17 @@ class DenoiserTraining:
         conditions = self.corpus.draw_conditions(
             rows, generator, drop=config.condition_drop, action_share=config.action_share
         )
-        steps = torch.randint(config.diffusion.num_steps, (config.batch,), generator=generator)
+        steps = torch.randint(diffusion.num_steps, (config.batch,), generator=generator)
         noise = torch.randn(latents.shape, generator=generator)
         noisy = add_noise(latents, noise, steps, self.alphas)
+        target = prediction_target(diffusion.prediction, latents, noise, steps, self.alphas)
         with _dropout_from(generator, self.device):
-            predicted = self.denoiser(noisy.to(self.device), steps.to(self.device), conditions.to(self.device))
-        loss = functional.mse_loss(predicted, noise.to(self.device))
+            output = self.denoiser(noisy.to(self.device), steps.to(self.device), conditions.to(self.device))
+        used = in_use(self.corpus.first_read, conditions.duration)
+        weights = used * self.weights[steps, None].to(torch.float32) / used.sum()
+        loss = ((output - target.to(self.device)).square() * weights.to(self.device)).sum()
         self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         self.optimizer.step()
         self.average.update(self.denoiser, step)
         return {"loss": loss.detach()}
@@ -62,7 +67,7 @@ class DenoiserTraining:
     def finished(self, *, text_fingerprint: str, field_sha256: str) -> TrainedDenoiser:
         """The trained denoiser, with its averaged weights, on the CPU."""
         with seeded_initialisation(0, "denoiser"):
-            denoiser = Denoiser(self.config.network, self.corpus.means.shape[1], self.corpus.layout)
+            denoiser = Denoiser(self.config.network, self.corpus.first_read, self.corpus.layout)
         denoiser.load_state_dict(self.average.tensors())
         return TrainedDenoiser(
             config=self.config,

@@ -4,22 +4,35 @@ Everything the process itself computes is float64 and knows nothing of networks:
 predicts noise. Steps k count from 0 (almost clean) to num_steps − 1 (almost pure noise), as the arrays do.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
-from nerm.denoiser_config import DiffusionConfig
+from nerm.denoiser_config import DiffusionConfig, LossMeasure, Prediction
 
 NoisePredictor = Callable[[Tensor, Tensor], Tensor]
 """(z_k [batch, latent], k [batch]) → predicted noise [batch, latent]."""
 
+LARGEST_COSINE_BETA = 0.999
+MIN_SNR_GAMMA = 5.0
+
 
 def cumulative_alphas(config: DiffusionConfig) -> Float64[Tensor, "steps"]:
-    """ᾱ_k = ∏ (1 − β_j) for j ≤ k, with √β linear from √beta_start to √beta_end."""
-    roots = torch.linspace(config.beta_start**0.5, config.beta_end**0.5, config.num_steps, dtype=torch.float64)
-    return torch.cumprod(1.0 - roots**2, dim=0)
+    """ᾱ_k = ∏ (1 − β_j) for j ≤ k.
+
+    √β is linear from √beta_start to √beta_end, or ᾱ follows cos²(π/2 · (k/K + s) / (1 + s)) with s = 0.008 and β ≤
+    0.999 (Nichol & Dhariwal 2021, Eq. 17).
+    """
+    if config.schedule == "scaled_linear":
+        roots = torch.linspace(config.beta_start**0.5, config.beta_end**0.5, config.num_steps, dtype=torch.float64)
+        return torch.cumprod(1.0 - roots**2, dim=0)
+    times = torch.arange(config.num_steps + 1, dtype=torch.float64) / config.num_steps
+    curve = torch.cos((times + 0.008) / 1.008 * (math.pi / 2)).square()
+    betas = (1.0 - curve[1:] / curve[:-1]).clamp(max=LARGEST_COSINE_BETA)
+    return torch.cumprod(1.0 - betas, dim=0)
 
 
 def sampling_steps(config: DiffusionConfig) -> tuple[int, ...]:
@@ -49,6 +62,54 @@ def predicted_latents(
     """The clean latent that a noise prediction implies: (z_k − √(1 − ᾱ_k) ε) / √ᾱ_k."""
     clean: Tensor = (noisy - (1 - alpha) ** 0.5 * noise) / alpha**0.5
     return clean
+
+
+def prediction_target(
+    prediction: Prediction,
+    latents: Float[Tensor, "batch latent"],
+    noise: Float[Tensor, "batch latent"],
+    steps: Int64[Tensor, "batch"],
+    alphas: Float64[Tensor, "steps"],
+) -> Float[Tensor, "batch latent"]:
+    """What the network has to put out for z_k: ε, z or √ᾱ_k ε − √(1 − ᾱ_k) z."""
+    if prediction == "noise":
+        return noise
+    if prediction == "latent":
+        return latents
+    kept = alphas[steps][:, None]
+    return (kept.sqrt() * noise - (1 - kept).sqrt() * latents).to(latents.dtype)
+
+
+def predicted_noise(
+    prediction: Prediction, output: Float[Tensor, "batch latent"], noisy: Float[Tensor, "batch latent"], alpha: float
+) -> Float[Tensor, "batch latent"]:
+    """The noise that a network's output implies; the inverse of `prediction_target` at a known z_k."""
+    if prediction == "noise":
+        return output
+    if prediction == "latent":
+        noise: Tensor = (noisy - alpha**0.5 * output) / (1 - alpha) ** 0.5
+        return noise
+    from_velocity: Tensor = alpha**0.5 * output + (1 - alpha) ** 0.5 * noisy
+    return from_velocity
+
+
+def loss_weights(
+    prediction: Prediction, measure: LossMeasure, alphas: Float64[Tensor, "steps"]
+) -> Float64[Tensor, "steps"]:
+    """By what a squared error of the network's output at each step is multiplied to be one of `measure`.
+
+    At a given z_k the errors of noise, latent and velocity are proportional: e_ε² = SNR · e_z², e_v² = (SNR + 1) · e_z²
+    with SNR = ᾱ / (1 − ᾱ).
+    """
+    ratio = alphas / (1 - alphas)
+    per_latent_error = {
+        "noise": ratio,
+        "latent": torch.ones_like(ratio),
+        "velocity": ratio + 1,
+        "min_snr": ratio.clamp(max=MIN_SNR_GAMMA),
+    }
+    weights: Tensor = per_latent_error[measure] / per_latent_error[prediction]
+    return weights
 
 
 def sample_ddim(

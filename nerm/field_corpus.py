@@ -25,6 +25,7 @@ def corpus_of(
     windows: Windows,
     store: Store,
     encoder: TextEncoder | None,
+    first_read: Float32[torch.Tensor, "latent"] | None = None,
 ) -> LatentCorpus:
     """Posteriors with their windows' captions (embedded, cached inside the store's cache folder) and actions."""
     sequences = store.columns("captions", "action")
@@ -38,6 +39,7 @@ def corpus_of(
         actions=actions_of_windows(windows, sequences),
         texts=texts,
         embeddings=_embeddings(encoder, texts, store.path / CACHE_FOLDER),
+        first_read=first_read,
     )
 
 

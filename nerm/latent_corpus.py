@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int64
+from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
 
 from nerm.conditions import NO_ACTION, ConditionLayout, Conditions
+from nerm.latent_reach import ALWAYS
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +29,20 @@ class LatentStatistics:
 
 
 def latent_statistics(
-    means: Float32[Tensor, "windows latent"], log_variances: Float32[Tensor, "windows latent"]
+    means: Float32[Tensor, "windows latent"],
+    log_variances: Float32[Tensor, "windows latent"],
+    in_use: Bool[Tensor, "windows latent"],
 ) -> LatentStatistics:
-    """Mean and deviation of z over all posteriors: Var z = Var μ_i + E σ_i²."""
-    wide = means.to(torch.float64)
-    variance = wide.var(dim=0, correction=0) + log_variances.to(torch.float64).exp().mean(dim=0)
-    return LatentStatistics(wide.mean(dim=0).to(torch.float32), variance.sqrt().clamp(min=1e-6).to(torch.float32))
+    """Mean and deviation of z over the posteriors of all windows that use a number: Var z = Var μ_i + E σ_i².
+
+    A number that no window uses gets mean 0 and deviation 1.
+    """
+    wide, counts = means.to(torch.float64), in_use.sum(dim=0)
+    share = in_use.to(torch.float64) / counts.clamp(min=1)
+    mean = (wide * share).sum(dim=0)
+    variance = ((wide - mean).square() * share).sum(dim=0) + (log_variances.to(torch.float64).exp() * share).sum(dim=0)
+    deviation = torch.where(counts > 0, variance.sqrt().clamp(min=1e-6), torch.ones_like(variance))
+    return LatentStatistics(mean.to(torch.float32), deviation.to(torch.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +50,8 @@ class LatentCorpus:
     """n posteriors with their conditions.
 
     `caption_rows` [n, most] leads into `text` [texts, dimension] (unit length), the first `num_captions` of each row
-    count; `action` is `NO_ACTION` where there is none; `duration` is in units of l_max.
+    count; `action` is `NO_ACTION` where there is none; `duration` is in units of l_max. `first_read` says from
+    when on the field reads each number (`nerm.latent_reach`).
     """
 
     means: Float32[Tensor, "windows latent"]
@@ -52,6 +62,7 @@ class LatentCorpus:
     num_captions: Int64[Tensor, "windows"]
     action: Int64[Tensor, "windows"]
     layout: ConditionLayout
+    first_read: Float32[Tensor, "latent"]
 
     def __len__(self) -> int:
         return len(self.means)
@@ -91,8 +102,12 @@ def latent_corpus(
     actions: Sequence[str],
     texts: Sequence[str],
     embeddings: Float32[np.ndarray, "texts dimension"],
+    first_read: Float32[Tensor, "latent"] | None = None,
 ) -> LatentCorpus:
-    """Bring captions and actions of all windows into index form; `embeddings` belong to the distinct `texts`."""
+    """Bring captions and actions of all windows into index form; `embeddings` belong to the distinct `texts`.
+
+    Without `first_read` every number of z is read at every instant.
+    """
     row_of = {text: row for row, text in enumerate(texts)}
     names = tuple(sorted({action for action in actions if action}))
     index_of = {name: index for index, name in enumerate(names)} | {"": NO_ACTION}
@@ -110,4 +125,5 @@ def latent_corpus(
         num_captions=torch.tensor([len(of_window) for of_window in captions], dtype=torch.int64),
         action=torch.tensor([index_of[action] for action in actions], dtype=torch.int64),
         layout=ConditionLayout(embeddings.shape[1], names),
+        first_read=torch.full((means.shape[1],), ALWAYS) if first_read is None else first_read,
     )

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float32
 
 from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest
+from motionkit.generation import GenerationRequest, SamplingOptions
 from motionkit.motionfield import MotionField
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.training.device import resolve_device
@@ -86,12 +86,12 @@ class NermModel:
         return encoder
 
     def generate(
-        self, requests: Sequence[GenerationRequest], *, seed: int, guidance_scale: float | None = None
+        self, requests: Sequence[GenerationRequest], *, seed: int, sampling: SamplingOptions = SamplingOptions()
     ) -> list[MotionField]:
         """One field per request, in order; request i follows from (seed, i) and itself alone.
 
-        `guidance_scale` is r of Eq. 6 (default: the recipe's). Raises `UsageError` for a duration outside (0, l_max],
-        an unknown action, or a text alone where it was trained without texts.
+        Raises `UsageError` for a duration outside (0, l_max], an unknown action, a text alone where it was trained
+        without texts, or sampling options that there are not.
         """
         if not requests:
             return []
@@ -103,7 +103,7 @@ class NermModel:
             action=torch.tensor([self.denoiser.layout.action_index(action) for action in actions]),
             duration=torch.tensor(durations, dtype=torch.float32) / self.max_duration_seconds,
         )
-        latents = self.denoiser.sample(conditions, seed=seed, guidance_scale=guidance_scale)
+        latents = self.denoiser.sample(conditions, seed=seed, sampling=sampling)
         return [
             self.field.as_motion_field(latent, duration) for latent, duration in zip(latents, durations, strict=True)
         ]

@@ -1,22 +1,25 @@
 """A trained denoiser as it rests in a run folder, and sampling latents with it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from jaxtyping import Float32, Float64
 from torch import Tensor
 
+from motionkit.errors import UsageError
+from motionkit.generation import SamplingOptions
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.run import RunFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, save_tensors, unprefixed
-from nerm.conditions import ConditionLayout, Conditions, guided_noise
+from nerm.conditions import ConditionLayout, Conditions, guided
 from nerm.denoiser import Denoiser
-from nerm.denoiser_config import DenoiserConfig
-from nerm.diffusion import cumulative_alphas, sample_ddim, sample_ddpm, sampling_steps
+from nerm.denoiser_config import SAMPLERS, DenoiserConfig
+from nerm.diffusion import cumulative_alphas, predicted_noise, sample_ddim, sample_ddpm, sampling_steps
 from nerm.latent_corpus import LatentStatistics
+from nerm.latent_reach import in_use
 
 STAGE_NAME = "denoiser"
 SAMPLES_PER_BATCH = 256
@@ -46,24 +49,38 @@ class TrainedDenoiser:
         return len(self.statistics.mean)
 
     def sample(
-        self, conditions: Conditions, *, seed: int, guidance_scale: float | None = None
+        self, conditions: Conditions, *, seed: int, sampling: SamplingOptions = SamplingOptions()
     ) -> Float32[Tensor, "batch latent"]:
         """One latent of the field per row of `conditions`.
 
         Row i draws from (seed, i) alone, so it doesn't depend on how many rows there are (but for the rounding of
-        batched sums). `guidance_scale` defaults to the configuration's.
+        batched sums). Numbers that a motion of the row's duration doesn't depend on are the training data's mean.
         """
-        scale = self.config.guidance_scale if guidance_scale is None else guidance_scale
+        config = self._with(sampling)
         generators = [step_generator(seed, "generate", row) for row in range(len(conditions.action))]
         found = []
         for first in range(0, len(generators), SAMPLES_PER_BATCH):
             rows = slice(first, first + SAMPLES_PER_BATCH)
-            found.append(self._sample_batch(conditions.rows(rows), generators[rows], scale))
+            found.append(self._sample_batch(config, conditions.rows(rows), generators[rows]))
         return torch.cat(found)
+
+    def _with(self, sampling: SamplingOptions) -> DenoiserConfig:
+        """The configuration with what was asked for in place of its own; raises `UsageError` for what cannot be."""
+        own = self.config.diffusion
+        steps = own.sampling_steps if sampling.steps is None else sampling.steps
+        if not 1 <= steps <= own.num_steps:
+            raise UsageError(f"{steps} sampling steps: this model's diffusion has 1 … {own.num_steps}")
+        if sampling.sampler not in (None, *SAMPLERS):
+            raise UsageError(f"no sampler is called {sampling.sampler!r}; there are {', '.join(SAMPLERS)}")
+        return replace(
+            self.config,
+            diffusion=replace(own, sampler=sampling.sampler or own.sampler, sampling_steps=steps),
+            guidance_scale=self.config.guidance_scale if sampling.guidance_scale is None else sampling.guidance_scale,
+        )
 
     @torch.inference_mode()
     def _sample_batch(
-        self, conditions: Conditions, generators: Sequence[torch.Generator], guidance_scale: float
+        self, config: DenoiserConfig, conditions: Conditions, generators: Sequence[torch.Generator]
     ) -> Float32[Tensor, "batch latent"]:
         def draw_noise() -> Float64[Tensor, "batch latent"]:
             drawn = [torch.randn(self.latent_dimension, generator=g, dtype=torch.float64) for g in generators]
@@ -71,18 +88,21 @@ class TrainedDenoiser:
 
         device = self.denoiser.positions.device
         on_device = conditions.to(device)
+        diffusion = config.diffusion
+        alphas, steps = cumulative_alphas(diffusion), sampling_steps(diffusion)
 
         def predict_noise(latents: Tensor, steps: Tensor) -> Tensor:
             noisy = latents.to(device, torch.float32)
-            return guided_noise(self.denoiser, noisy, steps.to(device), on_device, guidance_scale).to("cpu")
+            output = guided(self.denoiser, noisy, steps.to(device), on_device, config.guidance_scale)
+            alpha = float(alphas[int(steps[0])])
+            return predicted_noise(diffusion.prediction, output.to("cpu", torch.float64), latents, alpha)
 
-        diffusion = self.config.diffusion
-        alphas, steps = cumulative_alphas(diffusion), sampling_steps(diffusion)
         if diffusion.sampler == "ddim":
             latents = sample_ddim(predict_noise, draw_noise(), alphas, steps)
         else:
             latents = sample_ddpm(predict_noise, draw_noise(), alphas, steps, draw_noise)
-        return self.statistics.restore(latents.to(torch.float32))
+        used = in_use(self.denoiser.first_read.to("cpu"), conditions.duration)
+        return self.statistics.restore(latents.to(torch.float32) * used)
 
     def draw_durations(self, count: int, *, seed: int) -> Float32[Tensor, "count"]:
         """Durations drawn from the training windows', in units of l_max; number i follows from (seed, i)."""
@@ -132,7 +152,7 @@ def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> T
     layout = ConditionLayout(int(description["text_dimension"]), tuple(description["actions"]))
     statistics = LatentStatistics(tensors["latent_mean"], tensors["latent_deviation"])
     with seeded_initialisation(0, STAGE_NAME):
-        denoiser = Denoiser(config.network, len(statistics.mean), layout)
+        denoiser = Denoiser(config.network, tensors["denoiser.first_read"], layout)
     denoiser.load_state_dict(unprefixed("denoiser", tensors))
     return TrainedDenoiser(
         config=config,

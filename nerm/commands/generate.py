@@ -13,7 +13,7 @@ from motionkit.settings import default_path
 from motionkit.timegrid import parse_fps
 
 if TYPE_CHECKING:
-    from motionkit.generation import GenerationRequest, GenerativeModel
+    from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
 
 
 def generate(
@@ -31,6 +31,10 @@ def generate(
     out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("generated"),
     file_format: Annotated[str, typer.Option("--format", help="npz or bvh.")] = "npz",
     guidance: Annotated[float | None, typer.Option(help="Guidance scale r (Eq. 6) [the recipe's].")] = None,
+    sampler: Annotated[str | None, typer.Option(help="ddim or ddpm [the recipe's].")] = None,
+    sampling_steps: Annotated[
+        int | None, typer.Option(min=1, help="Diffusion steps visited [the recipe's; ddpm likes more].")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")] = 0,
     model: Annotated[str, typer.Option(help="Installed model.")] = "nerm",
     run: Annotated[str, typer.Option(help="Name of the run.")] = "nano",
@@ -46,12 +50,13 @@ def generate(
         raise UsageError("a BVH file has one framerate: --times goes with --format npz")
     wanted = None if fps is None else _read_fps(fps)
 
-    from motionkit.generation import load_model
+    from motionkit.generation import SamplingOptions, load_model
 
     loaded = load_model(model, (runs or default_path("runs")) / run)
     rate = wanted or loaded.max_training_fps
     warn_above_training(loaded, rate)
-    written = _write_all(loaded, requests, rate, instants, out, file_format, seed, guidance)
+    sampling = SamplingOptions(guidance, sampler, sampling_steps)
+    written = _write_all(loaded, requests, rate, instants, out, file_format, seed, sampling)
     if as_json:
         print_json({"model": loaded.name, "seed": seed, "motions": written})
         return
@@ -118,14 +123,14 @@ def _write_all(
     out: Path,
     file_format: str,
     seed: int,
-    guidance: float | None,
+    sampling: "SamplingOptions",
 ) -> list[dict[str, Any]]:
     """Generate and write one file per request; returns what was written, for people and for JSON."""
     import numpy as np
 
     from nerm.generated_files import file_name, sample_field, write_bvh_file, write_npz_file
 
-    fields = model.generate(requests, seed=seed, guidance_scale=guidance)
+    fields = model.generate(requests, seed=seed, sampling=sampling)
     out.mkdir(parents=True, exist_ok=True)
     written = []
     for index, (request, field) in enumerate(zip(requests, fields, strict=True)):

@@ -10,7 +10,7 @@ import pytest
 from eval.generated import Window, generate_fields, sample_fields, windows_of
 from eval.real import NoRealMotionError, RealMotion
 from eval.samples import sample_set
-from motionkit.generation import GenerationRequest
+from motionkit.generation import GenerationRequest, SamplingOptions
 from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22, Skeleton
 
@@ -56,7 +56,7 @@ class SwingModel:
     max_duration_seconds = 2.0
 
     def generate(
-        self, requests: Sequence[GenerationRequest], *, seed: int, guidance_scale: float | None = None
+        self, requests: Sequence[GenerationRequest], *, seed: int, sampling: SamplingOptions = SamplingOptions()
     ) -> list[SwingField]:
         return [SwingField(request.duration_seconds) for request in requests]
 

@@ -10,7 +10,7 @@ from nerm.conditions import (
     ConditionEmbedding,
     ConditionLayout,
     Conditions,
-    guided_noise,
+    guided,
     unit_rows,
 )
 
@@ -38,7 +38,7 @@ class Recorder:
 def test_guidance_is_equation_6_in_one_batch():
     denoiser, given_conditions = Recorder(), conditions()
     latents, steps = torch.randn(3, 4, generator=torch.Generator().manual_seed(1)), torch.full((3,), 7)
-    found = guided_noise(denoiser, latents, steps, given_conditions, 7.5)
+    found = guided(denoiser, latents, steps, given_conditions, 7.5)
     assert denoiser.batches == [6]
     with_condition = denoiser(latents, steps, given_conditions)
     without = denoiser(latents, steps, given_conditions.unconditional())
@@ -48,8 +48,8 @@ def test_guidance_is_equation_6_in_one_batch():
 def test_guidance_of_one_and_of_nothing_is_a_single_pass():
     denoiser, given_conditions = Recorder(), conditions()
     latents, steps = torch.zeros(3, 4), torch.full((3,), 7)
-    guided_noise(denoiser, latents, steps, given_conditions, 1.0)
-    guided_noise(denoiser, latents, steps, given_conditions.unconditional(), 7.5)
+    guided(denoiser, latents, steps, given_conditions, 1.0)
+    guided(denoiser, latents, steps, given_conditions.unconditional(), 7.5)
     assert denoiser.batches == [3, 3]
 
 

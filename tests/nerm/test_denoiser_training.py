@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from motionkit.errors import MotionkitError
+from motionkit.generation import SamplingOptions
 from motionkit.training.loop import train_loop
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.tensors import load_tensors, save_tensors
@@ -76,7 +77,7 @@ def test_texts_and_actions_lead_to_their_latents(mixture, guidance_scale):
         (conditions(100, action=model.layout.action_index("walk")), WALK_MEAN),
         (conditions(100, action=model.layout.action_index("jump")), JUMP_MEAN),
     ):
-        found = model.sample(given, seed=1, guidance_scale=guidance_scale)
+        found = model.sample(given, seed=1, sampling=SamplingOptions(guidance_scale))
         # The two means are 3 apart on the average; windows of one duration are few, and are learned by heart.
         assert float((found.mean(0) - expected).abs().max()) < 0.8
 
@@ -101,7 +102,7 @@ def test_ancestral_sampling_agrees_in_distribution(mixture):
     model, _ = mixture
     diffusion = replace(model.config.diffusion, sampler="ddpm", sampling_steps=100)
     ancestral = replace(model, config=replace(model.config, diffusion=diffusion))
-    found = ancestral.sample(conditions(100, text=2), seed=1, guidance_scale=1.0)
+    found = ancestral.sample(conditions(100, text=2), seed=1, sampling=SamplingOptions(1.0))
     assert float((found.mean(0) - JUMP_MEAN).abs().max()) < 0.8
 
 
@@ -152,7 +153,7 @@ def test_resuming_equals_not_stopping(tmp_path):
 
 def test_statistics_are_those_of_the_draws():
     corpus = mixture_corpus()
-    statistics = latent_statistics(corpus.means, corpus.log_variances)
+    statistics = latent_statistics(corpus.means, corpus.log_variances, torch.ones(corpus.means.shape, dtype=torch.bool))
     rows = torch.arange(len(corpus)).repeat(400)
     drawn = statistics.standardise(corpus.draw(rows, torch.Generator().manual_seed(0)))
     torch.testing.assert_close(drawn.mean(0), torch.zeros(8), atol=0.02, rtol=0)

@@ -42,7 +42,7 @@ class Drift:
 class DriftModel:
     name, skeleton, max_training_fps, max_duration_seconds = "Drift", SMPL22, Fraction(120), 10.0
 
-    def generate(self, requests, *, seed, guidance_scale=None):
+    def generate(self, requests, *, seed, sampling=None):
         return [
             Drift(seed + index / 10, 3.0 if request.duration_seconds is None else request.duration_seconds)
             for index, request in enumerate(requests)

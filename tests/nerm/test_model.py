@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest, GenerativeModel
+from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.motionfield import Poses, check_times, to_motion
 from motionkit.skeleton import SMPL22
 from motionkit.training.randomness import seeded_initialisation
@@ -17,6 +17,7 @@ from nerm.conditions import ConditionLayout
 from nerm.denoiser import Denoiser
 from nerm.denoiser_config import DenoiserConfig, DiffusionConfig, TransformerConfig
 from nerm.latent_corpus import LatentStatistics
+from nerm.latent_reach import ALWAYS
 from nerm.model import NermModel
 from nerm.trained_denoiser import TrainedDenoiser
 
@@ -58,7 +59,7 @@ class KnownField:
 def known_model(text_fingerprint: str = "") -> NermModel:
     layout = ConditionLayout(text_dimension=6, actions=("jump", "walk"))
     with seeded_initialisation(0, "test"):
-        denoiser = Denoiser(NETWORK, 4, layout)
+        denoiser = Denoiser(NETWORK, torch.full((4,), ALWAYS), layout)
     trained = TrainedDenoiser(
         config=DenoiserConfig(network=NETWORK, diffusion=DiffusionConfig(sampling_steps=5), guidance_scale=2.0),
         denoiser=denoiser.eval(),
@@ -127,9 +128,19 @@ def test_seeds_and_requests_decide(encoder):
     assert torch.equal(first, latents(0))
     assert not torch.allclose(first, latents(1))
     assert not torch.allclose(first[0], first[2])
-    assert not torch.allclose(first, latents(0, guidance_scale=5.0))
-    torch.testing.assert_close(first, latents(0, guidance_scale=2.0), rtol=0, atol=0)
-    assert encoder.seen == ["a jump", "a walk"] * 5
+    for other in (SamplingOptions(guidance_scale=5.0), SamplingOptions(sampler="ddpm"), SamplingOptions(steps=4)):
+        assert not torch.allclose(first, latents(0, sampling=other))
+    torch.testing.assert_close(first, latents(0, sampling=SamplingOptions(2.0, "ddim", 5)), rtol=0, atol=0)
+    assert encoder.seen == ["a jump", "a walk"] * 7
+
+
+@pytest.mark.parametrize(
+    ("sampling", "why"),
+    [(SamplingOptions(sampler="euler"), "ddim, ddpm"), (SamplingOptions(steps=1001), "has 1 … 1000")],
+)
+def test_sampling_that_there_is_not_is_explained(sampling, why):
+    with pytest.raises(UsageError, match=why):
+        known_model().generate([GenerationRequest(1.0)], seed=0, sampling=sampling)
 
 
 def test_durations_come_from_the_data_where_none_is_asked_for():

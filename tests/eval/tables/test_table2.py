@@ -13,7 +13,7 @@ from eval.report.results import Result
 from eval.tables import table2
 from eval.tables.registry import TableRequest, find_table, installed_tables
 from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest
+from motionkit.generation import GenerationRequest, SamplingOptions
 from motionkit.motion import Caption, Motion
 from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22
@@ -55,7 +55,7 @@ class Truth:
     max_duration_seconds = 10.0
 
     def generate(
-        self, requests: Sequence[GenerationRequest], *, seed: int, guidance_scale: float | None = None
+        self, requests: Sequence[GenerationRequest], *, seed: int, sampling: SamplingOptions = SamplingOptions()
     ) -> list[TruthField]:
         return [TruthField(int(request.text), request.duration_seconds or 4.0) for request in requests]
 
