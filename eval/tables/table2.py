@@ -236,7 +236,7 @@ def _block(
         if isinstance(features, KinematicDescriptor):
             features.save(_made(request.results / "features") / f"kinematic-{features.fingerprint}.npz")
         for name, score in _scores(column, features, source, protocol, display, missing).items():
-            cells.setdefault(name, {})[label] = _cell(score)
+            cells.setdefault(name, {})[label] = clip_fid_cell(score)
     references = {P1, P2, SLERP, VECTORS}
     order = [P1, P2, SLERP, VECTORS, *(name for name in cells if name not in references)]
     rows = tuple(
@@ -284,7 +284,8 @@ def _scores(
     return scores
 
 
-def _cell(score: ClipFid) -> Cell:
+def clip_fid_cell(score: ClipFid) -> Cell:
+    """A score as a table shows it, with its parts and further metrics as details."""
     parts = {f"FID of the {name} block alone": value.mean for name, value in score.parts.items()}
     details = {DETAIL_NAMES[name]: value.mean for name, value in score.details.items()}
     return Cell(score.clip_fid.mean, score.clip_fid.ci95, parts | details)

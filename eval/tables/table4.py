@@ -30,17 +30,18 @@ COUNT = "windows"
 
 
 @dataclass(frozen=True, eq=False)
-class _Encoded:
-    """Windows with a latent each."""
+class EncodedWindows:
+    """Windows of a source with a latent each."""
 
     source: "PositionSource"
     windows: "Windows"
     latents: "torch.Tensor"
 
-    def select(self, rows: "np.ndarray") -> "_Encoded":
+    def select(self, rows: "np.ndarray") -> "EncodedWindows":
+        """Some of them."""
         import torch
 
-        return _Encoded(self.source, self.windows.select(rows), self.latents[torch.from_numpy(rows)])
+        return EncodedWindows(self.source, self.windows.select(rows), self.latents[torch.from_numpy(rows)])
 
 
 def build_table4(request: TableRequest) -> Result:
@@ -61,7 +62,10 @@ def build_table4(request: TableRequest) -> Result:
         )
     rates = request.fps or COLUMNS
     missing: list[str] = []
-    sets = {TRAINING: _training(trained, store, request), HELD_OUT: _held_out(trained, store, request, missing)}
+    sets = {
+        TRAINING: training_windows(trained, store, request),
+        HELD_OUT: held_out_windows(trained, store, request, missing),
+    }
     blocks = (
         _block("Takes fast enough for every column", trained, sets, rates, same=True, missing=missing),
         _block("All takes at least as fast as the column", trained, sets, rates, same=False, missing=missing),
@@ -98,16 +102,20 @@ def build_table4(request: TableRequest) -> Result:
 TABLE = Table("nerm", "4", "reconstruction MPJPE by framerate", build_table4)
 
 
-def _training(trained: "TrainedField", store: "Store", request: TableRequest) -> _Encoded:
+def training_windows(trained: "TrainedField", store: "Store", request: TableRequest) -> EncodedWindows:
+    """A sample of the windows that a field was trained on, with their posterior means."""
     from motionkit.store.cache import open_cache
     from nerm.reconstruction import separate_windows
 
     source = open_cache(store, layout="smpl22", where=trained.config.where or None)
-    everything = _Encoded(source, trained.windows, trained.posterior_mean)
+    everything = EncodedWindows(source, trained.windows, trained.posterior_mean)
     return everything.select(_sample(separate_windows(trained.windows), trained.windows, request))
 
 
-def _held_out(trained: "TrainedField", store: "Store", request: TableRequest, missing: list[str]) -> _Encoded | None:
+def held_out_windows(
+    trained: "TrainedField", store: "Store", request: TableRequest, missing: list[str]
+) -> EncodedWindows | None:
+    """A sample of another split's windows, encoded against the frozen field; None, with a reason, where there is none."""
     from motionkit.clips import cut_windows
     from motionkit.store.cache import open_cache
     from nerm.reconstruction import encode_windows, separate_windows
@@ -125,7 +133,7 @@ def _held_out(trained: "TrainedField", store: "Store", request: TableRequest, mi
         missing.append(f"{HELD_OUT}: {error}")
         return None
     windows = windows.select(_sample(separate_windows(windows), windows, request))
-    return _Encoded(source, windows, encode_windows(trained, source, windows))
+    return EncodedWindows(source, windows, encode_windows(trained, source, windows))
 
 
 def _sample(rows: "np.ndarray", windows: "Windows", request: TableRequest) -> "np.ndarray":
@@ -143,7 +151,7 @@ def _sample(rows: "np.ndarray", windows: "Windows", request: TableRequest) -> "n
 def _block(
     title: str,
     trained: "TrainedField",
-    sets: dict[str, _Encoded | None],
+    sets: dict[str, EncodedWindows | None],
     rates: Sequence[Fraction],
     *,
     same: bool,
