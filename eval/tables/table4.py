@@ -115,7 +115,7 @@ def training_windows(trained: "TrainedField", store: "Store", request: TableRequ
 def held_out_windows(
     trained: "TrainedField", store: "Store", request: TableRequest, missing: list[str]
 ) -> EncodedWindows | None:
-    """A sample of another split's windows, encoded against the frozen field; None, with a reason, where there is none."""
+    """A sample of another split's windows, encoded against the frozen field; None where there is none."""
     from motionkit.clips import cut_windows
     from motionkit.store.cache import open_cache
     from nerm.reconstruction import encode_windows, separate_windows

@@ -1,4 +1,4 @@
-"""Every row of the paper's ablation tables is a value of the configuration, and trains."""
+"""Every row of the ablation tables is a value of the configuration, trains, and differs in what it says alone."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -11,12 +11,12 @@ from eval.reported import reported_figures
 from motionkit.clips import WindowPoses
 from motionkit.errors import UsageError
 from motionkit.skeleton import SMPL22
-from motionkit.training.config import apply_overrides
+from motionkit.training.config import apply_overrides, flatten, parse_override
 from motionkit.training.randomness import step_generator
-from nerm.ablations import ABLATIONS, Ablation
+from nerm.ablations import ABLATIONS, GLOBAL, LOCAL, Variant, command_for, find_ablation, run_name
 from nerm.field_training import FieldTraining
 from nerm.field_windows import remarks, training_windows
-from nerm.recipes import RECIPES, FieldConfig, NermConfig
+from nerm.recipes import RECIPES, FieldConfig, NermConfig, nano, paper
 from tests.nerm.corpus import MemorySource, analytic_source
 
 CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
@@ -35,6 +35,7 @@ SMALLER = (
     "field.precision=float32",
 )
 LAYOUTS = ("global", "local")
+VARIANTS = sorted({variant for ablation in ABLATIONS.values() for variant in ablation.variants}, key=lambda v: v.name)
 
 
 def _settings(recipe: str, *changes: str) -> FieldConfig:
@@ -57,9 +58,9 @@ def _losses(training: FieldTraining) -> list[float]:
 
 
 @pytest.mark.parametrize("recipe", ["paper", "nano"])
-@pytest.mark.parametrize("ablation", ABLATIONS, ids=lambda each: f"{each.table} {each.row}")
-def test_every_row_trains(ablation: Ablation, recipe: str) -> None:
-    losses = _losses(_training(_settings(recipe, *ablation.settings)))
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
+def test_every_variant_trains(variant: Variant, recipe: str) -> None:
+    losses = _losses(_training(_settings(recipe, *variant.settings)))
     assert np.isfinite(losses).all()
     assert np.mean(losses[-3:]) < np.mean(losses[:3])
 
@@ -75,7 +76,58 @@ def test_every_time_encoding_trains_with_either_layout(encoding: str, layout: st
 def test_the_rows_are_those_of_the_paper_s_tables(table: str) -> None:
     figures = reported_figures("nerm", table)
     printed = {each.setting.partition(";")[2] or each.method for each in figures}
-    assert {each.row for each in ABLATIONS if each.table == table} == printed
+    assert {entry.reported for entry in find_ablation(table).entries} - {""} == printed
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
+@pytest.mark.parametrize("recipe", sorted(RECIPES))
+def test_a_variant_differs_from_its_layout_in_what_it_says(variant: Variant, recipe: str) -> None:
+    base = Variant("base", variant.layout).configure(RECIPES[recipe]())
+    ours = variant.configure(RECIPES[recipe]())
+    assert ours.field.latent_layout == variant.layout
+    was, now = flatten(base), flatten(ours)
+    changed = {key for key in now if now[key] != was[key]}
+    assert changed <= {parse_override(setting)[0] for setting in variant.change}
+
+
+def test_names_of_variants_are_names_of_runs() -> None:
+    assert len({variant.name for variant in VARIANTS}) == len(VARIANTS)
+    assert run_name("nano", GLOBAL, 0) == "nano-global"
+    assert run_name("nano", GLOBAL, 3) == "nano-global-seed3"
+    assert command_for("5", "short", GLOBAL) == "motionkit ablate 5 --run short --only global"
+
+
+@pytest.mark.parametrize("table", ["5", "6", "7", "8", "9"])
+def test_the_full_model_of_the_paper_s_layout_is_in_every_table_of_the_paper(table: str) -> None:
+    assert GLOBAL in find_ablation(table).variants
+
+
+def test_the_rows_of_a_table_are_different_trainings() -> None:
+    for ablation in ABLATIONS.values():
+        configs = {variant.configure(nano()) for variant in ablation.variants}
+        assert len(configs) == len(ablation.variants), ablation.table
+
+
+def test_the_global_layout_of_the_paper_s_recipe_is_the_recipe() -> None:
+    assert GLOBAL.configure(paper()) == paper()
+
+
+def test_the_local_layout_of_nano_is_nano() -> None:
+    assert LOCAL.configure(nano()) == nano()
+
+
+def test_overrides_are_shared_but_not_those_of_what_is_varied() -> None:
+    non_variational = next(variant for variant in VARIANTS if variant.name == "global-non-variational")
+    config = non_variational.configure(nano(), ["field.steps=7"], "fps >= 60")
+    assert config.field.steps == 7
+    assert config.field.where == config.codebook.where == "(split = 'train') AND (fps >= 60)"
+    with pytest.raises(UsageError, match=r"field\.variational.*what 'global-non-variational' varies"):
+        non_variational.configure(nano(), ["field.variational=true"])
+
+
+def test_an_unknown_table_is_told_with_those_there_are() -> None:
+    with pytest.raises(UsageError, match=r"no ablation '4'; there are: 5 \(time encoding\), 6"):
+        find_ablation("4")
 
 
 def test_frame_numbers_and_knots_exclude_each_other() -> None:

@@ -1,0 +1,140 @@
+"""`motionkit ablate`: train the variants that an ablation table is made of."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from motionkit.console import print_json, stderr, stdout
+from motionkit.errors import MotionkitError, UsageError
+from motionkit.settings import default_path
+from nerm.ablations import ABLATIONS, Ablation, Stage, Variant, find_ablation, run_name
+from nerm.recipes import RECIPES, NermConfig
+
+
+def ablate(
+    tables: Annotated[list[str] | None, typer.Argument(help="Tables of the paper: 5 6 7 8 9; ours; or all.")] = None,
+    listing: Annotated[bool, typer.Option("--list", help="Say what there is and what is trained; train nothing.")] = (
+        False
+    ),
+    only: Annotated[str | None, typer.Option(metavar="NAME,…", help="These variants alone: global-fourier,…")] = None,
+    recipe: Annotated[str, typer.Option(help="Named configuration that is varied: nano, demo, paper.")] = "nano",
+    store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
+    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
+    run: Annotated[str | None, typer.Option(help="Runs are called RUN-VARIANT; the recipe's name by default.")] = None,
+    stage: Annotated[str, typer.Option(help="all that the table needs, or field: reconstruction alone.")] = "all",
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="For every variant: field.steps=600.")
+    ] = None,
+    where: Annotated[
+        str | None, typer.Option(metavar="SQL", help="Train only on sequences for which this holds too.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Train again what is complete.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Any but 0 makes runs of its own, RUN-VARIANT-seedN.")] = 0,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1 …")] = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="Print the runs' summaries as JSON.")] = False,
+) -> None:
+    """Train all variants of an ablation, a run each; what is complete is kept, what was stopped goes on."""
+    chosen = [find_ablation(table) for table in _named(tables or [])]
+    folder, prefix = runs or default_path("runs"), run or recipe
+    if listing:
+        _list(chosen or list(ABLATIONS.values()), folder, prefix, seed, as_json)
+        return
+    if not chosen:
+        raise UsageError(f"name a table: {', '.join(ABLATIONS)}, or all (motionkit ablate --list says what they vary)")
+    jobs = _jobs(chosen, only, stage)
+    base = _recipe(recipe)
+    configs = {variant.name: variant.configure(base, overrides or [], where) for variant, _ in jobs}
+
+    from motionkit.store.manifest import read_manifest
+
+    store_path = store or default_path("store")
+    read_manifest(store_path)  # a store that is missing is told before anything heavy is imported
+    from nerm.ablation_training import Sweep
+
+    sweep = Sweep(store_path, folder, prefix, recipe, seed=seed, overwrite=overwrite, device=device)
+    trained = _train_all(sweep, jobs, configs, as_json)
+    if as_json:
+        print_json({"runs": str(folder), "trained": trained})
+    if len(trained) < len(jobs):
+        raise MotionkitError(f"{len(jobs) - len(trained)} of {len(jobs)} variants failed; the same command tries again")
+
+
+def _named(tables: list[str]) -> list[str]:
+    return list(ABLATIONS) if "all" in tables else list(dict.fromkeys(tables))
+
+
+def _recipe(name: str) -> NermConfig:
+    if name not in RECIPES:
+        raise UsageError(f"there is no recipe {name!r}: {', '.join(RECIPES)}")
+    return RECIPES[name]()
+
+
+def _jobs(chosen: list[Ablation], only: str | None, stage: str) -> list[tuple[Variant, tuple[Stage, ...]]]:
+    """Every variant of the tables once, with the stages that any of them needs."""
+    if stage not in ("all", "field"):
+        raise UsageError(f"--stage {stage}: all or field")
+    stages: dict[Variant, tuple[Stage, ...]] = {}
+    for ablation in chosen:
+        for variant in ablation.variants:
+            needed = ablation.stages if stage == "all" else ("field",)
+            stages[variant] = max(stages.get(variant, ()), needed, key=len)
+    if only is None:
+        return list(stages.items())
+    names = [name.strip() for name in only.split(",")]
+    known = {variant.name: variant for variant in stages}
+    for name in names:
+        if name not in known:
+            raise UsageError(f"--only {name}: no such variant in the tables named; there are: {', '.join(known)}")
+    return [(known[name], stages[known[name]]) for name in dict.fromkeys(names)]
+
+
+def _train_all(
+    sweep: Any, jobs: list[tuple[Variant, tuple[Stage, ...]]], configs: dict[str, NermConfig], as_json: bool
+) -> list[dict[str, Any]]:
+    """All jobs in order; one that fails is told on stderr and does not stop the others."""
+    from nerm.ablation_training import train_variant
+
+    trained = []
+    for number, (variant, stages) in enumerate(jobs, start=1):
+        stderr.print(f"{number} of {len(jobs)}: {run_name(sweep.prefix, variant, sweep.seed)}", markup=False)
+        try:
+            outcome = train_variant(sweep, variant, configs[variant.name], stages)
+        except MotionkitError as error:
+            stderr.print(f"motionkit: {variant.name}: {error}", markup=False)
+            continue
+        trained.append(outcome)
+        if not as_json:
+            losses = ", ".join(f"{name} loss {summary['loss']:.4g}" for name, summary in outcome["stages"].items())
+            stdout.print(f"{outcome['run']}: {losses}, {outcome['cpu_seconds']:.0f} CPU seconds", markup=False)
+    return trained
+
+
+def _list(chosen: list[Ablation], runs: Path, prefix: str, seed: int, as_json: bool) -> None:
+    from motionkit.training.run import RunFolder
+
+    rows = []
+    for ablation in chosen:
+        for entry in ablation.entries:
+            name = run_name(prefix, entry.variant, seed)
+            complete = [stage for stage in ablation.stages if RunFolder(runs / name).stage(stage).is_complete]
+            rows.append(
+                {
+                    "table": ablation.table,
+                    "row": entry.label,
+                    "variant": entry.variant.name,
+                    "settings": list(entry.variant.change),
+                    "run": name,
+                    "complete": complete,
+                    "needed": list(ablation.stages),
+                }
+            )
+    if as_json:
+        print_json(rows)
+        return
+    for ablation in chosen:
+        stdout.print(f"{ablation.table}: {ablation.title}", markup=False)
+        for row in (row for row in rows if row["table"] == ablation.table):
+            state = " and ".join(row["complete"]) or "not trained"
+            settings = " ".join(row["settings"]) or "the recipe's own settings"
+            stdout.print(f"  {row['variant']:24} {settings:34} {state}", markup=False)

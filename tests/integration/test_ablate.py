@@ -1,0 +1,137 @@
+"""`motionkit ablate` on a tiny store: a table's variants by one command, which goes on and tells what fails."""
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from motionkit.errors import MotionkitError, UsageError
+from motionkit.motion import Motion
+from motionkit.skeleton import SMPL22
+from motionkit.store.writer import StoreWriter
+from motionkit.timegrid import TimeGrid
+from nerm.commands.ablate import ablate
+from tests.nerm.corpus import analytic_positions
+
+TINY = (
+    "codebook.steps=3",
+    "codebook.width=8",
+    "codebook.code_dimension=8",
+    "codebook.num_codes=8",
+    "codebook.batch=4",
+    "codebook.window_frames=32",
+    "field.steps=4",
+    "field.batch=4",
+    "field.hidden=16",
+    "field.layers=2",
+    "field.num_queries=4",
+    "field.num_frequencies=4",
+    "field.max_duration_seconds=3",
+    "field.precision=float32",
+    "denoiser.text_encoder=none",
+    "denoiser.steps=3",
+    "denoiser.batch=4",
+    "denoiser.network.num_layers=3",
+    "denoiser.network.width=16",
+    "denoiser.network.ffn_width=16",
+)
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a store of six short motions."""
+    folder = tmp_path_factory.mktemp("ablate")
+    with StoreWriter.create(folder / "store") as writer:
+        for index, rate in enumerate((120, 30, 60, 120, 120, 60)):
+            grid = TimeGrid(Fraction(rate), 3 * rate + 1)
+            positions = analytic_positions(grid.seconds(), index % 4)
+            split = "test" if index >= 4 else "train"
+            writer.add(Motion(positions, SMPL22, grid, split=split, sequence_id=f"walk-{index}"))
+    return folder
+
+
+def command(project: Path, *arguments: str, settings: tuple[str, ...] = TINY) -> str:
+    app = typer.Typer()
+    app.command()(ablate)
+    places = ("--store", str(project / "store"), "--runs", str(project / "runs"))
+    sets = [part for setting in settings for part in ("--set", setting)]
+    result = CliRunner().invoke(app, [*arguments, *places, *sets], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.stdout
+
+
+def summaries(project: Path) -> dict[str, int]:
+    return {
+        str(path.parent.relative_to(project / "runs")): path.stat().st_mtime_ns
+        for path in (project / "runs").rglob("summary.json")
+    }
+
+
+def test_variants_of_two_tables_are_trained_once_and_kept(project: Path) -> None:
+    both = ("6", "7", "--only", "global,global-transformer")
+    lines = command(project, *both).splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["nano-global", "nano-global-transformer"]
+    assert all("field loss" in line and "denoiser loss" in line and "CPU seconds" in line for line in lines)
+    trained = summaries(project)
+    assert {"nano/codebook", "nano-global/codebook", "nano-global/field", "nano-global/denoiser"} <= set(trained)
+    codes = {path.read_bytes() for path in (project / "runs").glob("*/codebook/model.safetensors")}
+    assert len(codes) == 1
+    again = json.loads(command(project, *both, "--json"))
+    assert [each["variant"] for each in again["trained"]] == ["global", "global-transformer"]
+    assert summaries(project) == trained
+
+
+def test_a_seed_has_its_own_run_and_overwrite_leaves_what_it_does_not_name(project: Path) -> None:
+    arguments = ("8", "--only", "global", "--run", "again")
+    command(project, *arguments)
+    before = summaries(project)
+    assert "again-global/denoiser" not in before
+    other = json.loads(command(project, *arguments, "--seed", "2", "--json"))
+    assert [(each["run"], list(each["stages"])) for each in other["trained"]] == [("again-global-seed2", ["field"])]
+    command(project, *arguments, "--overwrite")
+    after = summaries(project)
+    assert after["again-global/field"] > before["again-global/field"]
+    assert after["again-global/codebook"] == before["again-global/codebook"]
+
+
+def test_what_was_trained_with_other_settings_does_not_stop_the_others(project: Path) -> None:
+    arguments = ("8", "--run", "mixed", "--stage", "field", "--only")
+    command(project, *arguments, "global")
+    with pytest.raises(MotionkitError, match="1 of 2 variants failed"):
+        command(project, *arguments, "global,global-d-128", settings=(*TINY, "field.steps=5"))
+    assert "mixed-global-d-128/field" in summaries(project)
+    assert "mixed-global-d-128/denoiser" not in summaries(project)
+
+
+def test_a_list_trains_nothing(tmp_path: Path) -> None:
+    app = typer.Typer()
+    app.command()(ablate)
+    result = CliRunner().invoke(app, ["--list", "--runs", str(tmp_path)], catch_exceptions=False)
+    assert "global-fourier" in result.stdout
+    assert "field.time_encoding=fourier" in result.stdout
+    assert "not trained" in result.stdout
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "name a table: 5, 6"),
+        (("4",), "there is no ablation '4'"),
+        (("5", "--only", "global,nobody"), "--only nobody: no such variant"),
+        (("5", "--stage", "codebook"), "--stage codebook: all or field"),
+        (("5", "--recipe", "giant"), "no recipe 'giant': nano"),
+        (("5", "--set", "field.nothing=1"), "no setting is called 'field.nothing'"),
+        (("5", "--set", "field.time_encoding=none"), "varies"),
+        (("5", "--store", "nowhere"), "nowhere"),
+    ],
+)
+def test_faults_are_told_before_anything_is_trained(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    app = typer.Typer()
+    app.command()(ablate)
+    with pytest.raises((UsageError, MotionkitError), match=message):
+        CliRunner().invoke(app, [*arguments, "--runs", str(tmp_path)], catch_exceptions=False)
+    assert not list(tmp_path.iterdir())
