@@ -6,6 +6,12 @@ from pathlib import Path
 import pytest
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--record-golden", action="store_true", help="Write the losses of the tiny trainings instead of comparing them."
+    )
+
+
 @pytest.fixture(scope="session")
 def captures() -> Path:
     """Folder of the real captures (MOTIONKIT_CAPTURES)."""

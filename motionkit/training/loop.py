@@ -16,23 +16,29 @@ import torch
 
 from motionkit.console import progress
 from motionkit.training.randomness import step_generator
+from motionkit.training.ranks import Ranks
 from motionkit.training.run import RunError, StageFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, save_tensors, unprefixed
+
+ALONE = Ranks()
 
 
 @runtime_checkable
 class Trainable(Protocol):
-    """Something that gets better step by step."""
+    """Something that gets better step by step.
+
+    With several ranks each has a part of the batch; gradients are added up inside `step`, figures by the loop.
+    """
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
-        """Do one whole step (batch, loss, optimiser) and return its figures as scalar tensors.
+        """Do one whole step (batch, loss, optimiser) and return its figures, this rank's part of them, as scalars.
 
-        `step` counts from 0; all randomness comes from `generator` (on the CPU).
+        `step` counts from 0; all randomness comes from `generator` (on the CPU, the same on every rank).
         """
         ...
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
-        """All that a later step depends on: weights, optimiser moments, averages."""
+        """All that a later step depends on: weights, optimiser moments, averages; whole on the first rank."""
         ...
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
@@ -48,36 +54,37 @@ def train_loop(
     seed: int,
     log_every: int = 50,
     checkpoint_seconds: float = 60.0,
+    ranks: Ranks = ALONE,
 ) -> dict[str, float]:
     """Train to `steps`, from the folder's checkpoint where there is one; returns the last logged figures.
 
-    Figures are means over the steps since the last line of metrics.jsonl. Ctrl-C ends the current step, saves a
-    checkpoint and raises `KeyboardInterrupt`. Raises `RunError` where a loss is not finite (the last checkpoint stays)
-    and `CheckpointError` where the checkpoint is of something else.
+    Figures are means over the steps since the last line of metrics.jsonl. Ctrl-C or SIGTERM ends the current step,
+    saves a checkpoint and raises `KeyboardInterrupt`. Raises `RunError` where a loss is not finite (the last checkpoint
+    stays) and `CheckpointError` where the checkpoint is damaged or of something else. Only the first rank writes, and
+    only it knows the figures.
     """
     purpose = folder.path.name
-    first, sums = _restore(trainable, folder)
-    latest = folder.read_metrics()[-1] if folder.read_metrics() else {}
-    started, saved = time.perf_counter(), time.perf_counter()
+    first, figures = _restore(trainable, folder, ranks)
+    latest = (folder.read_metrics() or [{}])[-1]
+    saved = time.perf_counter()
+    started = saved - latest.get("seconds", 0.0)
     with progress() as display, _interrupts() as interrupted:
-        task = display.add_task(purpose, total=steps, completed=first, note="")
+        task = display.add_task(purpose, total=steps, completed=first, note="", visible=ranks.is_first)
         for step in range(first, steps):
-            for name, value in trainable.step(step, step_generator(seed, purpose, step)).items():
-                sums[name] = sums.get(name, torch.zeros((), dtype=torch.float64)) + value.detach().to(
-                    "cpu", torch.float64
-                )
+            figures.add(trainable.step(step, step_generator(seed, purpose, step)))
             done = step + 1
-            stop = interrupted.is_set()
-            save = done == steps or stop or time.perf_counter() - saved > checkpoint_seconds
-            if save or done % log_every == 0:
-                _check_finite(folder, sums, done)
-            if done % log_every == 0 or done == steps:
-                latest = _log(folder, sums, done, log_every, time.perf_counter() - started)
-                sums = {}
+            stop, due = ranks.agree(interrupted.is_set(), time.perf_counter() - saved > checkpoint_seconds)
+            log, save = done % log_every == 0 or done == steps, done == steps or stop or due
+            if log or save:
+                figures.collect(ranks, folder, done)
+            if log:
+                latest = {"step": float(done), "seconds": round(time.perf_counter() - started, 3)} | figures.means(done)
+                figures = _Figures({}, since=done)
                 display.update(task, note=" ".join(f"{name} {latest[name]:.4g}" for name in list(latest)[2:5]))
+            if log and ranks.is_first:
+                folder.append_metrics(latest)
             if save:
-                tensors = prefixed("state", trainable.state_tensors()) | prefixed("sums", sums)
-                save_tensors(folder.checkpoint_path, tensors, {"step": done, "stage": purpose})
+                _save(trainable, folder, ranks, done, figures)
                 saved = time.perf_counter()
             if stop:
                 raise KeyboardInterrupt
@@ -85,53 +92,89 @@ def train_loop(
     return latest
 
 
-def _restore(trainable: Trainable, folder: StageFolder) -> tuple[int, dict[str, torch.Tensor]]:
-    if not folder.checkpoint_path.is_file():
-        folder.truncate_metrics(0)
-        return 0, {}
-    tensors, description = load_tensors(folder.checkpoint_path)
+class _Figures:
+    """Sums of the steps' figures since the last line of metrics.jsonl, which was written after step `since`."""
+
+    def __init__(self, sums: Mapping[str, torch.Tensor], since: int) -> None:
+        self.sums = dict(sums)
+        self.since = since
+
+    def add(self, values: Mapping[str, torch.Tensor]) -> None:
+        """Take in a step's figures; sums stay on the device, where nothing waits for them."""
+        for name, value in values.items():
+            figure = value.detach().double()
+            self.sums[name] = self.sums[name].to(figure.device) + figure if name in self.sums else figure
+
+    def collect(self, ranks: Ranks, folder: StageFolder, done: int) -> None:
+        """Bring the sums of all ranks to the first one; raises `RunError` on all where one is not finite."""
+        totals = torch.stack(list(self.sums.values())).cpu()
+        ranks.add_up([totals])
+        for name, total in zip(self.sums, totals, strict=True):
+            if not torch.isfinite(total):
+                raise RunError(
+                    f"{folder.path}: {name} is not finite shortly before step {done}; use a lower learning rate "
+                    f"(a checkpoint from before, where there is one, stays)"
+                )
+        self.sums = dict(zip(self.sums, totals if ranks.is_first else torch.zeros_like(totals), strict=True))
+
+    def means(self, done: int) -> dict[str, float]:
+        """Means over the steps up to `done`."""
+        return {name: float(total) / (done - self.since) for name, total in self.sums.items()}
+
+
+def _save(trainable: Trainable, folder: StageFolder, ranks: Ranks, done: int, figures: _Figures) -> None:
+    tensors = prefixed("state", trainable.state_tensors()) | prefixed("sums", figures.sums)
+    if ranks.is_first:
+        description = {"step": done, "stage": folder.path.name, "logged": figures.since}
+        save_tensors(folder.checkpoint_path, tensors, description)
+
+
+def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[int, _Figures]:
+    """Go back to the checkpoint, where there is one; returns its step and the figures since the last logged one."""
+    path = folder.checkpoint_path
+    if not path.is_file():
+        ranks.on_first(lambda: folder.truncate_metrics(0))
+        return 0, _Figures({}, since=0)
+    mend = "train the stage again with --overwrite"
+    try:
+        tensors, description = load_tensors(path)
+    except CheckpointError as error:
+        raise CheckpointError(f"{error}: {mend}") from None
     if description.get("stage") != folder.path.name:
-        raise CheckpointError(f"{folder.checkpoint_path} is of stage {description.get('stage')!r}")
-    trainable.load_state_tensors(unprefixed("state", tensors))
-    step = int(description["step"])
-    folder.truncate_metrics(step)
-    return step, unprefixed("sums", tensors)
-
-
-def _log(
-    folder: StageFolder, sums: Mapping[str, torch.Tensor], done: int, log_every: int, seconds: float
-) -> dict[str, float]:
-    count = (done - 1) % log_every + 1
-    means = {name: float(total) / count for name, total in sums.items()}
-    line = {"step": float(done), "seconds": round(seconds, 3), **means}
-    folder.append_metrics(line)
-    return line
-
-
-def _check_finite(folder: StageFolder, sums: Mapping[str, torch.Tensor], done: int) -> None:
-    broken = [name for name, total in sums.items() if not torch.isfinite(total)]
-    if broken:
-        raise RunError(
-            f"{folder.path}: {broken[0]} is not finite shortly before step {done}; use a lower learning rate "
-            f"(a checkpoint from before, where there is one, stays)"
-        )
+        raise CheckpointError(f"{path} is of stage {description.get('stage')!r}, not {folder.path.name!r}: {mend}")
+    try:
+        step, logged = int(description["step"]), int(description["logged"])
+        trainable.load_state_tensors(unprefixed("state", tensors))
+    except (KeyError, RuntimeError, ValueError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise CheckpointError(f"{path} does not fit these settings or this version ({reason}): {mend}") from None
+    ranks.on_first(lambda: folder.truncate_metrics(step))
+    return step, _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)
 
 
 @contextmanager
 def _interrupts() -> Iterator[threading.Event]:
-    """An event that the first Ctrl-C sets; the second one stops at once. Outside the main thread nothing is caught."""
+    """An event that the first Ctrl-C or SIGTERM sets; a second one stops at once.
+
+    SIGTERM is what schedulers and torchrun send before they kill. Outside the main thread nothing is caught.
+    """
     event = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield event
         return
-    previous = signal.getsignal(signal.SIGINT)
+    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def restore() -> None:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
     def handle(_signal: int, _frame: object) -> None:
         event.set()
-        signal.signal(signal.SIGINT, previous)
+        restore()
 
-    signal.signal(signal.SIGINT, handle)
+    for number in previous:
+        signal.signal(number, handle)
     try:
         yield event
     finally:
-        signal.signal(signal.SIGINT, previous)
+        restore()

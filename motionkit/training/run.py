@@ -26,9 +26,14 @@ class RunError(MotionkitError):
 
 def write_json(path: Path, value: Any) -> None:
     """Write JSON that appears whole or not at all."""
+    write_text(path, json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file that appears whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+    temporary.write_text(text, encoding="utf-8")
     temporary.replace(path)
 
 
@@ -88,16 +93,20 @@ class StageFolder:
             log.write(json.dumps(dict(values)) + "\n")
 
     def read_metrics(self) -> list[dict[str, float]]:
-        """All lines of metrics.jsonl, oldest first; empty where nothing was logged."""
+        """All whole lines of metrics.jsonl, oldest first; empty where nothing was logged.
+
+        A line that a crash cut off, or that is just being written, is left out.
+        """
         if not self.metrics_path.is_file():
             return []
-        return [json.loads(line) for line in self.metrics_path.read_text(encoding="utf-8").splitlines()]
+        lines = self.metrics_path.read_text(encoding="utf-8", errors="replace").splitlines()
+        return [values for values in map(_metrics_of, lines) if values is not None]
 
     def truncate_metrics(self, step: int) -> None:
-        """Forget metrics of later steps: after a crash the log may be ahead of the checkpoint."""
+        """Forget metrics of later steps and broken lines: after a crash the log may be ahead of the checkpoint."""
         kept = [line for line in self.read_metrics() if line["step"] <= step]
         if self.metrics_path.is_file():
-            self.metrics_path.write_text("".join(json.dumps(line) + "\n" for line in kept), encoding="utf-8")
+            write_text(self.metrics_path, "".join(json.dumps(line) + "\n" for line in kept))
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the final figures, by which the stage counts as complete."""
@@ -111,6 +120,14 @@ class StageFolder:
             )
         value: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         return value
+
+
+def _metrics_of(line: str) -> dict[str, float] | None:
+    try:
+        values = json.loads(line)
+    except ValueError:
+        return None
+    return values if isinstance(values, dict) and "step" in values else None
 
 
 @dataclass(frozen=True)

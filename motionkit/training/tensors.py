@@ -45,7 +45,7 @@ def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         with safetensors.safe_open(path, framework="pt") as opened:
             description = json.loads((opened.metadata() or {}).get("description", "{}"))
             return {name: opened.get_tensor(name) for name in opened.keys()}, description  # noqa: SIM118
-    except safetensors.SafetensorError as error:
+    except (safetensors.SafetensorError, ValueError) as error:
         raise CheckpointError(f"{path}: not a whole safetensors file ({error})") from None
 
 

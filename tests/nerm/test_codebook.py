@@ -8,9 +8,7 @@ import torch
 
 from motionkit.errors import UsageError
 from motionkit.resample import resample_positions
-from motionkit.training.loop import train_loop
 from motionkit.training.randomness import step_generator
-from motionkit.training.run import StageFolder
 from motionkit.training.tensors import CheckpointError, save_tensors
 from nerm.codebook import CodebookNetwork, Quantiser, load_codes, published_codes
 from nerm.codebook_training import CodebookTraining, build_vector_corpus, perplexity
@@ -113,21 +111,6 @@ def test_the_loss_falls_and_many_codes_are_used(tmp_path: Path) -> None:
     losses = [float(each["reconstruction"].detach()) for each in figures]
     assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
     assert float(figures[-1]["perplexity"]) > 8
-
-
-def test_an_interrupted_codebook_training_resumes_bit_by_bit(tmp_path: Path) -> None:
-    folders = [StageFolder(tmp_path / name / "codebook") for name in ("whole", "parts")]
-    for folder in folders:
-        folder.path.mkdir(parents=True)
-    whole = _training(tmp_path)
-    train_loop(whole, folders[0], steps=8, seed=1)
-    first = _training(tmp_path)
-    train_loop(first, folders[1], steps=4, seed=1)
-    second = _training(tmp_path)
-    train_loop(second, folders[1], steps=8, seed=1)
-    expected = whole.state_tensors()
-    for name, tensor in second.state_tensors().items():
-        assert torch.equal(tensor, expected[name]), name
 
 
 def test_perplexity_counts_codes_in_use() -> None:

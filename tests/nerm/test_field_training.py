@@ -1,6 +1,3 @@
-import os
-import signal
-from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -12,7 +9,6 @@ import torch
 from motionkit.clips import WindowPoses, cut_windows
 from motionkit.features import field as field_vectors
 from motionkit.skeleton import SMPL22
-from motionkit.training.loop import train_loop
 from motionkit.training.randomness import step_generator
 from motionkit.training.run import StageFolder
 from motionkit.training.tensors import CheckpointError, save_tensors
@@ -148,30 +144,6 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     save_tensors(tmp_path / "field" / "model.safetensors", {}, {"format": "something", "version": 1})
     with pytest.raises(CheckpointError, match="'something' version 1, expected 'nerm-field'"):
         load_field(tmp_path)
-
-
-def test_an_interrupted_field_training_resumes_bit_by_bit(tmp_path: Path) -> None:
-    config = replace(SMALL, steps=12)
-    folders = [StageFolder(tmp_path / name / "field") for name in ("whole", "parts")]
-    for folder in folders:
-        folder.path.mkdir(parents=True)
-    whole = _training(config)
-    train_loop(whole, folders[0], steps=12, seed=1, log_every=5)
-
-    class Interrupted(FieldTraining):
-        def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
-            if step == 6:
-                os.kill(os.getpid(), signal.SIGINT)
-            return super().step(step, generator)
-
-    stopped = Interrupted(_poses(config), config, codebook=None, seed=3, device=torch.device("cpu"))
-    with pytest.raises(KeyboardInterrupt):
-        train_loop(stopped, folders[1], steps=12, seed=1, log_every=5)
-    resumed = _training(config)
-    train_loop(resumed, folders[1], steps=12, seed=1, log_every=5)
-    expected = whole.state_tensors()
-    for name, tensor in resumed.state_tensors().items():
-        assert torch.equal(tensor, expected[name]), name
 
 
 def test_only_the_batch_s_latents_move() -> None:

@@ -81,14 +81,6 @@ def test_both_stages_leave_a_run_that_decodes(run: Path) -> None:
     ]
 
 
-def test_the_losses_of_a_tiny_recipe_are_those_that_were_recorded(run: Path) -> None:
-    # A change of these numbers is a change of what is learnt; other processors differ in the last digits only. The
-    # field is looser: which code a latent falls to is a matter of those digits.
-    codebook, field = (RunFolder(run).stage(name).read_summary() for name in ("codebook", "field"))
-    assert codebook["reconstruction"] == pytest.approx(GOLDEN_CODEBOOK, rel=0.02)
-    assert field["reconstruction"] == pytest.approx(GOLDEN_FIELD, rel=0.1)
-
-
 def test_a_field_without_its_codebook_is_explained(store: Path, tmp_path: Path) -> None:
     with pytest.raises(RunError, match="needs the stage codebook"):
         FIELD.train(StageContext(store, RunFolder(tmp_path / "run"), "demo"), _config())
@@ -109,7 +101,3 @@ def test_table_4_of_a_split_that_is_not_there_says_so(store: Path, run: Path, tm
     result = build_table4(TableRequest(store=store, results=tmp_path, run=run, split="nobody's"))
     assert [row.name for row in result.blocks[0].rows] == [TRAINING]
     assert any(line.startswith(HELD_OUT) for line in result.missing)
-
-
-GOLDEN_CODEBOOK = 0.4815
-GOLDEN_FIELD = 0.4091

@@ -60,17 +60,20 @@ def _folder(path: Path) -> StageFolder:
     return StageFolder(path)
 
 
-def _interrupt_at(step: int) -> Callable[[int], None]:
-    return lambda now: os.kill(os.getpid(), signal.SIGINT) if now == step else None
+def _interrupt_at(step: int, number: int = signal.SIGINT) -> Callable[[int], None]:
+    return lambda now: os.kill(os.getpid(), number) if now == step else None
 
 
-def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_bit(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_bit(
+    number: int, tmp_path: Path
+) -> None:
     whole, parts = _folder(tmp_path / "a" / "stage"), _folder(tmp_path / "b" / "stage")
     reference = Regression()
     train_loop(reference, whole, steps=20, seed=1, log_every=4)
 
     with pytest.raises(KeyboardInterrupt):
-        train_loop(Regression(_interrupt_at(5)), parts, steps=20, seed=1, log_every=4)
+        train_loop(Regression(_interrupt_at(5, number)), parts, steps=20, seed=1, log_every=4)
     assert load_tensors(parts.checkpoint_path)[1]["step"] == 6
     resumed = Regression()
     train_loop(resumed, parts, steps=20, seed=1, log_every=4)
@@ -80,6 +83,8 @@ def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_
         assert torch.equal(tensor, expected[name]), name
     losses = [[line["loss"] for line in folder.read_metrics()] for folder in (whole, parts)]
     assert losses[0] == losses[1]
+    seconds = [line["seconds"] for line in parts.read_metrics()]
+    assert seconds == sorted(seconds)
 
 
 def test_the_seed_decides_everything(tmp_path: Path) -> None:

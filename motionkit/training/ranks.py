@@ -1,0 +1,147 @@
+"""Several processes that train one model: who is who, and what they tell one another.
+
+`torchrun` starts the processes and says by environment variables who each is. A batch is the same batch however many
+ranks share it: every rank draws all of it (the same numbers, from the same generator), works on its own part, and what
+the parts give is added up. So N ranks follow one rank's losses up to the order of floating-point sums, and a checkpoint
+can be resumed by another number of ranks. One rank is the ordinary case, in which everything here does nothing.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int64, Shaped
+from torch import distributed
+
+# A rank may wait for long, while the first one trains a stage that has no use for several; torchrun ends all where one
+# dies.
+PATIENCE = timedelta(days=7)
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """This process among `size` equal ones; `local_rank` counts on this machine."""
+
+    rank: int = 0
+    size: int = 1
+    local_rank: int = 0
+
+    @property
+    def is_first(self) -> bool:
+        """Whether this is the rank that prints and writes."""
+        return self.rank == 0
+
+    def part(self, count: int) -> slice:
+        """This rank's part of `count` rows: parts are contiguous, in the order of ranks, and differ by one at most."""
+        return slice(count * self.rank // self.size, count * (self.rank + 1) // self.size)
+
+    def add_up(self, tensors: Iterable[torch.Tensor]) -> None:
+        """Put the sum over all ranks into each tensor (of one type, on one device); one message for all of them."""
+        found = list(tensors)
+        if self.size == 1 or not found:
+            return
+        message = torch.cat([tensor.detach().flatten() for tensor in found])
+        distributed.all_reduce(message)
+        for tensor, total in zip(found, torch.split(message, [tensor.numel() for tensor in found]), strict=True):
+            tensor.detach().copy_(total.view_as(tensor))
+
+    def add_up_gradients(self, parameters: Iterable[torch.nn.Parameter]) -> None:
+        """Sum gradients over ranks. Parameters without one have none on any rank: all ranks build the same graph."""
+        self.add_up(parameter.grad for parameter in parameters if parameter.grad is not None)
+
+    def all_rows(self, part: Float[torch.Tensor, "part *rest"], count: int) -> Float[torch.Tensor, "count *rest"]:
+        """The rows of all ranks, of which each has its `part(count)`."""
+        if self.size == 1:
+            return part
+        rows = part.new_zeros((count, *part.shape[1:]))
+        rows[self.part(count)] = part
+        self.add_up([rows])
+        return rows
+
+    def agree(self, *flags: bool) -> tuple[bool, ...]:
+        """For each flag whether any rank raises it."""
+        if self.size == 1:
+            return flags
+        raised = torch.tensor(flags, dtype=torch.int32)
+        distributed.all_reduce(raised, distributed.ReduceOp.MAX)
+        return tuple(bool(flag) for flag in raised)
+
+    def on_first(self, action: Callable[[], object]) -> None:
+        """The first rank acts while the others wait; where it fails, it raises and the others leave without a word."""
+        failed = True
+        try:
+            if self.is_first:
+                action()
+            failed = False
+        finally:
+            (any_failed,) = self.agree(failed)
+        if any_failed:
+            raise SystemExit(1)
+
+
+@contextmanager
+def joined_ranks() -> Iterator[Ranks]:
+    """This process's rank as torchrun's environment says; without torchrun, or with one process, a single one.
+
+    Messages go by NCCL between GPUs and by Gloo between CPUs.
+    """
+    size = int(os.environ.get("WORLD_SIZE", "1"))
+    if size == 1:
+        yield Ranks()
+        return
+    local_rank = int(os.environ.get("LOCAL_RANK", "0"))
+    backend = "gloo"
+    if torch.cuda.is_available():
+        torch.cuda.set_device(local_rank % torch.cuda.device_count())
+        backend = "cpu:gloo,cuda:nccl"
+    distributed.init_process_group(backend, timeout=PATIENCE)
+    try:
+        yield Ranks(distributed.get_rank(), size, local_rank)
+    finally:
+        distributed.destroy_process_group()
+
+
+class DealtRows:
+    """Which rank owns which row of a table: latents, say, of which a rank holds only its own.
+
+    Each rank has a run of rows in a given order, and all have about the same weight.
+    """
+
+    def __init__(self, ranks: Ranks, weight: Float[np.ndarray, "rows"], order: Int64[np.ndarray, "rows"]) -> None:
+        self.ranks = ranks
+        before = np.cumsum(weight[order]) - 0.5 * weight[order]
+        owner = np.empty(len(order), dtype=np.int64)
+        owner[order] = np.minimum(ranks.size * before / weight.sum(), ranks.size - 1).astype(np.int64)
+        self.owner = torch.from_numpy(owner)
+        self.rows = torch.nonzero(self.owner == ranks.rank)[:, 0]
+
+    def mine(self, rows: Int64[torch.Tensor, "batch"]) -> Int64[torch.Tensor, "mine"]:
+        """At which places of a batch this rank's rows are."""
+        return torch.nonzero(self.owner[rows] == self.ranks.rank)[:, 0]
+
+    def place(self, rows: Int64[torch.Tensor, "mine"]) -> Int64[torch.Tensor, "mine"]:
+        """Where this rank's own table holds rows that it owns."""
+        return torch.searchsorted(self.rows, rows)
+
+    def gather(self, tables: Sequence[Shaped[torch.Tensor, "own *rest"]]) -> list[Shaped[torch.Tensor, "rows *rest"]]:
+        """Whole tables on the CPU of the first rank, from what each rank holds; the other ranks get empty ones."""
+        return [self._gather(table.detach().cpu()) for table in tables]
+
+    def _gather(self, table: torch.Tensor) -> torch.Tensor:
+        if self.ranks.size == 1:
+            return table
+        if not self.ranks.is_first:
+            distributed.send(table.contiguous(), dst=0)
+            return table[:0]
+        whole = table.new_empty((len(self.owner), *table.shape[1:]))
+        whole[self.rows] = table
+        for rank in range(1, self.ranks.size):
+            rows = torch.nonzero(self.owner == rank)[:, 0]
+            received = table.new_empty((len(rows), *table.shape[1:]))
+            distributed.recv(received, src=rank)
+            whole[rows] = received
+        return whole
