@@ -67,9 +67,26 @@ class GenerativeModel(Protocol):
         ...
 
     def generate(
-        self, requests: Sequence[GenerationRequest], *, seed: int, sampling: SamplingOptions = SamplingOptions()
+        self,
+        requests: Sequence[GenerationRequest],
+        *,
+        seed: int,
+        sampling: SamplingOptions = SamplingOptions(),
+        first: int = 0,
     ) -> list[MotionField]:
-        """One field per request, in order; the same seed and requests give the same fields."""
+        """One field per request, in order; the same seed and requests give the same fields.
+
+        Request i is number `first` + i of its seed, so that many requests can be worked off in several calls.
+        """
+        ...
+
+
+@runtime_checkable
+class ChecksRequests(Protocol):
+    """A model that can say what it cannot do before it begins: of a thousand requests, the last may be wrong."""
+
+    def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
+        """Raise `UsageError` for a duration, an action, a text or a way of sampling that this model does not know."""
         ...
 
 

@@ -26,7 +26,7 @@ from nerm.scaling import PoseComponents, VectorScaling
 STAGE_NAME = "field"
 FORMAT_VERSION = 1
 GRIDS_KEPT = 16
-POSES_AT_ONCE = 65_536
+POSES_AT_ONCE = 8_192
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,17 +96,20 @@ class TrainedField:
         """Positions in metres, in the windows' own frames, of each latent's motion.
 
         Times are seconds from the window's start, shared by all latents or one row each; `fps` is the framerate s the
-        field is told. Only as many poses are decoded at once as bounds the memory of a call.
+        field is told. However many latents or times, only `POSES_AT_ONCE` poses are in the network at once.
         """
-        shared = times_seconds.ndim == 1
-        per_call = max(1, POSES_AT_ONCE // max(1, times_seconds.shape[-1]))
-        num_joints = len(self.scaling.mean) // 3
-        positions = np.empty((len(latents), times_seconds.shape[-1], num_joints, 3), dtype=np.float32)
+        rows = times_seconds[None] if times_seconds.ndim == 1 else times_seconds
+        num_times, num_joints = rows.shape[1], len(self.scaling.mean) // 3
+        positions = np.empty((len(latents), num_times, num_joints, 3), dtype=np.float32)
+        per_call = max(1, POSES_AT_ONCE // max(1, num_times))
         for start in range(0, len(latents), per_call):
             some = latents[start : start + per_call].float().to(self.device)
-            times = times_seconds[None] if shared else times_seconds[start : start + per_call]
-            vectors = self.decode_vectors(some, self.encode_times(times, fps), fps)
-            positions[start : start + per_call] = field_vectors.decode(vectors.cpu().numpy())
+            own = rows if len(rows) == 1 else rows[start : start + per_call]
+            for first in range(0, num_times, POSES_AT_ONCE):
+                times = own[:, first : first + POSES_AT_ONCE]
+                vectors = self.decode_vectors(some, self.encode_times(times, fps), fps)
+                found = field_vectors.decode(vectors.cpu().numpy())
+                positions[start : start + per_call, first : first + POSES_AT_ONCE] = found
         return positions
 
     @torch.no_grad()

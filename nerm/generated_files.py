@@ -1,18 +1,23 @@
-"""Generated motions as files: sampled from their fields, written as .npz or .bvh."""
+"""Generated motions as files: sampled from their fields, written as .npz, .bvh, .glb or HumanML3D's arrays."""
 
 import os
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
 from motionkit.errors import UsageError
-from motionkit.formats.arrays import npz, npz_skeleton
+from motionkit.export.pose_folder import HUMANML3D_KIND, pose_entry, write_folder_manifest
+from motionkit.export.selection import Outcome
+from motionkit.formats.arrays import joints_npy, npz, npz_skeleton
 from motionkit.formats.bvh.motion import write_bvh
+from motionkit.formats.gltf.motion import write_gltf
+from motionkit.formats.pose_folders.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER, FolderWriter
 from motionkit.generation import GenerationRequest
 from motionkit.motion import Caption, Motion
 from motionkit.motionfield import FramerateConditioned, MotionField
@@ -26,6 +31,7 @@ SLUG_LENGTH = 40
 class GeneratedSample:
     """Poses of one generated motion: uniformly at `fps`, or at arbitrary `seconds` where `fps` is None."""
 
+    name: str
     joint_positions: Float32[np.ndarray, "frames joints 3"]
     seconds: Float64[np.ndarray, "frames"]
     fps: Fraction | None
@@ -39,24 +45,24 @@ class GeneratedSample:
         """The text that was asked for, if there was one."""
         return (Caption(self.caption),) if self.caption else ()
 
-    def motion(self, fps: Fraction) -> Motion:
-        """The poses as a motion at their uniform framerate."""
-        grid = TimeGrid(fps, len(self.seconds), float(self.seconds[0]))
-        return Motion(self.joint_positions, self.skeleton, grid, captions=self.captions, action=self.action)
-
-    def description(self) -> dict[str, Any]:
-        """What was made, as plain values."""
-        return {
-            "caption": self.caption,
-            "action": self.action,
-            "duration_seconds": self.duration_seconds,
-            "fps": None if self.fps is None else str(self.fps),
-            "num_frames": len(self.seconds),
-        }
+    def motion(self) -> Motion:
+        """The poses as a motion; raises `UsageError` for poses without a uniform framerate."""
+        if self.fps is None:
+            raise UsageError("poses at arbitrary instants have no framerate: write them as npz")
+        grid = TimeGrid(self.fps, len(self.seconds), float(self.seconds[0]))
+        return Motion(
+            self.joint_positions,
+            self.skeleton,
+            grid,
+            captions=self.captions,
+            action=self.action,
+            sequence_id=self.name,
+        )
 
 
 def sample_field(
     field: MotionField,
+    name: str,
     request: GenerationRequest,
     fps: Fraction,
     times_seconds: Float64[np.ndarray, "times"] | None = None,
@@ -71,6 +77,7 @@ def sample_field(
     else:
         seconds = times_seconds
     return GeneratedSample(
+        name=name,
         joint_positions=field.query(seconds).joint_positions,
         seconds=seconds,
         fps=fps if times_seconds is None else None,
@@ -81,7 +88,7 @@ def sample_field(
     )
 
 
-def file_name(index: int, request: GenerationRequest) -> str:
+def motion_name(index: int, request: GenerationRequest) -> str:
     """A name for the index-th motion that says what was asked for: `0003-a-person-walks`."""
     slug = re.sub(r"[^a-z0-9]+", "-", (request.text or request.action or "unconditional").lower()).strip("-")
     return f"{index:04d}-{slug[:SLUG_LENGTH].strip('-') or 'motion'}"
@@ -102,15 +109,94 @@ def write_npz_file(path: Path, sample: GeneratedSample) -> None:
             "action": np.array(sample.action),
         }
     else:
-        arrays = npz.motion_arrays(sample.motion(sample.fps))
+        arrays = npz.motion_arrays(sample.motion())
     npz.write_arrays(path, {**arrays, "duration_seconds": np.float64(sample.duration_seconds)})
 
 
 def write_bvh_file(path: Path, sample: GeneratedSample) -> None:
-    """Write a .bvh that appears whole or not at all; raises `UsageError` for poses without a uniform framerate."""
-    if sample.fps is None:
-        raise UsageError("a BVH file has one framerate: write arbitrary instants as npz")
-    motion = sample.motion(sample.fps)
+    """Write a .bvh in centimetres, rotations by inverse kinematics; it appears whole or not at all."""
+    _write_whole(path, sample.motion(), write_bvh)
+
+
+def write_gltf_file(path: Path, sample: GeneratedSample) -> None:
+    """Write a .glb, an animated, visible skeleton; it appears whole or not at all."""
+    _write_whole(path, sample.motion(), write_gltf)
+
+
+def write_humanml3d_files(path: Path, sample: GeneratedSample) -> None:
+    """Write new_joint_vecs/NAME.npy [T − 1, 263] (`path`), new_joints/NAME.npy and texts/NAME.txt.
+
+    The vectors are at the sample's framerate; the published steps run on the motion (one skeleton, floor, origin,
+    facing Z+). Raises `UsageError` for fewer than two poses.
+    """
+    motion = sample.motion()
+    kind = HUMANML3D_KIND.at(motion.fps)
+    entry = pose_entry(motion, sample.name, kind)
+    if isinstance(entry, Outcome):
+        raise UsageError(f"{sample.name}: {entry.message}")
+    FolderWriter(path.parents[1], kind.layout).add(entry)
+
+
+def _write_whole(path: Path, motion: Motion, write: Callable[[Motion, Path], None]) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    write_bvh(motion, temporary)
+    write(motion, temporary)
     temporary.replace(path)
+
+
+def _begin_humanml3d(folder: Path, fps: Fraction) -> None:
+    write_folder_manifest(folder, HUMANML3D_KIND.at(fps).layout)
+
+
+def _begin_nothing(folder: Path, fps: Fraction) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class OutputFormat:
+    """One kind of output: `begin` writes what all motions share, `write` one motion to its first file.
+
+    `patterns` name a motion's files below the folder, `shared` those of all. `fps` is the framerate where none is asked
+    for (None: the highest of the training data); `any_instants` says whether it holds poses at arbitrary instants.
+    """
+
+    name: str
+    patterns: tuple[str, ...]
+    write: Callable[[Path, GeneratedSample], None]
+    fps: Fraction | None = None
+    any_instants: bool = False
+    begin: Callable[[Path, Fraction], None] = _begin_nothing
+    shared: tuple[str, ...] = ()
+
+    def files(self, motion: str) -> tuple[PurePosixPath, ...]:
+        """The files of a motion of this name, the one that stands for it first."""
+        return tuple(PurePosixPath(pattern.format(motion)) for pattern in self.patterns)
+
+
+OUTPUTS: Mapping[str, OutputFormat] = {
+    each.name: each
+    for each in (
+        OutputFormat("npz", ("{}.npz",), write_npz_file, any_instants=True),
+        OutputFormat("bvh", ("{}.bvh",), write_bvh_file),
+        OutputFormat("gltf", ("{}.glb",), write_gltf_file),
+        OutputFormat(
+            "humanml3d",
+            (f"{VECTORS_FOLDER}/{{}}.npy", f"{JOINTS_FOLDER}/{{}}.npy", f"{TEXTS_FOLDER}/{{}}.txt"),
+            write_humanml3d_files,
+            fps=HUMANML3D_KIND.layout.fps,
+            begin=_begin_humanml3d,
+            shared=(joints_npy.MANIFEST,),
+        ),
+    )
+}
+
+
+def describe_sample(sample: GeneratedSample, file: str) -> dict[str, Any]:
+    """What was made and where it lies, as plain values."""
+    return {
+        "file": file,
+        "caption": sample.caption,
+        "action": sample.action,
+        "duration_seconds": sample.duration_seconds,
+        "fps": None if sample.fps is None else str(sample.fps),
+        "num_frames": len(sample.seconds),
+    }

@@ -22,6 +22,8 @@ from nerm.field_model import load_field
 from nerm.text_encoders import TextEncoder, file_sha256, load_text_encoder
 from nerm.trained_denoiser import TrainedDenoiser, load_denoiser
 
+NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
+
 
 @runtime_checkable
 class LatentField(Protocol):
@@ -76,7 +78,7 @@ class NermModel:
         Raises `UsageError` where it was trained without texts, `RunError` where the encoder's weights have changed.
         """
         if not self.denoiser.text_fingerprint:
-            raise UsageError("this model was trained without texts: ask for an action, or for unconditional motions")
+            raise UsageError(NO_TEXTS)
         encoder = load_text_encoder(self.denoiser.text_encoder)
         if encoder.fingerprint != self.denoiser.text_fingerprint:
             raise RunError(
@@ -86,16 +88,23 @@ class NermModel:
         return encoder
 
     def generate(
-        self, requests: Sequence[GenerationRequest], *, seed: int, sampling: SamplingOptions = SamplingOptions()
+        self,
+        requests: Sequence[GenerationRequest],
+        *,
+        seed: int,
+        sampling: SamplingOptions = SamplingOptions(),
+        first: int = 0,
     ) -> list[MotionField]:
-        """One field per request, in order; request i follows from (seed, i) and itself alone.
+        """One field per request, in order; request i follows from (seed, `first` + i) and itself alone.
 
         Raises `UsageError` for a duration outside (0, l_max], an unknown action, a text alone where it was trained
         without texts, or sampling options that there are not.
         """
         if not requests:
             return []
-        durations = self._durations(requests, seed)
+        for request in requests:
+            self.check(request, sampling)
+        durations = self._durations(requests, seed, first)
         texts = [request.text if self._uses_text(request) else "" for request in requests]
         actions = ["" if text else request.action for text, request in zip(texts, requests, strict=True)]
         conditions = Conditions(
@@ -103,31 +112,36 @@ class NermModel:
             action=torch.tensor([self.denoiser.layout.action_index(action) for action in actions]),
             duration=torch.tensor(durations, dtype=torch.float32) / self.max_duration_seconds,
         )
-        latents = self.denoiser.sample(conditions, seed=seed, sampling=sampling)
+        latents = self.denoiser.sample(conditions, seed=seed, sampling=sampling, first=first)
         return [
             self.field.as_motion_field(latent, duration) for latent, duration in zip(latents, durations, strict=True)
         ]
 
-    def _uses_text(self, request: GenerationRequest) -> bool:
-        return bool(request.text) and (bool(self.denoiser.text_fingerprint) or not request.action)
-
-    def _durations(self, requests: Sequence[GenerationRequest], seed: int) -> list[float]:
-        """Seconds of each request, drawn from the training windows' where none are asked for."""
-        drawn = self.denoiser.draw_durations(len(requests), seed=seed) * self.max_duration_seconds
-        return [
-            float(own) if request.duration_seconds is None else self._checked(request)
-            for request, own in zip(requests, drawn, strict=True)
-        ]
-
-    def _checked(self, request: GenerationRequest) -> float:
+    def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
+        """Raise `UsageError` for a duration outside (0, l_max], an unknown action, a text where it knows no texts, or
+        sampling options that there are not."""
+        self.denoiser.with_sampling(sampling)
         seconds = request.duration_seconds
-        assert seconds is not None
-        if not 0 < seconds <= self.max_duration_seconds + 1e-9:
+        if seconds is not None and not 0 < seconds <= self.max_duration_seconds + 1e-9:
             raise UsageError(
                 f"{seconds:g} s is outside what one generation covers: more than 0 and up to "
                 f"{self.max_duration_seconds:g} s (the longest motion this model was trained on)"
             )
-        return float(seconds)
+        if not self._uses_text(request):
+            self.denoiser.layout.action_index(request.action)
+        elif not self.denoiser.text_fingerprint:
+            raise UsageError(NO_TEXTS)
+
+    def _uses_text(self, request: GenerationRequest) -> bool:
+        return bool(request.text) and (bool(self.denoiser.text_fingerprint) or not request.action)
+
+    def _durations(self, requests: Sequence[GenerationRequest], seed: int, first: int) -> list[float]:
+        """Seconds of each request, drawn from the training windows' where none are asked for."""
+        drawn = self.denoiser.draw_durations(len(requests), seed=seed, first=first) * self.max_duration_seconds
+        return [
+            float(own) if request.duration_seconds is None else float(request.duration_seconds)
+            for request, own in zip(requests, drawn, strict=True)
+        ]
 
     def _embed(self, texts: Sequence[str]) -> Float32[np.ndarray, "texts dimension"]:
         """Unit-length embeddings, zeros for empty texts; each distinct text is encoded once."""

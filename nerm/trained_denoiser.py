@@ -49,22 +49,28 @@ class TrainedDenoiser:
         return len(self.statistics.mean)
 
     def sample(
-        self, conditions: Conditions, *, seed: int, sampling: SamplingOptions = SamplingOptions()
+        self,
+        conditions: Conditions,
+        *,
+        seed: int,
+        sampling: SamplingOptions = SamplingOptions(),
+        first: int = 0,
     ) -> Float32[Tensor, "batch latent"]:
         """One latent of the field per row of `conditions`.
 
-        Row i draws from (seed, i) alone, so it doesn't depend on how many rows there are (but for the rounding of
-        batched sums). Numbers that a motion of the row's duration doesn't depend on are the training data's mean.
+        Row i draws from (seed, `first` + i) alone, so it doesn't depend on how many rows there are (but for the
+        rounding of batched sums). Numbers that a motion of the row's duration doesn't depend on are the training data's
+        mean.
         """
-        config = self._with(sampling)
-        generators = [step_generator(seed, "generate", row) for row in range(len(conditions.action))]
+        config = self.with_sampling(sampling)
+        generators = [step_generator(seed, "generate", first + row) for row in range(len(conditions.action))]
         found = []
-        for first in range(0, len(generators), SAMPLES_PER_BATCH):
-            rows = slice(first, first + SAMPLES_PER_BATCH)
+        for start in range(0, len(generators), SAMPLES_PER_BATCH):
+            rows = slice(start, start + SAMPLES_PER_BATCH)
             found.append(self._sample_batch(config, conditions.rows(rows), generators[rows]))
         return torch.cat(found)
 
-    def _with(self, sampling: SamplingOptions) -> DenoiserConfig:
+    def with_sampling(self, sampling: SamplingOptions) -> DenoiserConfig:
         """The configuration with what was asked for in place of its own; raises `UsageError` for what cannot be."""
         own = self.config.diffusion
         steps = own.sampling_steps if sampling.steps is None else sampling.steps
@@ -104,11 +110,10 @@ class TrainedDenoiser:
         used = in_use(self.denoiser.first_read.to("cpu"), conditions.duration)
         return self.statistics.restore(latents.to(torch.float32) * used)
 
-    def draw_durations(self, count: int, *, seed: int) -> Float32[Tensor, "count"]:
-        """Durations drawn from the training windows', in units of l_max; number i follows from (seed, i)."""
-        rows = [
-            torch.randint(len(self.durations), (), generator=step_generator(seed, "duration", i)) for i in range(count)
-        ]
+    def draw_durations(self, count: int, *, seed: int, first: int = 0) -> Float32[Tensor, "count"]:
+        """Durations drawn from the training windows', in units of l_max; number i follows from (seed, first + i)."""
+        generators = [step_generator(seed, "duration", first + i) for i in range(count)]
+        rows = [torch.randint(len(self.durations), (), generator=generator) for generator in generators]
         return self.durations[torch.stack(rows)] if rows else self.durations[:0]
 
 

@@ -40,6 +40,10 @@ class Kind:
     units_per_skeleton_unit: float
     loader_min_frames: int
 
+    def at(self, fps: Fraction) -> "Kind":
+        """The same at another framerate than the published one."""
+        return replace(self, layout=replace(self.layout, fps=fps))
+
 
 # KIT21 is in heights of a body, KIT-ML's files are in thousandths of it.
 HUMANML3D_KIND = Kind(HUMANML3D, 1.0, 40)
@@ -59,7 +63,7 @@ def export_kit(selection: Selection, folder: Path) -> Iterator[Outcome]:
 def _export(selection: Selection, folder: Path, kind: Kind) -> Iterator[Outcome]:
     (fps,) = selection.framerates
     names = short_names(selection.sequence_ids)
-    return _write(selection, names, folder, replace(kind, layout=replace(kind.layout, fps=fps)))
+    return _write(selection, names, folder, kind.at(fps))
 
 
 def _write(selection: Selection, names: Sequence[PurePosixPath], folder: Path, kind: Kind) -> Iterator[Outcome]:
@@ -67,7 +71,7 @@ def _write(selection: Selection, names: Sequence[PurePosixPath], folder: Path, k
     lengths: list[int] = []
     with MotionTable(folder / TABLE) as table:
         for motion, name in zip(selection.motions(), names, strict=True):
-            entry = _entry(motion, str(name), kind)
+            entry = pose_entry(motion, str(name), kind)
             if isinstance(entry, Outcome):
                 yield entry
                 continue
@@ -79,8 +83,8 @@ def _write(selection: Selection, names: Sequence[PurePosixPath], folder: Path, k
     _describe(folder, kind, lengths)
 
 
-def _entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
-    """A motion's joints and vectors, or why there are none."""
+def pose_entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
+    """A motion's processed joints and pose vectors at its own framerate, T − 1 rows each, or why there are none."""
     layout = kind.layout.skeleton.name
     if motion.num_frames < MIN_POSES:
         message = f"{motion.num_frames} pose at {format_fps(motion.fps)} fps; pose vectors need at least {MIN_POSES}"
@@ -97,18 +101,27 @@ def _entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
     return Entry(name, humanml3d.positions(vectors, layout), vectors, motion.captions, motion.split)
 
 
-def _describe(folder: Path, kind: Kind, lengths: Sequence[int]) -> None:
-    """What the folder is, for readers (`motions.json`) and for people (`README.md`)."""
-    layout = kind.layout
-    published = {HUMANML3D.name: HUMANML3D, KIT.name: KIT}[layout.name].fps
+def write_folder_manifest(folder: Path, layout: Layout) -> None:
+    """Write motions.json: framerate, layout and unit for readers, the convention and its published framerate."""
     manifest = {
         "fps": format_fps(layout.fps),
         "layout": layout.skeleton.name,
         "unit_metres": layout.unit_metres,
         "vectors": humanml3d.CONVENTION,
-        "published_fps": format_fps(published),
+        "published_fps": format_fps(_published_fps(layout)),
     }
     (folder / joints_npy.MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+
+
+def _published_fps(layout: Layout) -> Fraction:
+    return {HUMANML3D.name: HUMANML3D, KIT.name: KIT}[layout.name].fps
+
+
+def _describe(folder: Path, kind: Kind, lengths: Sequence[int]) -> None:
+    """What the folder is, for readers (`motions.json`) and for people (`README.md`)."""
+    layout = kind.layout
+    published = _published_fps(layout)
+    write_folder_manifest(folder, layout)
     text = render(
         "pose_folder.md.j2",
         layout=layout,

@@ -1,101 +1,113 @@
 """`motionkit generate`: motions from texts, actions or nothing, at any framerate or at arbitrary instants."""
 
-from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.console import print_json, stderr, stdout
+from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 from motionkit.timegrid import parse_fps
 
 if TYPE_CHECKING:
-    from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
+    from motionkit.generation import GenerativeModel
+    from nerm.generated_folder import GeneratedFolder
+    from nerm.generation_plan import GenerationPlan
+
+FORMATS = "npz, bvh, gltf, humanml3d"
 
 
 def generate(
     texts: Annotated[list[str] | None, typer.Argument(help="What the person does; several make a batch.")] = None,
     action: Annotated[list[str] | None, typer.Option(help="An action the model knows; may be repeated.")] = None,
     unconditional: Annotated[bool, typer.Option("--unconditional", help="Motions of no stated kind.")] = False,
+    prompts: Annotated[
+        Path | None, typer.Option(help="A .txt with a text a line, or a .csv or .jsonl of text, action, seconds.")
+    ] = None,
     fps: Annotated[
-        str | None, typer.Option(help="Any framerate: 144, 23.976, 24000/1001 [the highest trained].")
+        str | None,
+        typer.Option(help="Any framerate: 144, 23.976, 24000/1001 [the highest trained; 20 for humanml3d]."),
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="Length; drawn from the training data's by default.")] = None,
     times: Annotated[
         str | None, typer.Option(metavar="S,S,…", help="Poses at these seconds only, instead of --fps.")
     ] = None,
     count: Annotated[int, typer.Option("-n", "--count", min=1, help="Motions per text or action.")] = 1,
-    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("generated"),
-    file_format: Annotated[str, typer.Option("--format", help="npz or bvh.")] = "npz",
+    out: Annotated[Path, typer.Option(help="New or empty folder for the files.")] = Path("generated"),
+    file_format: Annotated[str, typer.Option("--format", help=f"{FORMATS}.")] = "npz",
     guidance: Annotated[float | None, typer.Option(help="Guidance scale r (Eq. 6) [the recipe's].")] = None,
     sampler: Annotated[str | None, typer.Option(help="ddim or ddpm [the recipe's].")] = None,
     sampling_steps: Annotated[
         int | None, typer.Option(min=1, help="Diffusion steps visited [the recipe's; ddpm likes more].")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a call that was stopped.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a former call's files.")] = False,
     model: Annotated[str, typer.Option(help="Installed model.")] = "nerm",
     run: Annotated[str, typer.Option(help="Name of the run.")] = "nano",
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants."""
-    requests = build_requests(texts or [], action or [], unconditional, seconds, count)
-    instants = parse_times(times, seconds, fps)
-    if file_format not in ("npz", "bvh"):
-        raise UsageError(f"--format is npz or bvh, not {file_format!r}")
-    if file_format == "bvh" and instants:
-        raise UsageError("a BVH file has one framerate: --times goes with --format npz")
-    wanted = None if fps is None else _read_fps(fps)
+    from motionkit.generation import SamplingOptions
+    from nerm.generation_plan import make_plan, parse_times
+    from nerm.prompts import prompts_from_arguments, read_prompts
 
-    from motionkit.generation import SamplingOptions, load_model
-
-    loaded = load_model(model, (runs or default_path("runs")) / run)
-    rate = wanted or loaded.max_training_fps
-    warn_above_training(loaded, rate)
-    sampling = SamplingOptions(guidance, sampler, sampling_steps)
-    written = _write_all(loaded, requests, rate, instants, out, file_format, seed, sampling)
-    if as_json:
-        print_json({"model": loaded.name, "seed": seed, "motions": written})
-        return
-    for motion in written:
-        stdout.print(motion["file"], markup=False)
-
-
-def build_requests(
-    texts: Sequence[str], actions: Sequence[str], unconditional: bool, seconds: float | None, count: int
-) -> "list[GenerationRequest]":
-    """`count` requests per text or action; raises `UsageError` unless exactly one kind of condition is asked for."""
-    from motionkit.generation import GenerationRequest
-
-    if sum((bool(texts), bool(actions), unconditional)) != 1:
-        raise UsageError("give texts, or --action, or --unconditional: exactly one of the three")
-    if any(not text.strip() for text in (*texts, *actions)):
-        raise UsageError("a text or action is empty; --unconditional asks for motions of no stated kind")
-    kinds = [GenerationRequest(seconds, text=text) for text in texts]
-    kinds += [GenerationRequest(seconds, action=action) for action in actions]
-    kinds += [GenerationRequest(seconds)] if unconditional else []
-    return [request for request in kinds for _ in range(count)]
-
-
-def parse_times(times: str | None, seconds: float | None, fps: str | None) -> tuple[float, ...]:
-    """The instants of `--times`, empty without it; raises `UsageError` for what cannot be read or makes no sense."""
-    if times is None:
-        return ()
-    if fps is not None:
+    if resume and overwrite:
+        raise UsageError("--resume and --overwrite exclude each other")
+    if prompts is None:
+        wanted = prompts_from_arguments(texts or [], action or [], unconditional, seconds)
+    elif texts or action or unconditional:
+        raise UsageError("--prompts takes the place of texts, --action and --unconditional")
+    else:
+        wanted = read_prompts(prompts, seconds)
+    if times is not None and fps is not None:
         raise UsageError("--times and --fps exclude each other")
-    if seconds is None:
-        raise UsageError("--times needs --seconds: they are instants of a motion of a given length")
-    try:
-        instants = tuple(float(part) for part in times.split(","))
-    except ValueError:
-        raise UsageError(f"--times takes seconds separated by commas (0.5,1.25), not {times!r}") from None
-    outside = [instant for instant in instants if not 0 <= instant <= seconds]
-    if outside:
-        raise UsageError(f"--times: {outside[0]:g} s lies outside the motion's 0 … {seconds:g} s")
-    return instants
+    rate = None if fps is None else _read_fps(fps)
+    sampling = SamplingOptions(guidance, sampler, sampling_steps)
+    plan = make_plan(wanted, count, parse_times(times), rate, file_format, seed, sampling)
+
+    from motionkit.generation import load_model
+    from nerm.generated_folder import begin_folder, replace_folder, resume_folder
+
+    place = (runs or default_path("runs")) / run
+    loaded = load_model(model, place)
+    plan = plan.for_model(loaded)
+    warn_above_training(loaded, plan.fps)
+    opening = resume_folder if resume else replace_folder if overwrite else begin_folder
+    with opening(out, plan.manifest(loaded, place)) as folder:
+        report = _write_all(plan, loaded, folder, as_json)
+    if as_json:
+        print_json({"model": loaded.name, "run": run, "seed": seed, "folder": str(out), **report})
+
+
+def _write_all(
+    plan: "GenerationPlan", model: "GenerativeModel", folder: "GeneratedFolder", as_json: bool
+) -> dict[str, Any]:
+    """Generate and write what is not there yet; names each file on stdout, or returns all of them for JSON."""
+    from nerm.framerate_shift import framerate_shift
+    from nerm.generated_files import describe_sample
+
+    report: dict[str, Any] = {"already_there": folder.num_done, "motions": []}
+    plan.output.begin(folder.path, plan.fps)
+    with progress() as display:
+        task = display.add_task("generate", total=len(plan.requests), completed=folder.num_done, note="")
+        for field, sample in plan.samples(model, folder.num_done):
+            files = plan.output.files(sample.name)
+            plan.output.write(folder.path / files[0], sample)
+            folder.add(files[0], sample)
+            display.advance(task)
+            if not as_json:
+                stdout.print(str(folder.path / files[0]), markup=False)
+                continue
+            if not report["motions"]:
+                report["framerate_shift_of_first"] = framerate_shift([field]).plain()
+            report["motions"].append(describe_sample(sample, str(folder.path / files[0])))
+    if folder.num_done and not as_json:
+        stderr.print(f"motionkit: {folder.num_done:,} of {len(plan.requests):,} motions were there already")
+    return report
 
 
 def warn_above_training(model: "GenerativeModel", fps: Fraction) -> None:
@@ -113,30 +125,3 @@ def _read_fps(text: str) -> Fraction:
         return parse_fps(text)
     except ValueError as error:
         raise UsageError(f"--fps {text}: {error}") from None
-
-
-def _write_all(
-    model: "GenerativeModel",
-    requests: "Sequence[GenerationRequest]",
-    fps: Fraction,
-    instants: tuple[float, ...],
-    out: Path,
-    file_format: str,
-    seed: int,
-    sampling: "SamplingOptions",
-) -> list[dict[str, Any]]:
-    """Generate and write one file per request; returns what was written, for people and for JSON."""
-    import numpy as np
-
-    from nerm.generated_files import file_name, sample_field, write_bvh_file, write_npz_file
-
-    fields = model.generate(requests, seed=seed, sampling=sampling)
-    out.mkdir(parents=True, exist_ok=True)
-    written = []
-    for index, (request, field) in enumerate(zip(requests, fields, strict=True)):
-        given_times = np.array(instants, dtype=np.float64) if instants else None
-        sample = sample_field(field, request, fps, given_times)
-        path = out / f"{file_name(index, request)}.{file_format}"
-        (write_npz_file if file_format == "npz" else write_bvh_file)(path, sample)
-        written.append({"file": str(path), **sample.description()})
-    return written

@@ -106,6 +106,32 @@ def test_lengths_are_drawn_from_the_data(trained: Path) -> None:
     assert {motion["fps"] for motion in motions} == {"60"}
 
 
+def test_the_same_motion_moves_little_between_framerates(trained: Path) -> None:
+    places = ("--runs", str(trained / "runs"), "--out", str(trained / "shift"))
+    report = json.loads(command("generate", "a person walks", "--seconds", "2", "--fps", "30", *places, "--json"))
+    shift = report["framerate_shift_of_first"]
+    model = load_model("nerm", trained / "runs" / "nano")
+    [field] = model.generate([GenerationRequest(2.0, text="a person walks")], seed=0)
+    found = [
+        field.at_fps(Fraction(fps)).query(np.arange(21) / 10).joint_positions.astype(np.float64)
+        for fps in (20, 30, 60, 120)
+    ]
+    largest = max(float(np.linalg.norm(a - b, axis=-1).max()) for a in found for b in found)
+    assert 0 < shift["mean_mm"] < shift["max_mm"] == pytest.approx(1000 * largest, rel=1e-6)
+    assert (shift["rates"], shift["instants"]) == (["20", "30", "60", "120"], 21)
+
+
+def test_numbers_of_a_seed_do_not_depend_on_the_batch(trained: Path) -> None:
+    model = load_model("nerm", trained / "runs" / "nano")
+    requests = [GenerationRequest(None)] * 3
+    whole = model.generate(requests, seed=5)
+    [last] = model.generate(requests[2:], seed=5, first=2)
+    assert last.end_seconds == whole[2].end_seconds
+    instants = np.array([0.0, 1.0])
+    expected = whole[2].query(instants).joint_positions
+    np.testing.assert_allclose(last.query(instants).joint_positions, expected, atol=1e-4)
+
+
 def test_what_the_model_cannot_do_is_refused(trained: Path) -> None:
     model = load_model("nerm", trained / "runs" / "nano")
     with pytest.raises(UsageError, match="up to 10 s"):

@@ -125,6 +125,23 @@ def test_poses_do_not_depend_on_what_else_is_asked_for(trained: TrainedField) ->
     np.testing.assert_allclose(alone[0, 0], together[2, 1], atol=1e-5)
 
 
+def test_only_so_many_poses_are_decoded_at_once(trained: TrainedField, monkeypatch: pytest.MonkeyPatch) -> None:
+    times, latents = np.arange(4000) / 1000, trained.posterior_mean[:2]
+    rows = np.stack((times, times[::-1]))
+    whole, whole_rows = (trained.decode(latents, each, Fraction(1000)) for each in (times, rows))
+    decoded: list[int] = []
+    counted = trained.network.output.register_forward_hook(
+        lambda module, inputs, output: decoded.append(output[..., 0].numel())
+    )
+    monkeypatch.setattr("nerm.field_model.POSES_AT_ONCE", 700)
+    parts, part_rows = (trained.decode(latents, each, Fraction(1000)) for each in (times, rows))
+    counted.remove()
+    assert max(decoded) == 700
+    assert sum(decoded) == 4 * len(times)
+    np.testing.assert_allclose(parts, whole, atol=1e-5)
+    np.testing.assert_allclose(part_rows, whole_rows, atol=1e-5)
+
+
 def test_a_latent_is_a_motion_field(trained: TrainedField) -> None:
     motion = trained.as_motion_field(trained.posterior_mean[1], 2.5)
     assert (motion.start_seconds, motion.end_seconds, motion.skeleton) == (0.0, 2.5, SMPL22)

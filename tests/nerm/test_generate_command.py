@@ -1,5 +1,6 @@
 """`motionkit generate`: what it refuses, what it writes, what it says."""
 
+import csv
 import json
 from dataclasses import dataclass
 from fractions import Fraction
@@ -9,15 +10,18 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from motionkit.cli.app import build_app
 from motionkit.errors import FormatError, UsageError
+from motionkit.features.humanml3d import positions
 from motionkit.formats.arrays.npz import read_npz
 from motionkit.formats.bvh.motion import read_bvh
 from motionkit.generation import GenerationRequest
 from motionkit.motion import Caption
 from motionkit.motionfield import Poses, check_times
 from motionkit.skeleton import SMPL22
+from motionkit.store import Store
 from nerm.commands.generate import generate
-from nerm.generated_files import file_name
+from nerm.generated_files import motion_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,21 +46,34 @@ class Drift:
 class DriftModel:
     name, skeleton, max_training_fps, max_duration_seconds = "Drift", SMPL22, Fraction(120), 10.0
 
-    def generate(self, requests, *, seed, sampling=None):
+    def __init__(self, fails_at=None):
+        self.fails_at = fails_at
+
+    def check(self, request, sampling=None):
+        if request.action == "fly":
+            raise UsageError("the model knows no action 'fly'")
+
+    def generate(self, requests, *, seed, sampling=None, first=0):
+        if self.fails_at is not None and first >= self.fails_at:
+            raise KeyboardInterrupt
         return [
             Drift(seed + index / 10, 3.0 if request.duration_seconds is None else request.duration_seconds)
-            for index, request in enumerate(requests)
+            for index, request in enumerate(requests, start=first)
         ]
+
+
+def rows_of(table):
+    return list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
 
 
 @pytest.fixture
 def run_command(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("motionkit.generation.load_model", lambda name, run: DriftModel())
     app = typer.Typer()
     app.command()(generate)
 
-    def run(*arguments):
+    def run(*arguments, model=None):
+        monkeypatch.setattr("motionkit.generation.load_model", lambda name, run: model or DriftModel())
         return CliRunner().invoke(app, list(arguments), catch_exceptions=False)
 
     return run
@@ -68,7 +85,11 @@ def test_texts_become_a_batch_of_files(run_command, tmp_path):
     report = json.loads(result.stdout)
     assert [motion["num_frames"] for motion in report["motions"]] == [864] * 4
     names = sorted(path.name for path in (tmp_path / "made").iterdir())
-    assert names == ["0000-a-person-walks.npz", "0001-a-person-walks.npz", "0002-a-jump.npz", "0003-a-jump.npz"]
+    motions = ["0000-a-person-walks.npz", "0001-a-person-walks.npz", "0002-a-jump.npz", "0003-a-jump.npz"]
+    assert names == [*motions, "generation.json", "motions.csv"]
+    manifest = json.loads((tmp_path / "made" / "generation.json").read_text())
+    assert (manifest["seed"], manifest["fps"], manifest["count"]) == (0, "144", 2)
+    assert [each["text"] for each in manifest["conditions"]] == ["a person walks", "A jump!"]
     with np.load(tmp_path / "made" / names[2], allow_pickle=False) as arrays:
         assert arrays["joint_positions"].shape == (864, 22, 3)
         assert arrays["joint_positions"].dtype == np.float32
@@ -112,7 +133,7 @@ def test_defaults_are_the_models(run_command):
 
 
 def test_framerates_above_the_training_data_warn(run_command):
-    result = run_command("a walk", "--fps", "240", "--seconds", "1")
+    result = run_command("a walk", "--fps", "240", "--seconds", "1", "--out", "fast")
     assert "240 fps is above the 120 fps" in result.stderr
     assert "above" not in run_command("a walk", "--fps", "120", "--seconds", "1").stderr
 
@@ -120,8 +141,12 @@ def test_framerates_above_the_training_data_warn(run_command):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "exactly one of the three"),
-        (("a walk", "--unconditional"), "exactly one of the three"),
+        ((), "exactly one of them"),
+        (("a walk", "--unconditional"), "exactly one of them"),
+        (("a walk", "--prompts", "p.txt"), "takes the place of texts"),
+        (("--prompts", "absent.txt"), "absent.txt: No such file"),
+        (("a walk", "--resume", "--overwrite"), "exclude each other"),
+        (("--action", "fly"), "no action 'fly'"),
         ((" ",), "empty"),
         (("a walk", "--fps", "fast"), "--fps fast"),
         (("a walk", "--fps", "24000/0"), "--fps 24000/0"),
@@ -129,16 +154,95 @@ def test_framerates_above_the_training_data_warn(run_command):
         (("a walk", "--times", "x", "--seconds", "1"), "separated by commas"),
         (("a walk", "--times", "0.5,1.5", "--seconds", "1"), "1.5 s lies outside"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--fps", "30"), "exclude each other"),
-        (("a walk", "--format", "fbx"), "npz or bvh"),
+        (("a walk", "--format", "fbx"), "one of npz, bvh, gltf, humanml3d"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--format", "bvh"), "one framerate"),
     ],
 )
-def test_what_makes_no_sense_is_refused(run_command, arguments, message):
+def test_what_makes_no_sense_is_refused(run_command, tmp_path, arguments, message):
     with pytest.raises(UsageError, match=message):
         run_command(*arguments)
+    assert not (tmp_path / "generated").exists()
 
 
 def test_file_names_are_safe_and_short():
-    assert file_name(3, GenerationRequest(1.0, text="../../etc: 走る Walk")) == "0003-etc-walk"
-    assert file_name(3, GenerationRequest(1.0, text="走る")) == "0003-motion"
-    assert len(file_name(0, GenerationRequest(1.0, text="a person " * 30))) <= 45
+    assert motion_name(3, GenerationRequest(1.0, text="../../etc: 走る Walk")) == "0003-etc-walk"
+    assert motion_name(3, GenerationRequest(1.0, text="走る")) == "0003-motion"
+    assert len(motion_name(0, GenerationRequest(1.0, text="a person " * 30))) <= 45
+
+
+def test_pose_vectors_at_the_published_framerate_and_at_others(run_command, tmp_path):
+    run_command("a walk", "--seconds", "3", "--format", "humanml3d", "--out", "published")
+    run_command("a walk", "--seconds", "3", "--format", "humanml3d", "--fps", "60", "--out", "fast")
+    for name, fps, rows in (("published", "20", 59), ("fast", "60", 179)):
+        folder = tmp_path / name
+        vectors = np.load(folder / "new_joint_vecs" / "0000-a-walk.npy", allow_pickle=False)
+        assert vectors.shape == (rows, 263)
+        # 1 m/s along Z+, per frame.
+        np.testing.assert_allclose(vectors[:, 2], 1 / int(fps), atol=1e-3)
+        np.testing.assert_allclose(positions(vectors, "smpl22"), np.load(folder / "new_joints" / "0000-a-walk.npy"))
+        manifest = json.loads((folder / "motions.json").read_text())
+        assert (manifest["fps"], manifest["published_fps"], manifest["vectors"]) == (fps, "20", "humanml3d")
+        assert (folder / "texts" / "0000-a-walk.txt").read_text().startswith("a walk#")
+        [row] = rows_of(folder / "motions.csv")
+        assert (row["file"], row["fps"]) == ("new_joint_vecs/0000-a-walk.npy", fps)
+
+
+def test_gltf_is_an_animation(run_command, tmp_path):
+    run_command("--unconditional", "--seconds", "1", "--format", "gltf", "--fps", "30", "--out", "made")
+    header = (tmp_path / "made" / "0000-unconditional.glb").read_bytes()[:4]
+    assert header == b"glTF"
+
+
+def test_a_file_of_prompts(run_command, tmp_path):
+    (tmp_path / "wanted.csv").write_text('text,action,seconds\n"walks, then stops",,2\n,jump,\n')
+    report = json.loads(run_command("--prompts", "wanted.csv", "-n", "2", "--fps", "20", "--json").stdout)
+    assert [(m["caption"], m["action"], m["num_frames"]) for m in report["motions"]] == [
+        *[("walks, then stops", "", 40)] * 2,
+        *[("", "jump", 60)] * 2,
+    ]
+    (tmp_path / "bad.jsonl").write_text('{"text": "a walk"}\n\n{"action": "fly"}\n')
+    with pytest.raises(UsageError, match=r"bad\.jsonl, line 3: the model knows no action 'fly'"):
+        run_command("--prompts", "bad.jsonl", "--out", "other")
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_stopped_call_goes_on_where_it_was(run_command, tmp_path):
+    call = ("--unconditional", "-n", "70", "--seconds", "1", "--fps", "5")
+    run_command(*call, "--out", "whole")
+    stopped = run_command(*call, "--out", "parts", "--resume", model=DriftModel(fails_at=64))
+    assert stopped.exit_code != 0
+    table = tmp_path / "parts" / "motions.csv"
+    assert len(rows_of(table)) == 64
+    table.write_bytes(table.read_bytes()[:-7])  # a line cut short counts as not done
+    report = json.loads(run_command(*call, "--out", "parts", "--resume", "--json").stdout)
+    assert (report["already_there"], len(report["motions"])) == (63, 7)
+    for name in ("motions.csv", "0063-unconditional.npz", "0069-unconditional.npz"):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert json.loads(run_command(*call, "--out", "parts", "--resume", "--json").stdout)["motions"] == []
+    with pytest.raises(UsageError, match=r"begun with another seed \(0, now 1\)"):
+        run_command(*call, "--out", "parts", "--resume", "--seed", "1")
+
+
+def test_nothing_is_overwritten_unasked(run_command, tmp_path):
+    run_command("a walk", "--seconds", "1", "--out", "made")
+    with pytest.raises(UsageError, match="--resume goes on with them, --overwrite replaces them"):
+        run_command("a walk", "--seconds", "1", "--out", "made")
+    (tmp_path / "made" / "mine.txt").write_text("mine")
+    run_command("a jump", "--seconds", "1", "--out", "made", "--overwrite", "--format", "humanml3d")
+    run_command("a hop", "--seconds", "1", "--out", "made", "--overwrite")
+    left = sorted(path.relative_to(tmp_path / "made").as_posix() for path in (tmp_path / "made").rglob("*.*"))
+    assert left == ["0000-a-hop.npz", "generation.json", "mine.txt", "motions.csv"]
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "mine.txt").write_text("mine")
+    for option in ("--resume", "--overwrite"):
+        with pytest.raises(UsageError, match="other is not empty"):
+            run_command("a walk", "--seconds", "1", "--out", "other", option)
+
+
+def test_what_was_generated_is_ingested_with_its_captions(run_command, tmp_path):
+    run_command("a walk", "--seconds", "1", "--fps", "50", "--format", "bvh", "--out", "made")
+    result = CliRunner().invoke(build_app(), ["ingest", str(tmp_path / "made"), "--store", "store", "--json"])
+    assert result.exit_code == 0
+    assert not json.loads(result.stdout)["problems"]
+    [motion] = Store.open(tmp_path / "store").read_many([0])
+    assert (motion.fps, motion.captions) == (Fraction(50), (Caption("a walk"),))
