@@ -1,16 +1,24 @@
 """A result whose columns are framerates, as panels of curves."""
 
+import re
+
 from eval.report.figures import Curve, Panel
 from eval.report.results import Block, Result, Row
+
+FRAMERATE = r"\d+(\.\d+)? fps"
 
 
 def panels_of(result: Result, y_label: str = "clip-FID (lower is better)") -> tuple[Panel, ...]:
     """One panel per block, for numbers of different blocks can't be compared; ours first, the paper's after them.
 
-    Raises `ValueError` for a column that is no framerate ("120 fps").
+    Blocks with a column that is no framerate ("120 fps") are left out.
     """
-    ordered = sorted(result.blocks, key=_is_from_paper)
+    ordered = sorted(filter(_is_by_framerate, result.blocks), key=_is_from_paper)
     return tuple(Panel(block.title, y_label, _curves(block)) for block in ordered if block.rows)
+
+
+def _is_by_framerate(block: Block) -> bool:
+    return all(re.fullmatch(FRAMERATE, column) for column in block.columns)
 
 
 def _is_from_paper(block: Block) -> bool:
@@ -33,7 +41,4 @@ def _curve(row: Row, columns: tuple[str, ...]) -> Curve:
 
 
 def _fps(column: str) -> float:
-    number, _, unit = column.partition(" ")
-    if unit != "fps":
-        raise ValueError(f"column {column!r} is not a framerate such as '120 fps'")
-    return float(number)
+    return float(column.removesuffix(" fps"))

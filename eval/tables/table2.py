@@ -22,11 +22,13 @@ from eval.evaluators.feature_set import FeatureSet
 from eval.evaluators.kinematic import KinematicDescriptor
 from eval.feature_sources import FeatureSource, feature_sources
 from eval.generated import Window, generate_fields, sample_fields, windows_of
+from eval.memorisation import SAMPLED_FPS
 from eval.real import NoRealMotionError, RealMotion, real_motion
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.reported import SOURCES, reported_figures
 from eval.sample_folder import SampleFolder, read_sample_folder
 from eval.samples import SampleSet
+from eval.tables.nearest_training import nearest_training_block
 from eval.tables.registry import Table, TableRequest
 from motionkit.console import progress
 from motionkit.errors import MotionkitError
@@ -115,12 +117,14 @@ def build_table2(request: TableRequest) -> Result:
             _block(source, columns, request, notes, display, missing)
             for source in feature_sources(request.run, request.features, missing)
         )
+        display.add_task("nearest training motion", total=None, note="")
+        nearest = _nearest_training(real, train, fields, folders, notes, missing)
     return Result(
         task="nerm-table2",
         version=VERSION,
         title="Table 2: clip-FID by framerate",
         caption=_caption(columns, request),
-        blocks=(*(block for block in blocks if block.rows), _paper_block()),
+        blocks=(*(block for block in (*blocks, *nearest) if block.rows), _paper_block()),
         definition=_definition(columns, request),
         notes=_notes(columns),
         missing=tuple(dict.fromkeys(missing)),
@@ -202,6 +206,28 @@ def _column(
     except NoRealMotionError:
         training = None
     return _Column(fps, reference, rows, training)
+
+
+def _nearest_training(
+    real: RealMotion,
+    train: RealMotion,
+    fields: Mapping[Window, MotionField],
+    folders: list[SampleFolder],
+    notes: Mapping[str, str],
+    missing: list[str],
+) -> tuple[Block, ...]:
+    """The block that tells copies; none where there is no training split or it is too short."""
+    try:
+        if train.name == real.name:
+            raise NoRealMotionError("the compared motion is the training motion")
+        held_out, training = real.at(SAMPLED_FPS), train.at(SAMPLED_FPS)
+        generated = sample_fields(fields, held_out.sequence_ids, SAMPLED_FPS, NERM)
+        others = {} if generated is None else {NERM: generated}
+        others |= {folder.name: folder.at(SAMPLED_FPS) for folder in folders}
+        return (nearest_training_block(held_out, training, others, notes),)
+    except (NoRealMotionError, ValueError) as error:
+        missing.append(f"distance to the nearest training motion: {error}")
+        return ()
 
 
 def _same_sequences(low: SampleSet, reference: SampleSet) -> SampleSet:
