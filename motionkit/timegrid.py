@@ -6,6 +6,7 @@ instants that were really observed span (T − 1) / fps.
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -23,6 +24,7 @@ SNAP_TOLERANCE = 1e-3
 MIN_FPS, MAX_FPS = Fraction(1), Fraction(10_000)
 
 
+@lru_cache(maxsize=256, typed=True)  # a corpus says the same few thousands of times
 def parse_fps(value: str | int | float | Fraction) -> Fraction:
     """Read a framerate exactly: `120`, `"30000/1001"`, `"59.94"`, or a float that is snapped to a common rate.
 
