@@ -10,6 +10,7 @@ from jaxtyping import Float32
 
 from motionkit.store import files
 from motionkit.store.codec import Segment
+from motionkit.store.columns import array_of, float_lists
 from motionkit.store.manifest import PENDING_SUFFIX, FileEntry, describe_file
 from motionkit.store.schema import (
     FLOAT_LIST,
@@ -94,9 +95,9 @@ class PartWriter:
 
 def _segment_table(segments: list[Segment]) -> pa.Table:
     columns = [
-        pa.array([segment.sequence_index for segment in segments], pa.int32()),
-        pa.array([segment.start_frame for segment in segments], pa.int32()),
-        pa.array([segment.num_frames for segment in segments], pa.int16()),
+        array_of([segment.sequence_index for segment in segments], pa.int32()),
+        array_of([segment.start_frame for segment in segments], pa.int32()),
+        array_of([segment.num_frames for segment in segments], pa.int16()),
         _float_lists([segment.joint_positions for segment in segments]),
         _float_lists([segment.joint_rotations for segment in segments]),
         _float_lists([segment.root_translation for segment in segments]),
@@ -104,9 +105,7 @@ def _segment_table(segments: list[Segment]) -> pa.Table:
     return pa.Table.from_arrays(columns, schema=SEGMENTS)
 
 
-def _float_lists(arrays: list[Float32[np.ndarray, "_"] | None]) -> pa.LargeListArray:
+def _float_lists(arrays: list[Float32[np.ndarray, "_"] | None]) -> pa.Array:
     present = [array for array in arrays if array is not None]
     values = np.concatenate(present) if present else np.empty(0, np.float32)
-    offsets = np.cumsum([0, *(0 if array is None else array.size for array in arrays)], dtype=np.int64)
-    absent = pa.array([array is None for array in arrays]) if len(present) < len(arrays) else None
-    return pa.LargeListArray.from_arrays(pa.array(offsets), pa.array(values), type=FLOAT_LIST, mask=absent)
+    return float_lists(values, [None if array is None else array.size for array in arrays], FLOAT_LIST)

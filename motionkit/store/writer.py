@@ -4,12 +4,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
-import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
+from motionkit.store.columns import table_of
 from motionkit.store.commit import (
     EMPTY,
     changing,
@@ -156,7 +156,7 @@ class StoreWriter:
         assert self._table is not None
         self._table.close()
         self._table = None
-        skeletons = pa.Table.from_pylist([codec.skeleton_row(each) for each in self._skeletons.values()], SKELETONS)
+        skeletons = table_of([codec.skeleton_row(each) for each in self._skeletons.values()], SKELETONS)
         pq.write_table(skeletons, pending(self.path, SKELETONS_FILE), **table_writer_options())
         num_rows = {SEQUENCES_FILE: self._num_sequences, SKELETONS_FILE: len(self._skeletons)}
         parts = {name: self._base.files[name] for name in self._base.parts} | self._parts.finished
@@ -177,7 +177,7 @@ class StoreWriter:
                 for batch in pq.ParquetFile(self.path / SEQUENCES_FILE).iter_batches(SEQUENCES_PER_ROW_GROUP):
                     self._table.write_batch(batch)
         if self._rows:
-            self._table.write_table(pa.Table.from_pylist(self._rows, SEQUENCES))
+            self._table.write_table(table_of(self._rows, SEQUENCES))
             self._rows.clear()
 
     def _close(self) -> None:
