@@ -11,8 +11,9 @@ from jaxtyping import Float, Float32, Float64, Int64
 from torch import nn
 
 from nerm.attention import CodebookCoordinateAttention
+from nerm.body_path import placed
 from nerm.coordinates import FourierFeatures, distinct, frame_numbers, framerate_number
-from nerm.knots import KnotLayout, mix
+from nerm.local_latents import KnotWeights, Reading, local_latents
 from nerm.recipes import Activation, FieldConfig
 
 ACTIVATIONS: dict[Activation, type[nn.Module]] = {"relu": nn.ReLU, "silu": nn.SiLU, "gelu": nn.GELU}
@@ -22,11 +23,11 @@ ACTIVATIONS: dict[Activation, type[nn.Module]] = {"relu": nn.ReLU, "silu": nn.Si
 class EncodedCoordinates:
     """Distinct coordinates as the decoder reads them, and where each pose finds its own.
 
-    `features` [D, C] go into the first layer; `basis` [D, F, K] are the knots' weights (local layout only).
+    `features` [D, C] go into the first layer; `weights` are the knots' (local layout only).
     """
 
     features: Float[torch.Tensor, "distinct width"] | None
-    basis: Float[torch.Tensor, "distinct functions knots"] | None
+    weights: KnotWeights | None
     which: Int64[torch.Tensor, "batch poses"]
 
 
@@ -71,13 +72,10 @@ class FieldNetwork(nn.Module):
     ) -> None:
         super().__init__()
         self.config = config
-        self.knots = self.knot_layout(config) if config.latent_layout == "local" else None
+        self.local = local_latents(config)
         self.fourier, self.attention = self._time_encoding(codebook)
         width, hidden = self._feature_width(), config.hidden
-        latent_width = config.latent_dimension
-        if self.knots is not None:
-            latent_width = config.latent_dimension // config.num_knots * self.knots.num_basis
-        self.from_latent = nn.Linear(latent_width, hidden)
+        self.from_latent = nn.Linear(config.latent_dimension if self.local is None else self.local.num_seen, hidden)
         self.from_coordinate = nn.Linear(width, hidden, bias=False) if width else None
         self.from_framerate = nn.Linear(1, hidden, bias=False)
         layers = [
@@ -87,22 +85,22 @@ class FieldNetwork(nn.Module):
             for _ in range(config.layers - 1)
         ]
         self.layers = nn.ModuleList(layers)
-        self.linear = nn.Linear(latent_width, num_numbers, bias=False) if config.linear_path else None
+        self.linear = None
+        if config.linear_path and self.local is not None:
+            self.linear = nn.Linear(self.local.num_seen, num_numbers, bias=False)
         self.finish = nn.Sequential(nn.LayerNorm(hidden), ACTIVATIONS[config.activation]())
         self.output = nn.Linear(hidden, num_numbers)
 
     @torch.no_grad()
-    def start_linear_path(self, matrix: Float32[torch.Tensor, "components numbers"]) -> None:
+    def start_linear_path(
+        self, mean: Float32[torch.Tensor, "numbers"], matrix: Float32[torch.Tensor, "components numbers"]
+    ) -> None:
         """Begin as the linear model that the ridge fit of the latents belongs to; the layers then learn the rest."""
         assert self.linear is not None
         self.linear.weight.zero_()
         self.linear.weight[:, : len(matrix)] = matrix.T
         self.output.weight.zero_()
-
-    @staticmethod
-    def knot_layout(config: FieldConfig) -> KnotLayout:
-        """How a local latent lies along time."""
-        return KnotLayout(config.num_knots, config.knot_radius, config.knot_modes)
+        self.output.bias.copy_(mean)
 
     def _time_encoding(
         self, codebook: torch.Tensor | None
@@ -110,7 +108,7 @@ class FieldNetwork(nn.Module):
         config = self.config
         if config.time_encoding in ("none", "raw"):
             return None, None
-        period = None if self.knots is None else self.knots.spacing
+        period = None if self.local is None else self.local.phase_period
         fourier = FourierFeatures(config.num_frequencies, config.frequency_scale, period)
         if config.time_encoding == "fourier":
             return fourier, None
@@ -138,17 +136,17 @@ class FieldNetwork(nn.Module):
         if self.config.coordinates == "frames":
             read = frame_numbers(coordinates, fps, self.config.max_duration_seconds)
         values, which = distinct(read)
-        basis = None if self.knots is None else self.knots.basis(values)
-        return EncodedCoordinates(self._features(values), basis, which)
+        weights = None if self.local is None else self.local.weights(values)
+        return EncodedCoordinates(self._features(values), weights, which)
 
     def _features(self, values: Float64[torch.Tensor, "distinct"]) -> Float[torch.Tensor, "distinct width"] | None:
-        """γ(t), enriched by CCA; with local latents of the phase between two knots, of which there are far fewer."""
+        """γ(t), enriched by CCA; with local latents of the phase between knots, of which there are far fewer."""
         if self.fourier is None:
             return values[:, None].float() if self.config.time_encoding == "raw" else None
-        if self.knots is None:
+        if self.local is None:
             read, which = values, torch.arange(len(values), device=values.device)
         else:
-            read, which = distinct(torch.remainder(values + 1.0, self.knots.spacing))
+            read, which = distinct(torch.remainder(values + 1.0, self.local.phase_period))
         features: torch.Tensor = self.fourier(read)
         if self.attention is not None:
             features = self.attention(features)
@@ -162,21 +160,29 @@ class FieldNetwork(nn.Module):
     ) -> Float[torch.Tensor, "batch poses numbers"]:
         """Standardised pose vectors from latents and encoded coordinates."""
         hidden = self.from_framerate(framerate_number(fps, self.config.framerate_scale)[:, None])[:, None]
-        if encoded.basis is None:
-            read = latents[:, None]
-        else:
-            knots = latents.reshape(len(latents), self.config.num_knots, -1)
-            read = mix(knots, encoded.basis[encoded.which])
-        hidden = hidden + self.from_latent(read)
+        reading = None
+        if self.local is not None and encoded.weights is not None:
+            reading = self.local.read(latents, encoded.weights, encoded.which)
+        hidden = hidden + self.from_latent(latents[:, None] if reading is None else reading.seen)
         if self.from_coordinate is not None and encoded.features is not None:
             hidden = hidden + self.from_coordinate(encoded.features)[encoded.which]
         for layer in self.layers:
             hidden = layer(hidden)
         vectors: torch.Tensor = self.output(self.finish(hidden))
-        if self.linear is not None:
-            vectors = vectors + self.linear(read)
+        if reading is not None:
+            return self._assembled(vectors, reading)
         # Told no time at all (`none` with a global latent), a window is one pose that is held.
         return vectors.expand(-1, encoded.which.shape[1], -1)
+
+    def _assembled(
+        self, vectors: Float[torch.Tensor, "batch poses numbers"], reading: Reading
+    ) -> Float32[torch.Tensor, "batch poses numbers"]:
+        """The decoder's output with the linear model's and on the body's path; in float32 even under autocast."""
+        with torch.autocast(vectors.device.type, enabled=False):
+            vectors = vectors.float()
+            if self.linear is not None:
+                vectors = vectors + self.linear(reading.seen)
+            return vectors if reading.path is None else placed(vectors, reading.path)
 
     def forward(
         self,

@@ -20,11 +20,12 @@ from motionkit.training.device import resolve_device
 from motionkit.training.run import RunFolder, StageFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, save_tensors, unprefixed
 from nerm.field import EncodedCoordinates, FieldNetwork
+from nerm.latent_fit import LinearModel, PoseComponents
 from nerm.recipes import FieldConfig
-from nerm.scaling import PoseComponents, VectorScaling
+from nerm.scaling import VectorScaling
 
 STAGE_NAME = "field"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 GRIDS_KEPT = 16
 POSES_AT_ONCE = 8_192
 
@@ -33,8 +34,8 @@ POSES_AT_ONCE = 8_192
 class TrainedField:
     """f_θ with its scales and the posteriors N(μ_i, Σ_i) of all training windows.
 
-    `network` is in evaluation mode, its gradients off; `components` are the pose components that a local latent's ridge
-    fit starts from (None for the global layout).
+    `network` is in evaluation mode, its gradients off; `components` are the pose components of the linear model that a
+    local latent's search starts from (None for the global layout).
     """
 
     network: FieldNetwork
@@ -55,6 +56,14 @@ class TrainedField:
     def latent_dimension(self) -> int:
         """d."""
         return self.config.latent_dimension
+
+    @property
+    def linear_model(self) -> LinearModel | None:
+        """The linear model that local latents are fitted with, on the CPU; None for the global layout."""
+        banks = self.network.local
+        if banks is None or self.components is None:
+            return None
+        return LinearModel(banks, self.scaling.to(torch.device("cpu")), self.components, self.config.ridge)
 
     @property
     def max_duration_seconds(self) -> float:
@@ -170,6 +179,7 @@ def save_field(folder: StageFolder, trained: TrainedField) -> None:
         | prefixed("windows", {name: torch.from_numpy(array) for name, array in trained.windows.arrays().items()})
     )
     if trained.components is not None:
+        tensors["components.mean"] = trained.components.mean
         tensors["components.directions"] = trained.components.directions
     description: dict[str, Any] = {
         "format": "nerm-field",
@@ -198,11 +208,13 @@ def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
     network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))
     network.load_state_dict(unprefixed("network", tensors))
     arrays = {name: tensor.numpy() for name, tensor in unprefixed("windows", tensors).items()}
-    directions = tensors.get("components.directions")
+    components = None
+    if config.latent_layout == "local":
+        components = PoseComponents(tensors["components.mean"], tensors["components.directions"])
     return TrainedField(
         network=network.to(where).eval().requires_grad_(False),
         scaling=scaling.to(where),
-        components=None if directions is None else PoseComponents(directions),
+        components=components,
         posterior_mean=tensors["posterior.mean"],
         posterior_log_variance=tensors["posterior.log_variance"],
         windows=Windows(config.max_duration_seconds, **arrays),

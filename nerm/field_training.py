@@ -7,32 +7,33 @@ from typing import Any
 import torch
 from jaxtyping import Float, Float32, Int64
 
-from motionkit.clips import PoseBatch, WindowPoses, chunks, rows_by_duration, shuffled_batches
+from motionkit.clips import PoseBatch, WindowPoses, rows_by_duration, shuffled_batches
 from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.schedule import rate_factor, scale_rates
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from nerm.field import FieldNetwork
-from nerm.knots import ridge_knots
+from nerm.latent_fit import LinearModel, fit_windows, measure_components
 from nerm.latents import LOG_VARIANCE_RANGE, RowAdam, kl_divergence, sample_posterior
+from nerm.local_latents import local_latents
 from nerm.recipes import FieldConfig
-from nerm.scaling import PoseComponents, VectorScaling, measure_scaling, principal_components
+from nerm.scaling import VectorScaling, measure_scaling
 
-RIDGE_TIMES = 64
+
+def linear_model(poses: WindowPoses, scaling: VectorScaling, config: FieldConfig) -> LinearModel | None:
+    """The linear model of the windows' poses that local latents are fitted with; None for the global layout."""
+    banks = local_latents(config)
+    if banks is None:
+        return None
+    return LinearModel(banks, scaling, measure_components(poses, banks, scaling, config.ridge), config.ridge)
 
 
 def initial_means(
-    poses: WindowPoses, scaling: VectorScaling, components: PoseComponents | None, config: FieldConfig, seed: int
+    poses: WindowPoses, model: LinearModel | None, config: FieldConfig, seed: int
 ) -> Float32[torch.Tensor, "windows latent"]:
-    """μ before training: N(0, 1), or a ridge fit of principal components of the poses on the knots (local layout)."""
-    noise = torch.randn(len(poses.windows), config.latent_dimension, generator=step_generator(seed, "latents"))
-    if config.initialisation == "normal" or components is None:
-        return noise
-    layout = FieldNetwork.knot_layout(config)
-    for rows in chunks(len(poses.windows), 512):
-        batch = poses.evenly(rows, RIDGE_TIMES)
-        targets = components.scores(scaling.apply(batch.vectors))
-        noise[batch.window] = ridge_knots(targets, batch.coordinates, layout, config.ridge).flatten(1)
-    return noise
+    """μ before training: N(0, 1), or the linear model's fit."""
+    if config.initialisation == "ridge" and model is not None:
+        return fit_windows(poses, model)
+    return torch.randn(len(poses.windows), config.latent_dimension, generator=step_generator(seed, "latents"))
 
 
 class FieldTraining:
@@ -49,17 +50,15 @@ class FieldTraining:
     ) -> None:
         self.poses, self.config, self.seed, self.device = poses, config, seed, device
         self.scaling = measure_scaling(poses, config)
-        self.components = None
-        if config.latent_layout == "local":
-            num_components = config.latent_dimension // config.num_knots
-            self.components = principal_components(poses, self.scaling, num_components)
-        means = initial_means(poses, self.scaling, self.components, config, seed)
+        model = linear_model(poses, self.scaling, config)
+        self.components = None if model is None else model.components
+        means = initial_means(poses, model, config, seed)
         num_numbers = len(self.scaling.mean)
         self.scaling = self.scaling.to(device)
         with seeded_initialisation(seed, "field"):
             self.network = FieldNetwork(config, num_numbers, codebook).to(device)
         if self.network.linear is not None and self.components is not None:
-            self.network.start_linear_path(self.components.inverse())
+            self.network.start_linear_path(self.components.mean, self.components.inverse())
         self.visits = torch.from_numpy(rows_by_duration(poses.windows, config.seconds_per_visit))
         self.steps = config.num_steps(len(self.visits))
         self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.weight_decay)

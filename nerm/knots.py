@@ -1,23 +1,30 @@
-"""The local latent layout (ours): z's numbers are knots along time; an instant reads a smooth mix of those around it.
+"""Knots along time: how numbers that belong to instants are read between them.
 
-Knot k lies at t_k = −1 + 2k / (K − 1). With u = (t − t_k) / spacing, an instant sees, for every mode j,
-Σ_k h(u)·e_j(u)·z_k, where h is a Hann bump of the given radius (the bumps sum to one for radius 1, 2, …) and e_j runs
-over 1, cos(πju / radius), sin(πju / radius). Nothing else tells it where in the window it lies, so what is learnt at
-one time serves at all times.
+K knots share [−1, 1] evenly: knot k is the middle t_k = −1 + (2k + 1) / K of its own stretch, so that the stretches of
+a bank of 16 and of a bank of 32 fall together. With u = (t − t_k) / spacing, an instant sees, for every mode j,
+Σ_k e_j(u_k)·z_k. Mode 0 is the knots' interpolant: a Hann bump, or Lanczos' windowed sinc, which passes through the
+knots and keeps more of the band below their Nyquist rate; both are scaled to sum to one. The others are a Hann bump
+times cos(πju / radius) and sin(πju / radius). Nothing else tells where in the window an instant lies, so what is learnt
+at one time serves at all times.
 """
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Float32, Float64
 
+Kernel = Literal["hann", "lanczos"]
+LANCZOS_RADIUS = 3.0
+
 
 @dataclass(frozen=True)
 class KnotLayout:
-    """How `num_knots` knots are spread over [−1, 1] and read: radius in knot spacings, number of cosine-sine modes."""
+    """How `num_knots` knots are read: the interpolant, the radius of bumps in knot spacings and the modes."""
 
     num_knots: int
+    kernel: Kernel
     radius: float
     modes: int
 
@@ -28,21 +35,68 @@ class KnotLayout:
     @property
     def spacing(self) -> float:
         """Distance between knots in units of t."""
-        return 2.0 / (self.num_knots - 1)
+        return 2.0 / self.num_knots
 
     @property
     def num_basis(self) -> int:
         """Functions per knot: 1 + 2·modes."""
         return 1 + 2 * self.modes
 
+    @property
+    def reach(self) -> float:
+        """How far from a knot, in knot spacings, it is still read."""
+        of_kernel = LANCZOS_RADIUS if self.kernel == "lanczos" else self.radius
+        return max(of_kernel, self.radius) if self.modes else of_kernel
+
+    def centres(self) -> Float64[torch.Tensor, "knots"]:
+        """Where the knots lie in [−1, 1]."""
+        return -1.0 + (torch.arange(self.num_knots, dtype=torch.float64) + 0.5) * self.spacing
+
+    def interpolant(self, coordinates: Float64[torch.Tensor, "times"]) -> Float64[torch.Tensor, "times knots"]:
+        """Weights of mode 0: of each time they sum to one.
+
+        Half a spacing is left before the first knot and after the last: there the knots go on in a straight line.
+        """
+        outside = math.ceil(LANCZOS_RADIUS)
+        offset = self._offset(coordinates, outside)
+        if self.kernel == "hann":
+            weights = _hann(offset, self.radius)
+        else:
+            inside = offset.abs() < LANCZOS_RADIUS
+            weights = torch.sinc(offset) * torch.sinc(offset / LANCZOS_RADIUS) * inside
+        weights = weights / weights.sum(dim=1, keepdim=True)
+        before, own, after = weights.tensor_split((outside, outside + self.num_knots), dim=1)
+        distance = torch.arange(1, outside + 1, dtype=torch.float64, device=weights.device)
+        own[:, 0] += before.flip(1) @ (1.0 + distance)
+        own[:, 1] -= before.flip(1) @ distance
+        own[:, -1] += after @ (1.0 + distance)
+        own[:, -2] -= after @ distance
+        return own
+
+    def slope(self, coordinates: Float64[torch.Tensor, "times"]) -> Float64[torch.Tensor, "times knots"]:
+        """The interpolant's derivative, per knot spacing (by central differences)."""
+        step = 1e-4 * self.spacing
+        return (self.interpolant(coordinates + step) - self.interpolant(coordinates - step)) / 2e-4
+
     def basis(self, coordinates: Float64[torch.Tensor, "times"]) -> Float32[torch.Tensor, "times basis knots"]:
-        """Weights of all knots at some coordinates, for each basis function; zero outside a knot's radius."""
-        knots = torch.arange(self.num_knots, dtype=torch.float64, device=coordinates.device)
-        offset = (coordinates[:, None] + 1.0) / self.spacing - knots
-        bump = 0.5 * (1.0 + torch.cos(math.pi * offset / self.radius)) * (offset.abs() < self.radius) / self.radius
+        """Weights of all knots at some coordinates, for each mode; zero outside a knot's reach."""
+        offset = self._offset(coordinates)
+        bump = _hann(offset, self.radius)
         angles = [math.pi * mode * offset / self.radius for mode in range(1, self.modes + 1)]
-        waves = [wave(angle) for angle in angles for wave in (torch.cos, torch.sin)]
-        return torch.stack([bump, *(bump * wave for wave in waves)], dim=1).float()
+        waves = [bump * wave(angle) for angle in angles for wave in (torch.cos, torch.sin)]
+        return torch.stack([self.interpolant(coordinates), *waves], dim=1).float()
+
+    def _offset(
+        self, coordinates: Float64[torch.Tensor, "times"], outside: int = 0
+    ) -> Float64[torch.Tensor, "times offsets"]:
+        """Distances in knot spacings from all knots, and from as many beyond either end."""
+        knots = torch.arange(-outside, self.num_knots + outside, dtype=torch.float64, device=coordinates.device)
+        return (coordinates[:, None] + 1.0) / self.spacing - (knots + 0.5)
+
+
+def _hann(offset: Float64[torch.Tensor, "times offsets"], radius: float) -> Float64[torch.Tensor, "times offsets"]:
+    """A bump of unit area."""
+    return 0.5 * (1.0 + torch.cos(math.pi * offset / radius)) * (offset.abs() < radius) / radius
 
 
 def mix(
@@ -57,12 +111,16 @@ def mix(
 def ridge_knots(
     targets: Float[torch.Tensor, "windows times width"],
     coordinates: Float64[torch.Tensor, "windows times"],
+    counts: Float[torch.Tensor, "windows times"],
     layout: KnotLayout,
     ridge: float,
 ) -> Float32[torch.Tensor, "windows knots width"]:
-    """Knots whose plain Hann mix comes closest to targets at given coordinates: ridge regression."""
-    shape = coordinates.shape
-    weights = layout.basis(coordinates.reshape(-1))[:, 0].reshape(*shape, layout.num_knots).double()
-    gram = weights.transpose(1, 2) @ weights + ridge * torch.eye(layout.num_knots, dtype=torch.float64)
-    knots: torch.Tensor = torch.linalg.solve(gram, weights.transpose(1, 2) @ targets.double())
+    """Knots whose interpolant comes closest to targets at given coordinates: ridge regression.
+
+    `counts` says how much each instant counts; the ridge is in units of one instant.
+    """
+    weights = layout.interpolant(coordinates.reshape(-1)).reshape(*coordinates.shape, layout.num_knots)
+    counted = (weights * counts[..., None]).transpose(1, 2)
+    gram = counted @ weights + ridge * torch.eye(layout.num_knots, dtype=torch.float64)
+    knots: torch.Tensor = torch.linalg.solve(gram, counted @ targets.double())
     return knots.float()

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
+from nerm.local_latents import local_latents
 from nerm.recipes import FieldConfig
 
 ALWAYS = -1.0
@@ -15,10 +16,11 @@ ALWAYS = -1.0
 
 def first_read(config: FieldConfig) -> Float32[Tensor, "latent"]:
     """The earliest instant, in units of l_max, at which the field reads each number of z; `ALWAYS` without knots."""
-    if config.latent_layout == "global":
+    banks = local_latents(config)
+    if banks is None:
         return torch.full((config.latent_dimension,), ALWAYS)
-    knots = (torch.arange(config.num_knots) - config.knot_radius) / (config.num_knots - 1)
-    return knots.to(torch.float32).repeat_interleave(config.latent_dimension // config.num_knots)
+    numbers = banks.describe()
+    return (0.5 * (1.0 + numbers.centre - numbers.reach)).to(torch.float32)
 
 
 def in_use(first_read: Float32[Tensor, "latent"], duration: Float32[Tensor, "batch"]) -> Bool[Tensor, "batch latent"]:

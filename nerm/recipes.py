@@ -59,10 +59,14 @@ class FieldConfig:
     stride_seconds: float = 10.0
     mirrored: bool = False
     where: str = "split = 'train'"
-    # Latents: N(μ, Σ) per window; `local` reads z as knots along time.
+    # Latents: N(μ, Σ) per window. `local` reads z as banks of knots along time (nerm/local_latents.py): bank i has
+    # knots[i] knots of knot_numbers[i] pose components each; path_knots knots hold the body's path (0: no such bank).
     latent_layout: LatentLayout = "global"
     latent_dimension: int = 256
-    num_knots: int = 16
+    knots: tuple[int, ...] = (16,)
+    knot_numbers: tuple[int, ...] = (16,)
+    path_knots: int = 0
+    knot_kernel: Literal["hann", "lanczos"] = "hann"
     knot_radius: float = 2.0
     knot_modes: int = 2
     variational: bool = True
@@ -110,16 +114,31 @@ class FieldConfig:
     def __post_init__(self) -> None:
         if (self.steps is None) == (self.epochs is None):
             raise ValueError(f"exactly one of steps and epochs must be given, not {self.steps} and {self.epochs}")
-        if self.latent_layout == "local" and self.latent_dimension % self.num_knots:
-            raise ValueError(f"{self.latent_dimension} latent numbers do not divide into {self.num_knots} knots")
         if self.latent_layout == "local" and self.coordinates == "frames":
             raise ValueError("knots lie at normalised coordinates: frame numbers (Table 9) need latent_layout=global")
+        if self.latent_layout == "local":
+            self._check_banks()
+        elif self.linear_path or self.initialisation == "ridge":
+            raise ValueError("linear_path and initialisation=ridge belong to a linear model of local latents")
         for name in ("batch", "num_poses", "max_duration_seconds", "stride_seconds"):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
         for fps in (self.warmup_fps, self.lowest_fps, self.fixed_fps):
             if fps is not None:
                 parse_fps(fps)
+
+    def _check_banks(self) -> None:
+        if len(self.knots) != len(self.knot_numbers) or not self.knots:
+            raise ValueError(f"knots and knot_numbers name one bank each: not {self.knots} and {self.knot_numbers}")
+        banks = zip((*self.knots, self.path_knots), (*self.knot_numbers, 3), strict=True)
+        total = sum(knots * numbers for knots, numbers in banks)
+        if self.latent_dimension != total:
+            raise ValueError(
+                f"knots={self.knots} of knot_numbers={self.knot_numbers} and path_knots={self.path_knots} of 3 make "
+                f"latent_dimension={total}, not {self.latent_dimension}"
+            )
+        if self.path_knots and self.scaling != "group":
+            raise ValueError("a path of the body turns poses, so x and z need one scale: scaling=group")
 
     @property
     def fixed_framerate(self) -> Fraction | None:
@@ -200,6 +219,20 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
         weight_decay=0.0,
         schedule="cosine",
         precision="bfloat16",
+    )
+
+
+def _banked_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
+    """`_local_field` with banks of knots and a path of the body (docs/results/nerm-field-trials.md)."""
+    return dataclasses.replace(
+        _local_field(steps=steps, stride_seconds=stride_seconds),
+        latent_dimension=768,
+        knots=(32, 16),
+        knot_numbers=(16, 13),
+        path_knots=16,
+        knot_kernel="lanczos",
+        ridge=0.02,
+        latent_rate=1e-2,
     )
 
 

@@ -36,7 +36,8 @@ def measure_scaling(poses: WindowPoses, config: FieldConfig, poses_per_window: i
     """Mean and scale of the windows' vectors, from poses spread evenly over each window; one pass, flat memory.
 
     `number` standardises each number by itself; `group` divides the root's path (x and z) by one scale and everything
-    else by another, so that errors weigh as they do in millimetres. `root_weight` then multiplies the path.
+    else by another, so that errors weigh as they do in millimetres. `root_weight` then multiplies the path. Where
+    latents hold a path of the body, x and z have mean zero, so that standardised poses can be turned.
     """
     size = 3 * poses.source.positions.shape[1]
     count, total, squares = 0, torch.zeros(size, dtype=torch.float64), torch.zeros(size, dtype=torch.float64)
@@ -45,6 +46,8 @@ def measure_scaling(poses: WindowPoses, config: FieldConfig, poses_per_window: i
         count += len(vectors)
         total, squares = total + vectors.sum(0), squares + vectors.square().sum(0)
     mean = total / count
+    if config.latent_layout == "local" and config.path_knots:
+        mean.view(-1, 3)[:, [0, 2]] = 0.0
     variance = squares / count - mean.square()
     if config.scaling == "group":
         on_path = torch.zeros(len(variance), dtype=torch.bool)
@@ -54,33 +57,3 @@ def measure_scaling(poses: WindowPoses, config: FieldConfig, poses_per_window: i
     scale = variance.clamp(min=SMALLEST_SCALE_METRES**2).sqrt()
     scale[list(ROOT_PATH)] /= config.root_weight
     return VectorScaling(mean.float(), scale.float())
-
-
-@dataclass(frozen=True, eq=False)
-class PoseComponents:
-    """Principal components of standardised poses, scaled to unit variance."""
-
-    directions: Float32[torch.Tensor, "numbers components"]
-
-    def scores(self, standardised: Float[torch.Tensor, "*poses numbers"]) -> Float[torch.Tensor, "*poses components"]:
-        """Standardised vectors → component scores of unit variance."""
-        return standardised @ self.directions
-
-    def inverse(self) -> Float32[torch.Tensor, "components numbers"]:
-        """What brings scores back to standardised vectors, as well as so few components can."""
-        matrix: torch.Tensor = torch.linalg.pinv(self.directions)
-        return matrix
-
-
-def principal_components(poses: WindowPoses, scaling: VectorScaling, num_components: int) -> PoseComponents:
-    """The first components of the windows' poses; one pass, flat memory."""
-    size = len(scaling.mean)
-    count, outer = 0, torch.zeros(size, size, dtype=torch.float64)
-    for rows in chunks(len(poses.windows), 512):
-        vectors = scaling.apply(poses.evenly(rows, 32).vectors).double().flatten(0, 1)
-        count += len(vectors)
-        outer = outer + vectors.T @ vectors
-    values, axes = torch.linalg.eigh(outer / count)
-    largest = torch.argsort(values, descending=True)[:num_components]
-    directions = axes[:, largest] / values[largest].clamp(min=1e-12).sqrt()
-    return PoseComponents(directions.float())

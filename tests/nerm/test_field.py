@@ -6,12 +6,12 @@ import torch
 from nerm.attention import CodebookCoordinateAttention
 from nerm.coordinates import FourierFeatures, distinct, frame_numbers, framerate_number
 from nerm.field import FieldNetwork
-from nerm.knots import KnotLayout, mix, ridge_knots
 from nerm.recipes import RECIPES, FieldConfig
 
 TINY = FieldConfig(
     latent_dimension=32,
-    num_knots=8,
+    knots=(8,),
+    knot_numbers=(4,),
     num_queries=8,
     num_frequencies=8,
     hidden=24,
@@ -31,6 +31,22 @@ VARIANTS = {
     "frame numbers": {"coordinates": "frames"},
     "transformer": {"decoder": "transformer"},
     "linear path": {"linear_path": True, "latent_layout": "local"},
+    "banks": {
+        "latent_layout": "local",
+        "latent_dimension": 8 * 3 + 4 * 5,
+        "knots": (8, 4),
+        "knot_numbers": (3, 5),
+        "knot_kernel": "lanczos",
+        "linear_path": True,
+    },
+    "body path": {
+        "latent_layout": "local",
+        "latent_dimension": 8 * 3 + 4 * 3,
+        "knot_numbers": (3,),
+        "path_knots": 4,
+        "scaling": "group",
+        "linear_path": True,
+    },
 }
 
 
@@ -39,9 +55,11 @@ def _network(**changes: object) -> FieldNetwork:
     return FieldNetwork(replace(TINY, **changes), 66, CODES).eval()  # type: ignore[arg-type]
 
 
-def _clips(batch: int = 5, poses: int = 7) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def _clips(
+    batch: int = 5, poses: int = 7, dimension: int = TINY.latent_dimension
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     generator = torch.Generator().manual_seed(1)
-    latents = torch.randn(batch, TINY.latent_dimension, generator=generator)
+    latents = torch.randn(batch, dimension, generator=generator)
     frames = torch.randint(0, 40, (batch, poses), generator=generator)
     fps = torch.tensor([20.0, 30.0, 60.0, 120.0, 100.0], dtype=torch.float64)[:batch]
     return latents, -1 + 2 * frames / fps[:, None] / TINY.max_duration_seconds, fps
@@ -50,7 +68,7 @@ def _clips(batch: int = 5, poses: int = 7) -> tuple[torch.Tensor, torch.Tensor, 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_every_variant_decodes_clips(name: str) -> None:
     network = _network(**VARIANTS[name])
-    latents, coordinates, fps = _clips()
+    latents, coordinates, fps = _clips(dimension=network.config.latent_dimension)
     vectors = network(latents, coordinates, fps)
     assert vectors.shape == (5, 7, 66)
     vectors.square().mean().backward()
@@ -61,7 +79,7 @@ def test_every_variant_decodes_clips(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in VARIANTS if name != "transformer"])
 def test_a_pose_depends_on_its_own_coordinate_latent_and_framerate_alone(name: str) -> None:
     network = _network(**VARIANTS[name])
-    latents, coordinates, fps = _clips()
+    latents, coordinates, fps = _clips(dimension=network.config.latent_dimension)
     together = network(latents, coordinates, fps)
     for clip in range(5):
         for pose in range(7):
@@ -140,31 +158,12 @@ def test_periodic_fourier_features_have_no_seam() -> None:
     torch.testing.assert_close(features(t), features(t + 3 * period), atol=1e-5, rtol=0)
 
 
-@pytest.mark.parametrize("radius", [1.0, 2.0, 3.0])
-def test_inner_bumps_sum_to_one(radius: float) -> None:
-    layout = KnotLayout(12, radius, 2)
-    inner = torch.linspace(-1 + 3 * layout.spacing, 1 - 3 * layout.spacing, 101, dtype=torch.float64)
-    basis = layout.basis(inner)
-    assert basis.shape == (101, 5, 12)
-    torch.testing.assert_close(basis[:, 0].sum(-1), torch.ones(101))
-    assert ((basis[:, 0] > 0).sum(-1) <= 2 * radius).all()
-
-
 def test_a_local_latent_means_the_same_at_every_knot() -> None:
     network = _network(latent_layout="local")
     latents = torch.randn(1, 8, 4)
-    spacing = KnotLayout(8, TINY.knot_radius, TINY.knot_modes).spacing
+    spacing = 2 / 8
     t = torch.tensor([[-1 + 2.3 * spacing]], dtype=torch.float64)
     fps = torch.tensor([30.0], dtype=torch.float64)
     here = network(latents.flatten(1), t, fps)
     later = network(torch.roll(latents, 2, dims=1).flatten(1), t + 2 * spacing, fps)
     torch.testing.assert_close(here, later, atol=1e-5, rtol=1e-4)
-
-
-def test_ridge_knots_recover_what_knots_made() -> None:
-    layout = KnotLayout(9, 1.0, 1)
-    knots = torch.randn(3, 9, 2)
-    times = torch.linspace(-1, 1, 80, dtype=torch.float64).repeat(3, 1)
-    basis = layout.basis(times.reshape(-1)).reshape(3, 80, 3, 9)
-    made = mix(knots, basis)[..., :2]
-    torch.testing.assert_close(ridge_knots(made, times, layout, 1e-9), knots, atol=1e-4, rtol=1e-4)

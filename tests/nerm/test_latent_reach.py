@@ -1,5 +1,7 @@
 """What of a latent a field really reads."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -8,15 +10,32 @@ from nerm.field import FieldNetwork
 from nerm.latent_reach import first_read, in_use
 from nerm.recipes import FieldConfig, demo, paper
 
+ONE_BANK = FieldConfig(
+    latent_layout="local",
+    latent_dimension=32,
+    knots=(8,),
+    knot_numbers=(4,),
+    hidden=16,
+    layers=2,
+    time_encoding="none",
+)
+BANKS = replace(
+    ONE_BANK,
+    latent_dimension=16 * 2 + 8 * 3 + 8 * 3,
+    knots=(16, 8),
+    knot_numbers=(2, 3),
+    path_knots=8,
+    knot_kernel="lanczos",
+    scaling="group",
+)
+
 
 @pytest.mark.parametrize("share", [0.05, 0.31, 0.8, 1.0])
-def test_a_field_reads_the_numbers_in_use_and_no_others(share):
+@pytest.mark.parametrize("config", [ONE_BANK, BANKS], ids=["one bank", "banks"])
+def test_a_field_reads_the_numbers_in_use_and_no_others(share, config):
     torch.manual_seed(0)
-    config = FieldConfig(
-        latent_layout="local", latent_dimension=32, num_knots=8, hidden=16, layers=2, time_encoding="none"
-    )
     network = FieldNetwork(config, 66)
-    latents = torch.randn(1, 32, requires_grad=True)
+    latents = torch.randn(1, config.latent_dimension, requires_grad=True)
     coordinates = torch.linspace(-1, -1 + 2 * share, 400, dtype=torch.float64)[None]
     network(latents, coordinates, torch.tensor([60.0], dtype=torch.float64)).square().sum().backward()
     assert latents.grad is not None
