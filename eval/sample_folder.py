@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
+from eval.baselines.upsampled import upsampled_positions
 from eval.samples import SampleSet, sample_set
 from motionkit.errors import MotionkitError
-from motionkit.resample import resample_positions, slerp_upsample_positions
+from motionkit.resample import resample_positions
 from motionkit.skeleton import SMPL22
 
 
@@ -71,5 +72,5 @@ def _at(
     positions: Float32[np.ndarray, "frames joints 3"], fps_from: Fraction, fps_to: Fraction
 ) -> Float32[np.ndarray, "new_frames joints 3"]:
     if fps_from < fps_to:
-        return slerp_upsample_positions(positions, SMPL22, fps_from, fps_to)
+        return upsampled_positions(positions, fps_from, fps_to)
     return resample_positions(positions, fps_from, fps_to)

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 
 from motionkit.skeleton import Skeleton
 
@@ -153,17 +153,33 @@ def euler_to_quaternion(
     return np.moveaxis(q, 0, -1)
 
 
-def rotation_vector_to_quaternion(vectors: Float32[np.ndarray, "*n 3"]) -> Float32[np.ndarray, "*n 4"]:
-    """Rotation vectors (axis times angle in radians) → unit quaternions; a vector of no length is no turn."""
+def rotation_vector_to_quaternion(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 4"]:
+    """Rotation vectors (axis times angle in radians) → unit quaternions of the same dtype; no length is no turn."""
     components = np.ascontiguousarray(np.moveaxis(vectors, -1, 0))
     angle = np.sqrt(np.sum(components * components, axis=0))
     half = 0.5 * angle
     scale = np.where(angle > 1e-6, np.sin(half) / np.maximum(angle, 1e-6), 0.5)
-    quaternions = np.empty((*vectors.shape[:-1], 4), np.float32)
+    quaternions = np.empty((*vectors.shape[:-1], 4), vectors.dtype)
     quaternions[..., 0] = np.cos(half)
     for axis, component in enumerate(components, start=1):
         quaternions[..., axis] = component * scale
     return quaternions
+
+
+def quaternion_to_rotation_vector(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:
+    """Unit quaternions → rotation vectors (axis times angle in radians, at most π)."""
+    from scipy.spatial.transform import Rotation  # see matrix_to_quaternion
+
+    vectors = Rotation.from_quat(q.reshape(-1, 4), scalar_first=True).as_rotvec()
+    return np.asarray(vectors, dtype=q.dtype).reshape(*q.shape[:-1], 3)
+
+
+def continuous_quaternions(q: Float[np.ndarray, "frames joints 4"]) -> Float[np.ndarray, "frames joints 4"]:
+    """The same rotations with signs chosen so that consecutive quaternions lie on the same half of the sphere."""
+    odd = np.cumsum(np.sum(q[1:] * q[:-1], axis=-1) < 0, axis=0) % 2 == 1
+    result = q.copy()
+    result[1:][odd] *= -1
+    return result
 
 
 def forward_kinematics(

@@ -104,6 +104,18 @@ class Motion:
             root_translation=None if self.root_translation is None else self.root_translation[start:stop],
         )
 
+    def annotated_like(self, source: "Motion") -> "Motion":
+        """The same frames with the captions, labels, id and provenance of the motion they were made of."""
+        return replace(
+            self,
+            captions=source.captions,
+            action=source.action,
+            style=source.style,
+            split=source.split,
+            sequence_id=source.sequence_id,
+            provenance=source.provenance,
+        )
+
     def logged(self, operation: str) -> "Motion":
         """The same motion with one more line in its operation log."""
         provenance = replace(self.provenance, operations=(*self.provenance.operations, operation))

@@ -1,15 +1,16 @@
-"""The interface of everything continuous: a domain in seconds, poses at any times in any order.
+"""The interface of everything continuous: observed frames → a motion field → poses at any times in any order.
 
-Splines, NeRM's decoded latents and PA-HiRes implement `MotionField`; upsampling, evaluation and export are written
-once against it.
+Splines, NeRM's latents and PA-HiRes are `MotionEncoder`s that make `MotionField`s; upsampling, completion, evaluation
+and export are written once against the two.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Bool, Float32, Float64
 
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import Skeleton
@@ -23,6 +24,81 @@ class Poses:
     joint_positions: Float32[np.ndarray, "times joints 3"]
     local_rotations: Float32[np.ndarray, "times joints 4"] | None = None
     root_translation: Float32[np.ndarray, "times 3"] | None = None
+
+    @classmethod
+    def of(cls, motion: Motion) -> "Poses":
+        """All poses of a motion."""
+        return cls(motion.joint_positions, motion.local_rotations, motion.root_translation)
+
+    def rows(self, rows: np.ndarray | slice) -> "Poses":
+        """Some of the poses, by index, slice or mask."""
+        rotations, translation = self.local_rotations, self.root_translation
+        return Poses(
+            self.joint_positions[rows],
+            None if rotations is None else rotations[rows],
+            None if translation is None else translation[rows],
+        )
+
+    def at(self, grid: TimeGrid, skeleton: Skeleton, provenance: Provenance | None = None) -> Motion:
+        """The poses as a motion on a time grid."""
+        return Motion(
+            joint_positions=self.joint_positions,
+            skeleton=skeleton,
+            timegrid=grid,
+            local_rotations=self.local_rotations,
+            root_translation=self.root_translation,
+            provenance=provenance or Provenance(),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What is known of a motion: poses at strictly increasing times (float64 seconds), evenly spaced or not.
+
+    Raises `ValueError` for no pose, for shapes that disagree, and for times that are not finite or do not increase.
+    """
+
+    times_seconds: Float64[np.ndarray, "frames"]
+    poses: Poses
+    skeleton: Skeleton
+
+    def __post_init__(self) -> None:
+        expected = (len(self.times_seconds), self.skeleton.num_joints)
+        if self.poses.joint_positions.shape[:2] != expected:
+            raise ValueError(
+                f"poses are {self.poses.joint_positions.shape}, but the times and the skeleton say {expected}"
+            )
+        if not len(self.times_seconds):
+            raise ValueError("nothing is observed: a motion field needs one pose at least")
+        if not np.isfinite(self.times_seconds).all():
+            raise ValueError(f"time {int(np.argmin(np.isfinite(self.times_seconds)))} is not a finite number")
+        late = np.diff(self.times_seconds) <= 0
+        if late.any():
+            row = int(np.argmax(late))
+            before, after = self.times_seconds[row : row + 2]
+            raise ValueError(
+                f"times must increase, but {after:.6f} s (row {row + 1}) follows {before:.6f} s: sort them and keep "
+                "one pose of each instant"
+            )
+
+    @classmethod
+    def of(cls, motion: Motion, observed: Bool[np.ndarray, "frames"] | None = None) -> "Observation":
+        """A motion's frames, or those of them that are `observed`."""
+        rows = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
+        return cls(motion.timegrid.seconds()[rows], Poses.of(motion).rows(rows), motion.skeleton)
+
+    @property
+    def start_seconds(self) -> float:
+        """Time of the first pose."""
+        return float(self.times_seconds[0])
+
+    @property
+    def end_seconds(self) -> float:
+        """Time of the last pose."""
+        return float(self.times_seconds[-1])
+
+    def __len__(self) -> int:
+        return len(self.times_seconds)
 
 
 @runtime_checkable
@@ -50,6 +126,25 @@ class MotionField(Protocol):
 
 
 @runtime_checkable
+class MotionEncoder(Protocol):
+    """A way to continue what is observed to all instants: an interpolator, or a trained model."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables and operation logs."""
+        ...
+
+    def encode(
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> MotionField:
+        """The motion field of an observation, its domain the observed span and as much beyond it as is asked for.
+
+        Raises `ValueError` where the encoder cannot go that far.
+        """
+        ...
+
+
+@runtime_checkable
 class FramerateConditioned(Protocol):
     """A field that also depends on the framerate at which it is sampled (the s of NeRM's Eq. 2)."""
 
@@ -60,26 +155,62 @@ class FramerateConditioned(Protocol):
 
 def check_times(field: MotionField, times_seconds: Float64[np.ndarray, "times"]) -> None:
     """Raise `ValueError` for times outside the field's domain (a microsecond of rounding is allowed)."""
-    outside = (times_seconds < field.start_seconds - 1e-6) | (times_seconds > field.end_seconds + 1e-6)
-    if np.any(outside):
-        first = float(times_seconds[np.argmax(outside)])
+    inside = (times_seconds >= field.start_seconds - 1e-6) & (times_seconds <= field.end_seconds + 1e-6)
+    if not inside.all():
+        first = float(times_seconds[np.argmin(inside)])
         raise ValueError(
-            f"{int(outside.sum())} of {times_seconds.size} times lie outside the motion, the first at {first:.4f} s; "
+            f"{int((~inside).sum())} of {times_seconds.size} times lie outside the motion, the first at {first:.4f} s; "
             f"its domain is [{field.start_seconds:.4f}, {field.end_seconds:.4f}] s"
         )
 
 
+def told_fps(field: MotionField, fps: Fraction) -> MotionField:
+    """The field itself, or where it depends on the framerate that it is sampled at, the one for `fps`."""
+    return field.at_fps(fps) if isinstance(field, FramerateConditioned) else field
+
+
+def frame_grid(field: MotionField, fps: Fraction) -> TimeGrid:
+    """The frames start_seconds + k / fps that lie in the field's domain."""
+    return TimeGrid(fps, num_frames_within(field.end_seconds - field.start_seconds, fps), field.start_seconds)
+
+
 def to_motion(field: MotionField, fps: Fraction, provenance: Provenance | None = None) -> Motion:
     """Sample the whole field uniformly: frame k at start_seconds + k / fps."""
-    if isinstance(field, FramerateConditioned):
-        field = field.at_fps(fps)
-    grid = TimeGrid(fps, num_frames_within(field.end_seconds - field.start_seconds, fps), field.start_seconds)
-    poses = field.query(np.minimum(grid.seconds(), field.end_seconds))
-    return Motion(
-        joint_positions=poses.joint_positions,
-        skeleton=field.skeleton,
-        timegrid=grid,
-        local_rotations=poses.local_rotations,
-        root_translation=poses.root_translation,
-        provenance=provenance or Provenance(),
-    )
+    grid = frame_grid(field, fps)
+    poses = told_fps(field, fps).query(np.minimum(grid.seconds(), field.end_seconds))
+    return poses.at(grid, field.skeleton, provenance)
+
+
+def motion_chunks(field: MotionField, fps: Fraction, frames_per_chunk: int) -> Iterator[Motion]:
+    """`to_motion` piece by piece: successive motions of at most `frames_per_chunk` frames, each with its own times.
+
+    Memory is bounded by the chunk, however long the field. Raises `ValueError` for chunks of less than one frame.
+    """
+    if frames_per_chunk < 1:
+        raise ValueError(f"a chunk has one frame at least, not {frames_per_chunk}")
+    grid, told = frame_grid(field, fps), told_fps(field, fps)
+    for first in range(0, grid.num_frames, frames_per_chunk):
+        count = min(frames_per_chunk, grid.num_frames - first)
+        times = grid.start_seconds + (first + np.arange(count, dtype=np.float64)) * fps.denominator / fps.numerator
+        poses = told.query(np.minimum(times, field.end_seconds))
+        yield poses.at(TimeGrid(fps, count, float(times[0])), field.skeleton)
+
+
+def joint_velocities(
+    field: MotionField, times_seconds: Float64[np.ndarray, "times"], *, step_seconds: float = 1e-3
+) -> Float64[np.ndarray, "times joints 3"]:
+    """Velocities of all joints in m/s: the slope at each time of the parabola through three poses one step apart.
+
+    The three lie around the time, or inside the domain where it is near an end. Poses are float32, so a step of 1 ms
+    resolves about 0.1 mm/s.
+    """
+    check_times(field, times_seconds)
+    step = min(step_seconds, (field.end_seconds - field.start_seconds) / 2)
+    if step <= 0:
+        return np.zeros((len(times_seconds), field.skeleton.num_joints, 3))
+    centre = np.clip(times_seconds, field.start_seconds + step, field.end_seconds - step)
+    three = np.concatenate((centre - step, centre, centre + step))
+    poses = field.query(np.clip(three, field.start_seconds, field.end_seconds)).joint_positions.astype(np.float64)
+    before, here, after = np.split(poses, 3)
+    offset = (times_seconds - centre)[:, None, None]
+    return np.asarray((after - before) / (2 * step) + offset * (before - 2 * here + after) / step**2)

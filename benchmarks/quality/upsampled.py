@@ -24,10 +24,10 @@ from rich.table import Table
 
 from motionkit.errors import FormatError
 from motionkit.formats.registry import ReadOptions, read, scan
+from motionkit.interpolation.fields import interpolate
 from motionkit.motion import Motion
 from motionkit.motionfield import to_motion
 from motionkit.quality import measure
-from motionkit.resample import cubic_field, linear_field, slerp_field
 from motionkit.timegrid import TimeGrid
 
 # Captured → stated fps: factors 2, 3, 4, 5, 6, then others, pulldown from film last.
@@ -73,9 +73,9 @@ def held(motion: Motion, fps: Fraction) -> Motion:
 
 METHODS: dict[str, Callable[[Motion, Fraction], Motion]] = {
     "hold": held,
-    "linear": lambda motion, fps: to_motion(linear_field(motion), fps),
-    "SLERP": lambda motion, fps: to_motion(slerp_field(motion), fps),
-    "cubic": lambda motion, fps: to_motion(cubic_field(motion), fps),
+    "linear": lambda motion, fps: to_motion(interpolate(motion, "linear"), fps),
+    "SLERP": lambda motion, fps: to_motion(interpolate(motion, "slerp"), fps),
+    "cubic": lambda motion, fps: to_motion(interpolate(motion, "cubic"), fps),
 }
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eval.baselines.low_pass import low_passed
-from eval.baselines.slerp import upsample_by_slerp
+from eval.baselines.upsampled import upsampled
 from eval.baselines.vectors import upsample_as_vectors
 from eval.clip_fid import (
     VERSION,
@@ -190,7 +190,7 @@ def _column(
     rows = {P1: reference}
     if fps >= LOW_FPS:
         low = _same_sequences(real.at(LOW_FPS), reference)
-        rows[SLERP] = upsample_by_slerp(low, fps, SLERP)
+        rows[SLERP] = upsampled(low, fps, SLERP)
         rows[VECTORS] = upsample_as_vectors(low, fps, VECTORS)
     native = sample_fields(fields, reference.sequence_ids, fps, NERM)
     if native is not None:
@@ -199,7 +199,7 @@ def _column(
         missing.append(f"{NERM}, {_label(fps)}: no generated motion is for a sequence this fast")
     coarse = sample_fields(fields, reference.sequence_ids, LOW_FPS, NERM_SLERP)
     if coarse is not None and fps >= LOW_FPS:
-        rows[NERM_SLERP] = upsample_by_slerp(coarse, fps, NERM_SLERP)
+        rows[NERM_SLERP] = upsampled(coarse, fps, NERM_SLERP)
     rows |= {folder.name: folder.at(fps) for folder in folders}
     try:
         training = train.at(fps)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motionkit.interpolation.fields import interpolate
 from motionkit.motion import Motion, Provenance
 from motionkit.motionfield import to_motion
-from motionkit.resample import linear_field
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import draw_body, perform
 
@@ -27,7 +27,7 @@ def store(tmp_path: Path) -> Path:
     glitch = take("glitch", "ours", 60)
     positions = glitch.joint_positions.copy()
     positions[90, 20] += 0.8
-    slow = linear_field(take("slow", "theirs", 24))
+    slow = interpolate(take("slow", "theirs", 24), "linear")
     with StoreWriter.create(path) as writer:
         writer.add(take("good", "ours", 60))
         writer.add(replace(glitch, joint_positions=positions))

@@ -99,3 +99,21 @@ def test_euler_angles_as_quaternions_and_as_matrices_agree(order: str, kind: Lit
     angles = np.random.default_rng(6).uniform(-4, 4, size=(3, 5, len(order)))
     q = kinematics.euler_to_quaternion(angles, order, kind=kind)
     assert np.allclose(kinematics.quaternion_to_matrix(q), kinematics.euler_to_matrix(angles, order, kind=kind))
+
+
+def test_quaternions_never_jump() -> None:
+    q = np.random.default_rng(7).normal(size=(200, 22, 4))
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    smooth = kinematics.continuous_quaternions(q)
+    assert np.all(np.sum(smooth[1:] * smooth[:-1], axis=-1) >= 0)
+    assert np.allclose(np.abs(np.sum(smooth * q, axis=-1)), 1.0)
+
+
+def test_rotation_vectors_round_trip_in_both_precisions() -> None:
+    vectors = np.random.default_rng(8).uniform(-1.8, 1.8, (50, 3))
+    vectors[0] = 0.0
+    for dtype, tolerance in ((np.float64, 1e-12), (np.float32, 1e-6)):
+        q = kinematics.rotation_vector_to_quaternion(vectors.astype(dtype))
+        again = kinematics.quaternion_to_rotation_vector(q)
+        assert q.dtype == again.dtype == dtype
+        assert np.allclose(again, vectors, atol=tolerance)

@@ -16,7 +16,6 @@ from motionkit import kinematics
 from motionkit.formats.bvh import motion as bvh
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion
-from motionkit.resample import continuous_quaternions
 
 THEMES = (
     *("aiming", "dance", "fallAndGetUp", "fight", "fightAndSports", "ground", "jumps", "multipleActions", "obstacles"),
@@ -86,7 +85,7 @@ def benchmark_windows(motion: Motion, *, window_frames: int, step_frames: int) -
         raise ValueError(f"windows of {window_frames} frames every {step_frames}, expected at least 10 every 1")
     starts = np.arange(0, max(motion.num_frames - window_frames, 0), step_frames)
     frames = starts[:, None] + np.arange(window_frames)
-    rotations = continuous_quaternions(motion.local_rotations)[frames].astype(np.float64)
+    rotations = kinematics.continuous_quaternions(motion.local_rotations)[frames].astype(np.float64)
     root = motion.root_translation[frames].astype(np.float64)
     root[..., ::2] -= root[..., ::2].mean(axis=1, keepdims=True)
     back = _turn_to_x(rotations[:, NUM_PAST_FRAMES - 1, 0])[:, None]

@@ -13,8 +13,8 @@ import numpy as np
 from motionkit.formats.gltf.bone_mesh import BoneMesh, bone_meshes
 from motionkit.formats.gltf.container import GlbBuffer
 from motionkit.formats.joint_channels import JointChannels, joint_channels
+from motionkit.kinematics import continuous_quaternions
 from motionkit.motion import Motion
-from motionkit.resample import continuous_quaternions
 from motionkit.skeleton import Skeleton
 from motionkit.skeleton_map import rest_positions
 from motionkit.timegrid import TimeGrid, format_fps

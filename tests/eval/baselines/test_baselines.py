@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.baselines.low_pass import low_passed
-from eval.baselines.slerp import upsample_by_slerp
+from eval.baselines.upsampled import upsampled
 from eval.baselines.vectors import upsample_as_vectors
 from eval.samples import SampleSet, sample_set
 from motionkit.skeleton import SMPL22
@@ -31,7 +31,7 @@ def walkers(fps: int, seconds: float = 4.0, speed: float = 1.2) -> SampleSet:
 
 def test_slerp_keeps_every_known_pose_and_who_is_who() -> None:
     low = walkers(20)
-    high = upsample_by_slerp(low, Fraction(60), "up")
+    high = upsampled(low, Fraction(60), "up")
     assert (high.fps, high.name, high.sequence_ids, high.captions) == (60, "up", low.sequence_ids, low.captions)
     for before, after in zip(low.sequences(), high.sequences(), strict=True):
         np.testing.assert_allclose(after[::3], before, atol=1e-5)
@@ -39,7 +39,7 @@ def test_slerp_keeps_every_known_pose_and_who_is_who() -> None:
 
 def test_slerp_to_the_same_framerate_changes_nothing() -> None:
     low = walkers(20)
-    np.testing.assert_array_equal(upsample_by_slerp(low, Fraction(20), "same").positions, low.positions)
+    np.testing.assert_array_equal(upsampled(low, Fraction(20), "same").positions, low.positions)
 
 
 def test_low_pass_removes_what_is_above_the_cutoff_and_nothing_else() -> None:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from test_measure import capture
 
+from motionkit.interpolation.fields import interpolate
 from motionkit.motion import Motion
 from motionkit.motionfield import to_motion
 from motionkit.quality import measure
-from motionkit.resample import cubic_field, linear_field, slerp_field
 from motionkit.timegrid import TimeGrid
 
 # Noise as marker capture has it, so that nothing is smoother than a capture.
@@ -34,8 +34,7 @@ def hold(motion: Motion, fps: Fraction) -> Motion:
 def upsample(motion: Motion, method: str, fps: Fraction) -> Motion:
     if method == "hold":
         return hold(motion, fps)
-    fields = {"linear": linear_field, "slerp": slerp_field, "cubic": cubic_field}
-    return to_motion(fields[method](motion), fps)
+    return to_motion(interpolate(motion, method), fps)
 
 
 @pytest.mark.parametrize("method", ["hold", "linear", "slerp", "cubic"])

@@ -1,0 +1,125 @@
+"""Motions completed: more frames between, gaps filled, the ends continued. Written once, for any `MotionEncoder`."""
+
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int
+
+from motionkit.interpolation.fields import INTERPOLATORS
+from motionkit.motion import Motion
+from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, to_motion, told_fps
+from motionkit.timegrid import TimeGrid, num_frames_within
+
+SLERP: MotionEncoder = INTERPOLATORS["slerp"]
+_TOLERANCE_FRAMES = 1e-6
+
+
+def upsample(motion: Motion, fps: Fraction, encoder: MotionEncoder = SLERP) -> Motion:
+    """The motion at a higher framerate; every frame of the source that falls on the new grid is kept.
+
+    Raises `ValueError` where `fps` is below the motion's.
+    """
+    if fps < motion.fps:
+        raise ValueError(f"{fps} fps is less than the motion's {motion.fps}: use downsample, which filters first")
+    if fps == motion.fps:
+        return motion
+    return complete(motion, encoder, fps=fps).logged(f"upsample {motion.fps} -> {fps} fps ({encoder.name})")
+
+
+def inbetween(motion: Motion, observed: Bool[np.ndarray, "frames"], encoder: MotionEncoder = SLERP) -> Motion:
+    """The motion with the frames that are not `observed` made from those that are, which stay as they are.
+
+    Raises `ValueError` where no frame is observed.
+    """
+    done = complete(motion, encoder, observed=observed)
+    return done.logged(f"in-between {int((~observed).sum())} of {motion.num_frames} frames ({encoder.name})")
+
+
+def extrapolate(
+    motion: Motion, *, before_seconds: float = 0.0, after_seconds: float = 0.0, encoder: MotionEncoder = SLERP
+) -> Motion:
+    """The motion with whole frames added before and after it, up to so many seconds; its own stay as they are.
+
+    What comes beyond is the encoder's: `hold` stands still (the zero-velocity row of tables), other interpolators go on
+    at constant velocity (`motionkit.interpolation.fields`). Raises `ValueError` for negative seconds.
+    """
+    done = complete(motion, encoder, before_seconds=before_seconds, after_seconds=after_seconds)
+    return done.logged(f"extrapolate {before_seconds:g} s before, {after_seconds:g} s after ({encoder.name})")
+
+
+def reconstruct(motion: Motion, encoder: MotionEncoder, fps: Fraction | None = None) -> Motion:
+    """What an encoder makes of a whole motion, sampled at the motion's framerate or another; nothing is put back."""
+    made = to_motion(encoder.encode(Observation.of(motion)), fps or motion.fps)
+    return made.annotated_like(motion).logged(f"reconstruct ({encoder.name})")
+
+
+def complete(
+    motion: Motion,
+    encoder: MotionEncoder,
+    *,
+    fps: Fraction | None = None,
+    observed: Bool[np.ndarray, "frames"] | None = None,
+    before_seconds: float = 0.0,
+    after_seconds: float = 0.0,
+) -> Motion:
+    """A motion at any framerate from its observed frames, and some seconds beyond both ends: the general form.
+
+    Observed frames that fall on the new grid are the given ones to the last bit (quaternions up to their sign, which
+    goes by that of their neighbours). An encoder that misses them leaves a jump there: `motionkit.anchoring` has the
+    remedy. The grid is that of the motion's first frame. Raises `ValueError` for negative seconds or where no frame is
+    observed.
+    """
+    fps = fps or motion.fps
+    if before_seconds < 0 or after_seconds < 0:
+        raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
+    observation = Observation.of(motion, observed)
+    grid = _grid(motion, fps, before_seconds, after_seconds)
+    times = grid.seconds()
+    field = encoder.encode(
+        observation,
+        before_seconds=max(0.0, observation.start_seconds - float(times[0])),
+        after_seconds=max(0.0, float(times[-1]) - observation.end_seconds),
+    )
+    poses = told_fps(field, fps).query(np.clip(times, field.start_seconds, field.end_seconds))
+    new, given = _shared_frames(motion, grid, before_seconds)
+    if observed is not None:
+        new, given = new[observed[given]], given[observed[given]]
+    return _with_given(poses, new, Poses.of(motion).rows(given)).at(grid, motion.skeleton).annotated_like(motion)
+
+
+def observed_errors(field: MotionField, observation: Observation) -> Float64[np.ndarray, "frames joints"]:
+    """How far a field's joints lie from the observed ones at the observed times, metres."""
+    made = field.query(observation.times_seconds).joint_positions.astype(np.float64)
+    return np.asarray(np.linalg.norm(made - observation.poses.joint_positions, axis=-1))
+
+
+def _grid(motion: Motion, fps: Fraction, before_seconds: float, after_seconds: float) -> TimeGrid:
+    before = int(np.floor(before_seconds * float(fps) + _TOLERANCE_FRAMES))
+    after = num_frames_within(motion.timegrid.span_seconds + after_seconds, fps)
+    return TimeGrid(fps, before + after, motion.timegrid.start_seconds - float(before / fps))
+
+
+def _shared_frames(
+    motion: Motion, grid: TimeGrid, before_seconds: float
+) -> tuple[Int[np.ndarray, "shared"], Int[np.ndarray, "shared"]]:
+    """Frames of the new grid that are frames of the motion, and which; framerates are fractions, so this is exact."""
+    before = int(np.floor(before_seconds * float(grid.fps) + _TOLERANCE_FRAMES))
+    ratio = motion.fps / grid.fps
+    given, remainder = np.divmod((np.arange(grid.num_frames) - before) * ratio.numerator, ratio.denominator)
+    shared = (remainder == 0) & (given >= 0) & (given < motion.num_frames)
+    return np.flatnonzero(shared), given[shared]
+
+
+def _with_given(poses: Poses, rows: Int[np.ndarray, "given"], given: Poses) -> Poses:
+    positions, rotations, translation = (
+        None if made is None else made.copy()
+        for made in (poses.joint_positions, poses.local_rotations, poses.root_translation)
+    )
+    assert positions is not None
+    positions[rows] = given.joint_positions
+    if rotations is not None and given.local_rotations is not None:
+        opposite = np.sum(rotations[rows] * given.local_rotations, axis=-1, keepdims=True) < 0
+        rotations[rows] = np.where(opposite, -given.local_rotations, given.local_rotations)
+    if translation is not None and given.root_translation is not None:
+        translation[rows] = given.root_translation
+    return Poses(positions, rotations, translation)

@@ -1,0 +1,160 @@
+"""The interpolators: between observed frames by a curve, beyond them at rest or at constant velocity.
+
+All pass through every observed frame, at even or uneven times. Those on joint positions move each joint by itself, so
+bones shorten between frames that turn; those on rotations keep bones, root and rotations apart. Beyond the observed
+span `hold` stands still; all others go on at their end velocity: joints on straight lines (positions), or the root on a
+straight line while every joint turns at a constant rate and bones keep their length (rotations).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float64
+
+from motionkit.interpolation.joints import Joints
+from motionkit.interpolation.rotations import RotationKind, rotation_curve
+from motionkit.interpolation.values import CurveKind, curve
+from motionkit.motion import Motion
+from motionkit.motionfield import Observation, Poses, check_times
+from motionkit.skeleton import Skeleton
+
+Method = Literal["hold", "linear", "catmull-rom", "cubic", "slerp", "rotation-catmull-rom", "squad", "rotation-cubic"]
+PosesAt = Callable[[Float64[np.ndarray, "times"]], Poses]
+
+TIMES_AT_ONCE = 4096
+# An instant this close to an observed one is that one: time stamps are rounded to float64, frames are not.
+SNAP_SECONDS = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class InterpolatedField:
+    """A `MotionField` through all frames of an observation, on its span and what was asked for beyond it."""
+
+    observation: Observation
+    poses_at: PosesAt = field(repr=False)
+    start_seconds: float
+    end_seconds: float
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The observation's skeleton."""
+        return self.observation.skeleton
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it.
+
+        Works through 4,096 times at once, so that it needs little more memory than its answer.
+        """
+        check_times(self, times_seconds)
+        times = _snapped(times_seconds, self.observation.times_seconds)
+        starts = range(0, max(1, len(times)), TIMES_AT_ONCE)
+        return _joined([self.poses_at(times[start : start + TIMES_AT_ONCE]) for start in starts])
+
+
+@dataclass(frozen=True)
+class Interpolator:
+    """A `MotionEncoder` that needs no training."""
+
+    name: Method
+    make: Callable[[Observation], PosesAt] = field(repr=False)
+
+    def encode(
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> InterpolatedField:
+        """The field through all observed frames; raises `ValueError` for a negative reach."""
+        if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
+            raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
+        return InterpolatedField(
+            observation,
+            self.make(observation),
+            observation.start_seconds - before_seconds,
+            observation.end_seconds + after_seconds,
+        )
+
+
+def interpolate(motion: Motion, method: Method = "slerp") -> InterpolatedField:
+    """A motion as a field, from its first frame to its last."""
+    return INTERPOLATORS[method].encode(Observation.of(motion))
+
+
+def _hold(observation: Observation) -> PosesAt:
+    """Each pose until the next one (zero-order hold)."""
+
+    def poses_at(times: Float64[np.ndarray, "times"]) -> Poses:
+        rows = np.searchsorted(observation.times_seconds, times, side="right") - 1
+        return observation.poses.rows(np.maximum(rows, 0))
+
+    return poses_at
+
+
+def _on_positions(kind: CurveKind) -> Callable[[Observation], PosesAt]:
+    def make(observation: Observation) -> PosesAt:
+        positions = curve(kind, observation.times_seconds, observation.poses.joint_positions)
+        return lambda times: Poses(positions(times).astype(np.float32))
+
+    return make
+
+
+def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable[[Observation], PosesAt]:
+    """Poses without rotations get those of inverse kinematics; as these are not observed, the field then has none."""
+
+    def make(observation: Observation) -> PosesAt:
+        times_seconds, poses, skeleton = observation.times_seconds, observation.poses, observation.skeleton
+        joints = Joints.of(poses, skeleton)
+        rotations = rotation_curve(rotation_kind, times_seconds, joints.rotations)
+        bones = curve(root_kind, times_seconds, joints.bones)
+        root = curve(root_kind, times_seconds, joints.root)
+        translation = None
+        if poses.root_translation is not None:
+            translation = curve(root_kind, times_seconds, poses.root_translation)
+
+        def poses_at(times: Float64[np.ndarray, "times"]) -> Poses:
+            between = Joints(rotations(times), bones.clamped(times), root(times))
+            return Poses(
+                joint_positions=between.positions(skeleton),
+                local_rotations=None if poses.local_rotations is None else between.rotations.astype(np.float32),
+                root_translation=None if translation is None else translation(times).astype(np.float32),
+            )
+
+        return poses_at
+
+    return make
+
+
+INTERPOLATORS: dict[Method, Interpolator] = {
+    interpolator.name: interpolator
+    for interpolator in (
+        Interpolator("hold", _hold),
+        Interpolator("linear", _on_positions("linear")),
+        Interpolator("catmull-rom", _on_positions("catmull-rom")),
+        Interpolator("cubic", _on_positions("cubic")),
+        Interpolator("slerp", _on_rotations("slerp", "linear")),
+        Interpolator("rotation-catmull-rom", _on_rotations("catmull-rom", "catmull-rom")),
+        Interpolator("squad", _on_rotations("squad", "catmull-rom")),
+        Interpolator("rotation-cubic", _on_rotations("cubic", "cubic")),
+    )
+}
+
+
+def _snapped(
+    times: Float64[np.ndarray, "times"], observed: Float64[np.ndarray, "frames"]
+) -> Float64[np.ndarray, "times"]:
+    after = np.searchsorted(observed, times)
+    above = observed[np.minimum(after, len(observed) - 1)]
+    below = observed[np.maximum(after - 1, 0)]
+    nearest = np.where(np.abs(times - below) < np.abs(times - above), below, above)
+    return np.where(np.abs(times - nearest) < SNAP_SECONDS, nearest, times)
+
+
+def _joined(parts: list[Poses]) -> Poses:
+    if len(parts) == 1:
+        return parts[0]
+    rotations = [part.local_rotations for part in parts if part.local_rotations is not None]
+    translations = [part.root_translation for part in parts if part.root_translation is not None]
+    return Poses(
+        np.concatenate([part.joint_positions for part in parts]),
+        np.concatenate(rotations) if rotations else None,
+        np.concatenate(translations) if translations else None,
+    )

@@ -1,0 +1,43 @@
+"""Poses taken apart into what can be mixed without bending a body: rotations, bones, root."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from motionkit import kinematics
+from motionkit.motionfield import Poses
+from motionkit.skeleton import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class Joints:
+    """Local rotations (w, x, y, z), bones in their parent's frame and the root's position, metres, float64.
+
+    Bones are those observed, not the skeleton's rest offsets, so `positions` restores the poses exactly also where the
+    rest offsets are not quite the source's, or where rotations come from inverse kinematics.
+    """
+
+    rotations: Float64[np.ndarray, "frames joints 4"]
+    bones: Float64[np.ndarray, "frames joints 3"]
+    root: Float64[np.ndarray, "frames 3"]
+
+    @classmethod
+    def of(cls, poses: Poses, skeleton: Skeleton) -> "Joints":
+        """Take poses apart; poses without rotations get those of `kinematics.inverse_kinematics`."""
+        local = poses.local_rotations
+        if local is None:
+            local = kinematics.inverse_kinematics(poses.joint_positions, skeleton)
+        rotations = local.astype(np.float64)
+        positions = poses.joint_positions.astype(np.float64)
+        parents = list(skeleton.parents[1:])
+        world = kinematics.global_rotations(rotations, skeleton)
+        bones = np.zeros_like(positions)
+        bones[:, 1:] = kinematics.quaternion_rotate(
+            kinematics.quaternion_conjugate(world[:, parents]), positions[:, 1:] - positions[:, parents]
+        )
+        return cls(rotations, bones, positions[:, 0])
+
+    def positions(self, skeleton: Skeleton) -> Float32[np.ndarray, "frames joints 3"]:
+        """Forward kinematics, metres."""
+        return kinematics.forward_kinematics(self.rotations, self.root, skeleton, self.bones).astype(np.float32)
