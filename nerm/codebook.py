@@ -174,21 +174,3 @@ def load_codes(run: RunFolder | Path) -> Float32[torch.Tensor, "codes dimension"
     if description.get("format") != "nerm-codebook":
         raise CheckpointError(f"{folder.model_path} is {description.get('format')!r}, expected 'nerm-codebook'")
     return tensors["codes"]
-
-
-def published_codes(path: Path) -> Float32[torch.Tensor, "codes dimension"]:
-    """The codes inside T2M-GPT's own checkpoint (net_last.pth, key net → vqvae.quantizer.codebook).
-
-    Read with `weights_only=True`. Raises `CheckpointError` for a file that isn't such a checkpoint.
-    """
-    key = "vqvae.quantizer.codebook"
-    try:
-        loaded = torch.load(path, map_location="cpu", weights_only=True)
-        codes = loaded["net"][key]
-    except FileNotFoundError:
-        raise CheckpointError(f"{path}: there is no such file") from None
-    except Exception as error:
-        raise CheckpointError(f"{path} is not a checkpoint of T2M-GPT's VQ-VAE with net/{key}: {error}") from None
-    if not isinstance(codes, torch.Tensor) or codes.ndim != 2:
-        raise CheckpointError(f"{path}: net/{key} is not a table of codes")
-    return codes.float()

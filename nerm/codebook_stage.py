@@ -2,27 +2,31 @@
 
 import time
 from pathlib import Path
+from typing import Any
+
+import torch
 
 from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
 from motionkit.training.stage import StageContext
-from motionkit.training.tensors import save_tensors
-from nerm.codebook import published_codes
+from motionkit.training.tensors import prefixed, save_tensors
 from nerm.codebook_training import CodebookTraining, build_vector_corpus
-from nerm.recipes import NermConfig
+from nerm.published_codebook import PublishedCodebook, load_published
+from nerm.recipes import CodebookConfig, NermConfig
 
 
 def train_codebook(context: StageContext, config: NermConfig) -> None:
-    """Train the VQ-VAE, or take the codes of T2M-GPT's own checkpoint; writes codes [N, d] to model.safetensors."""
+    """Train the VQ-VAE, or take T2M-GPT's own; writes codes [N, d], network and statistics to model.safetensors."""
     settings, store = config.codebook, Store.open(context.store)
+    published = _published(settings)
     folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
     description = {"format": "nerm-codebook", "version": 1, "fps": settings.fps, "convention": "nerm-codebook"}
-    if settings.published_weights:
-        codes = published_codes(Path(settings.published_weights))
-        save_tensors(folder.model_path, {"codes": codes}, {**description, "convention": "T2M-GPT"})
-        folder.finish({"codes": len(codes), "from": settings.published_weights})
+    if published is not None:
+        facts = _facts(published)
+        save_tensors(folder.model_path, _tensors(published), {**description, **facts})
+        folder.finish({"codes": len(published.codes), "from": settings.published_weights, **facts})
         return
     started = time.perf_counter()
     source = open_cache(store, layout="smpl22", where=settings.where or None)
@@ -36,3 +40,24 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
         leftover.unlink(missing_ok=True)
     facts = {"poses": len(corpus.vectors), "wall_seconds": round(time.perf_counter() - started, 1)}
     folder.finish({**figures, **facts})
+
+
+def _published(settings: CodebookConfig) -> PublishedCodebook | None:
+    """T2M-GPT's own VQ-VAE where the settings name it; looked at before anything is written."""
+    if not settings.published_weights:
+        return None
+    statistics = Path(settings.published_statistics) if settings.published_statistics else None
+    return load_published(Path(settings.published_weights), statistics)
+
+
+def _tensors(published: PublishedCodebook) -> dict[str, torch.Tensor]:
+    tensors = {"codes": published.codes} | prefixed("network", published.network.state_dict())
+    if published.statistics is not None:
+        tensors["mean"] = torch.from_numpy(published.statistics.mean).float()
+        tensors["scale"] = torch.from_numpy(published.statistics.std).float()
+    return tensors
+
+
+def _facts(published: PublishedCodebook) -> dict[str, Any]:
+    statistics = "not given" if published.statistics is None else "evaluator"
+    return {"convention": "T2M-GPT", "numbers": published.num_numbers, "statistics": statistics}

@@ -23,7 +23,8 @@ Activation = Literal["relu", "silu", "gelu"]
 class CodebookConfig:
     """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1).
 
-    `published_weights` names T2M-GPT's own checkpoint, whose codes are then taken instead of trained.
+    `published_weights` names T2M-GPT's own checkpoint, which is then taken instead of trained, whatever the sizes here;
+    `published_statistics` the folder of its mean.npy and std.npy (the evaluator's), which the field doesn't need.
     """
 
     fps: int = 20
@@ -43,6 +44,7 @@ class CodebookConfig:
     rate_drop: float = 0.05
     weight_decay: float = 0.0
     published_weights: str = ""
+    published_statistics: str = ""
     where: str = "split = 'train'"
 
 
