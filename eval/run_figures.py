@@ -1,0 +1,188 @@
+"""What one trained run scores: how it reconstructs and what it generates, by framerate."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eval.baselines.low_pass import low_passed
+from eval.clip_fid import VERSION as CLIP_FID_VERSION
+from eval.clip_fid import ClipError, check_lengths, score_disjoint_halves, score_rows
+from eval.evaluators.kinematic import BLOCKS, KinematicDescriptor
+from eval.evaluators.kinematic import VERSION as KINEMATIC_VERSION
+from eval.feature_sources import fit_on
+from eval.generated import generate_fields, sample_fields, windows_of
+from eval.parts import Part, kept
+from eval.real import NoRealMotionError, RealMotion, real_motion
+from eval.report.results import Cell
+from eval.samples import SampleSet
+from eval.tables.registry import TableRequest
+from eval.tables.table2 import P1, P2, clip_fid_cell
+from eval.tables.table4 import VERSION as RECONSTRUCTION_VERSION
+from eval.tables.table4 import error_cell, held_out_windows, training_windows
+from motionkit.errors import UsageError
+from motionkit.generation import load_model
+from motionkit.training.run import RunFolder
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
+
+TRAINING, HELD_OUT, SYNTHESIS = "training", "held out", "clip-FID"
+PARTS = {"slip": BLOCKS["slip"]}
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """The real set and the descriptor of each framerate that has both, and why others have not."""
+
+    found: Mapping[Fraction, tuple[SampleSet, KinematicDescriptor]]
+    missing: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """What all runs of a table are held against: a store's real motion at some framerates, a descriptor for each.
+
+    Nothing is loaded before it is needed; what was computed once, for the same request, is read from RESULTS/parts.
+    """
+
+    store: "Store"
+    request: TableRequest
+    rates: tuple[Fraction, ...]
+
+    @cached_property
+    def real(self) -> RealMotion:
+        """The compared sequences."""
+        return real_motion(self.store, self.request.split, self.request.where)
+
+    def floors(self) -> Part:
+        """clip-FID of real motion with itself: independent draws (P1), and disjoint halves of the takes (P2)."""
+        return kept(self.request.results, "floors", self._clip_terms(), self._floors)
+
+    def synthesis(self, run: Path) -> Part:
+        """clip-FID of what a run generates for the captions and durations of the real sequences.
+
+        Raises `RunError` where a stage of it is not trained.
+        """
+        models = {stage: _sha256(run, stage) for stage in ("field", "denoiser")}
+        terms = {"models": models, "motions": self.request.max_motions, **self._clip_terms()}
+        return kept(self.request.results, "synthesis", terms, lambda: self._synthesis(run))
+
+    def reconstruction(self, run: Path) -> Part:
+        """Errors of training windows decoded from μ and of held-out windows encoded by optimisation.
+
+        Raises `RunError` where the field is not trained.
+        """
+        terms = {
+            "version": RECONSTRUCTION_VERSION,
+            "models": {"field": _sha256(run, "field")},
+            "motions": self.request.max_motions,
+            **self._terms(),
+        }
+        return kept(self.request.results, "reconstruction", terms, lambda: self._reconstruction(run))
+
+    def _terms(self) -> dict[str, Any]:
+        request = self.request
+        return {
+            "store": self.store.fingerprint,
+            "split": request.split,
+            "where": request.where,
+            "fps": [str(fps) for fps in self.rates],
+            "seed": request.seed,
+        }
+
+    def _clip_terms(self) -> dict[str, Any]:
+        versions = [CLIP_FID_VERSION, KINEMATIC_VERSION]
+        protocol = asdict(self.request.protocol)
+        return {"versions": versions, "protocol": protocol, "low_pass_hz": self.request.low_pass_hz, **self._terms()}
+
+    def _smoothed(self, samples: SampleSet) -> SampleSet:
+        cutoff = self.request.low_pass_hz
+        return samples if cutoff is None else low_passed(samples, cutoff)
+
+    @cached_property
+    def _columns(self) -> _Columns:
+        has_training = bool((self.store.columns("split")["split"] == "train").any())
+        train = real_motion(self.store, "train") if has_training else self.real
+        found, missing = {}, []
+        for fps in self.rates:
+            try:
+                real = self._smoothed(self.real.at(fps))
+                check_lengths(real, self.request.protocol)
+                found[fps] = (real, fit_on(self._smoothed(train.at(fps))))
+            except (NoRealMotionError, ClipError) as error:
+                missing.append(f"clip-FID, {label(fps)}: {error}")
+        return _Columns(found, tuple(missing))
+
+    def _floors(self) -> Part:
+        protocol, missing = self.request.protocol, list(self._columns.missing)
+        rows: dict[str, dict[str, Cell]] = {P1: {}, P2: {}}
+        for fps, (real, descriptor) in self._columns.found.items():
+            rows[P1][label(fps)] = clip_fid_cell(score_rows(real, {P1: real}, descriptor, protocol, PARTS)[P1])
+            try:
+                rows[P2][label(fps)] = clip_fid_cell(score_disjoint_halves(real, descriptor, protocol, PARTS))
+            except ClipError as error:
+                missing.append(f"{P2}, {label(fps)}: {error}")
+        return Part(rows, tuple(missing))
+
+    def _synthesis(self, run: Path) -> Part:
+        model, columns = load_model("nerm", run), self._columns
+        if not columns.found:
+            return Part({SYNTHESIS: {}}, columns.missing)
+        windows = windows_of(self.real.at(min(columns.found)), model.max_duration_seconds)
+        fields = generate_fields(model, windows, self.request.seed, self.request.max_motions)
+        cells, missing = {}, list(columns.missing)
+        for fps, (real, descriptor) in columns.found.items():
+            samples = sample_fields(fields, real.sequence_ids, fps, run.name)
+            if samples is None:
+                missing.append(f"{run.name}, {label(fps)}: no generated motion is for a sequence this fast")
+                continue
+            rows = {run.name: self._smoothed(samples)}
+            cells[label(fps)] = clip_fid_cell(
+                score_rows(real, rows, descriptor, self.request.protocol, PARTS)[run.name]
+            )
+        return Part({SYNTHESIS: cells}, tuple(missing))
+
+    def _reconstruction(self, run: Path) -> Part:
+        from nerm.field_model import load_field
+        from nerm.reconstruction import reconstructions
+
+        trained = load_field(run)
+        if trained.store_fingerprint != self.store.fingerprint:
+            raise UsageError(
+                f"the field of {run} was trained on another state of the store (fingerprint "
+                f"{trained.store_fingerprint[:16]}, now {self.store.fingerprint[:16]}): name that store, or train again"
+            )
+        missing: list[str] = []
+        sets = {
+            TRAINING: training_windows(trained, self.store, self.request),
+            HELD_OUT: held_out_windows(trained, self.store, self.request, missing),
+        }
+        rows: dict[str, dict[str, Cell]] = {}
+        for name, encoded in sets.items():
+            if encoded is None:
+                continue
+            rows[name] = {}
+            for fps in self.rates:
+                cell = error_cell(reconstructions(trained, encoded.source, encoded.windows, encoded.latents, fps))
+                if cell is None:
+                    missing.append(f"{name} windows, {label(fps)}: no take is that fast")
+                else:
+                    rows[name][label(fps)] = cell
+        return Part(rows, tuple(missing))
+
+
+def label(fps: Fraction) -> str:
+    """A framerate as a column's name."""
+    return f"{fps} fps"
+
+
+def _sha256(run: Path, stage: str) -> str:
+    """The hash of a stage's model; raises `RunError` where the stage is not trained."""
+    from nerm.text_encoders import file_sha256
+
+    folder = RunFolder(run).stage(stage)
+    folder.read_summary()
+    return file_sha256(folder.model_path)
