@@ -63,11 +63,15 @@ class FieldTraining:
         self.steps = config.num_steps(len(self.visits))
         self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.weight_decay)
         self.mean = RowAdam(means.to(device))
-        self.log_variance = RowAdam(torch.full_like(self.mean.table, config.initial_log_variance))
+        # Eq. 9 has no Σ: what stage 2 draws from such a posterior is μ, as nearly as a log-variance can say it.
+        start = config.initial_log_variance if config.variational else LOG_VARIANCE_RANGE[0]
+        self.log_variance = RowAdam(torch.full_like(self.mean.table, start))
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
-        """θ in two groups: attention diverges at rates that suit the decoder."""
+        """θ in two groups: attention, in CCA or in a transformer decoder, diverges at rates that suit an MLP."""
         attention = [] if self.network.attention is None else list(self.network.attention.parameters())
+        if self.config.decoder == "transformer":
+            attention += self.network.layers.parameters()
         ours = {id(parameter) for parameter in attention}
         decoder = [parameter for parameter in self.network.parameters() if id(parameter) not in ours]
         groups: list[dict[str, Any]] = [{"params": decoder, "lr": self.config.rate, "base_lr": self.config.rate}]

@@ -8,6 +8,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from eval.clip_fid import PoseRange, Protocol
+from eval.report.render import to_markdown
+from eval.report.results import Block, Result, Row
+from eval.tables.ablations import HIGHEST, LOWEST, TABLES
+from eval.tables.registry import TableRequest
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
@@ -34,6 +39,7 @@ TINY = (
     "denoiser.text_encoder=none",
     "denoiser.steps=3",
     "denoiser.batch=4",
+    "denoiser.diffusion.sampling_steps=3",
     "denoiser.network.num_layers=3",
     "denoiser.network.width=16",
     "denoiser.network.ffn_width=16",
@@ -135,3 +141,78 @@ def test_faults_are_told_before_anything_is_trained(arguments: tuple[str, ...], 
     with pytest.raises((UsageError, MotionkitError), match=message):
         CliRunner().invoke(app, [*arguments, "--runs", str(tmp_path)], catch_exceptions=False)
     assert not list(tmp_path.iterdir())
+
+
+def table(project: Path, number: str, run: str, results: str) -> Result:
+    protocol = Protocol(sizes=PoseRange(16, 16), num_clips=80, replications=2, detailed_replications=0)
+    rates = (Fraction(20), Fraction(60))
+    places = {"store": project / "store", "results": project / results, "run": project / "runs" / run}
+    return TABLES[number].build(TableRequest(**places, fps=rates, protocol=protocol))
+
+
+def rows(block: Block) -> dict[str, Row]:
+    return {row.name: row for row in block.rows}
+
+
+def test_a_table_shows_what_is_trained_and_says_how_to_train_the_rest(project: Path) -> None:
+    command(project, "7", "--run", "table", "--only", "global")
+    result = table(project, "7", "table", "results-7")
+    training, held_out, synthesis, *printed = result.blocks
+    assert result.task == "nerm-table7"
+    for block in (training, held_out):
+        assert block.columns == ("20 fps", "60 fps")
+        assert set(rows(block)["global: MLP"].cells) == {"20 fps", "60 fps"}
+        assert rows(block)["global: MLP"].cells["20 fps"].value > 0
+    absent = rows(training)["global: transformer"]
+    assert absent.cells == {}
+    assert absent.note == "not trained: motionkit ablate 7 --run table --only global-transformer"
+    assert list(rows(synthesis)) == [
+        "real, independent draws (P1)",
+        "real, disjoint halves of the takes (P2)",
+        "global: transformer",
+        "global: MLP",
+    ]
+    scores = {name: row.cells["60 fps"].value for name, row in rows(synthesis).items() if row.cells}
+    assert scores["global: MLP"] > scores["real, independent draws (P1)"]
+    assert [set(rows(block)) for block in printed] == [{"transformer decoder (paper)", "mlp decoder (paper)"}] * 2
+    assert rows(printed[0])["mlp decoder (paper)"].cells["120 fps"].value == 0.038
+    assert rows(printed[1])["transformer decoder (paper)"].cells["20 fps"].value == 0.381
+    assert "| global: transformer | – | – |" in to_markdown(result)
+    assert result.notes == ()
+
+
+def test_what_was_measured_is_kept_until_the_run_is_trained_again(project: Path) -> None:
+    command(project, "8", "--run", "kept", "--only", "global")
+    first = table(project, "8", "kept", "results-8")
+    parts = list((project / "results-8" / "parts").iterdir())
+    assert len(parts) == 1
+    written = parts[0].stat().st_mtime_ns
+    assert table(project, "9", "kept", "results-8").blocks[0].rows[1].cells == first.blocks[0].rows[1].cells
+    assert parts[0].stat().st_mtime_ns == written
+    command(project, "8", "--run", "kept", "--only", "global", "--overwrite", settings=(*TINY, "field.num_poses=3"))
+    again = table(project, "8", "kept", "results-8")
+    assert again.blocks[0].rows[1].cells != first.blocks[0].rows[1].cells
+    # One run, two rows of the paper.
+    assert rows(again.blocks[0])["global: d = 256"].cells == rows(again.blocks[0])["global: λ_KL = 1e-4"].cells
+    assert rows(again.blocks[-1])["latent_dim = 512 (paper)"].cells["20 fps"].value == 0.0407
+
+
+def test_several_seeds_are_a_mean_with_its_range_and_unequal_trainings_are_told(project: Path) -> None:
+    command(project, "8", "--run", "seeds", "--only", "global")
+    command(project, "8", "--run", "seeds", "--only", "global", "--seed", "1")
+    command(project, "8", "--run", "seeds", "--only", "global-d-128", settings=(*TINY, "field.steps=5"))
+    result = table(project, "8", "seeds", "results-s")
+    row = rows(result.blocks[0])["global: d = 256"]
+    assert row.note == "mean of 2 seeds"
+    cell = row.cells["20 fps"]
+    assert cell.details[LOWEST] < cell.value < cell.details[HIGHEST]
+    assert cell.value == pytest.approx((cell.details[LOWEST] + cell.details[HIGHEST]) / 2)
+    assert result.notes == (
+        "These runs differ in more than the table varies: field.steps is 5 in seeds-global-d-128, "
+        "4 in seeds-global and seeds-global-seed1.",
+    )
+
+
+def test_a_table_without_runs_says_what_makes_them(project: Path) -> None:
+    with pytest.raises(UsageError, match=r"no run of this table .* motionkit ablate 5 --run nobody trains"):
+        table(project, "5", "nobody", "results-none")

@@ -217,6 +217,19 @@ def test_training_without_distributions_leaves_variances_alone() -> None:
     assert torch.equal(figures["loss"], figures["reconstruction"])
 
 
+def test_without_distributions_stage_2_draws_what_stage_1_found() -> None:
+    training = _training(replace(SMALL, variational=False))
+    assert float(torch.exp(0.5 * training.log_variance.table).max()) < 0.01
+
+
+def test_a_transformer_decoder_has_the_rate_of_attention() -> None:
+    training = _training(replace(SMALL, decoder="transformer", rate=1e-2, attention_rate=1e-3))
+    rates = {id(parameter): group["lr"] for group in training.optimizer.param_groups for parameter in group["params"]}
+    assert {rates[id(parameter)] for parameter in training.network.layers.parameters()} == {1e-3}
+    assert rates[id(training.network.output.weight)] == 1e-2
+    assert len(rates) == len(list(training.network.parameters()))
+
+
 def test_a_linear_path_begins_as_the_ridge_fit() -> None:
     training = _training(replace(SMALL, linear_path=True))
     batch = training.poses.evenly(np.arange(4), 50)
