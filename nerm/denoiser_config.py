@@ -7,6 +7,8 @@ NoiseSchedule = Literal["scaled_linear", "cosine"]
 Prediction = Literal["noise", "latent", "velocity"]
 LossMeasure = Literal["noise", "latent", "velocity", "min_snr"]
 Sampler = Literal["ddim", "ddpm"]
+PathNumbers = Literal["places", "steps"]
+LatentScale = Literal["number", "component"]
 SAMPLERS: tuple[Sampler, ...] = get_args(Sampler)
 
 
@@ -71,10 +73,16 @@ class DenoiserConfig:
     `condition_drop` of the batch is trained unconditionally; of the windows that have a caption and an action,
     `action_share` are trained on the action. Exactly one of `steps` and `epochs` says how long; `guidance_scale` is r
     of Eq. 6 at inference.
+
+    Where the field reads z as knots, `path` says whether the diffusion sees the body's path as places or as the steps
+    between them, and `latent_scale` whether each number of z is standardised by itself or each component by its values
+    at all knots (`nerm.latent_space`).
     """
 
     network: TransformerConfig = field(default_factory=TransformerConfig)
     diffusion: DiffusionConfig = field(default_factory=DiffusionConfig)
+    path: PathNumbers = "places"
+    latent_scale: LatentScale = "number"
     text_encoder: str = "minilm"
     condition_drop: float = 0.1
     action_share: float = 0.25

@@ -10,7 +10,7 @@ from motionkit.training.stage import StageContext
 from nerm.denoiser_training import DenoiserTraining
 from nerm.field_corpus import corpus_of
 from nerm.field_model import load_field
-from nerm.latent_reach import first_read
+from nerm.local_latents import local_latents
 from nerm.recipes import NermConfig
 from nerm.text_encoders import file_sha256, load_text_encoder
 from nerm.trained_denoiser import STAGE_NAME, save_denoiser
@@ -38,7 +38,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         field.windows,
         store,
         encoder,
-        first_read(field.config),
+        local_latents(field.config),
     )
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=resolve_device(context.device))
     figures = train_loop(training, folder, steps=training.num_steps, seed=context.seed)

@@ -6,14 +6,15 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor
 
-from motionkit.training.randomness import seeded_initialisation
+from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.schedule import WeightAverage, rate_factor, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from nerm.denoiser import Denoiser
 from nerm.denoiser_config import DenoiserConfig
 from nerm.diffusion import add_noise, cumulative_alphas, loss_weights, prediction_target
-from nerm.latent_corpus import LatentCorpus, latent_statistics
+from nerm.latent_corpus import LatentCorpus
 from nerm.latent_reach import in_use
+from nerm.latent_space import measured_space
 from nerm.trained_denoiser import TrainedDenoiser
 
 
@@ -27,13 +28,15 @@ class DenoiserTraining:
         self.config = config
         self.corpus = corpus
         self.device = device
-        used = in_use(corpus.first_read, corpus.duration)
-        self.statistics = latent_statistics(corpus.means, corpus.log_variances, used)
+        self.first_read = corpus.first_read
+        drawn = corpus.draw(torch.arange(len(corpus)), step_generator(seed, "latent space", 0))
+        used = in_use(self.first_read, corpus.duration)
+        self.space = measured_space(drawn, used, corpus.banks, config.path, config.latent_scale)
         self.alphas = cumulative_alphas(config.diffusion)
         self.weights = loss_weights(config.diffusion.prediction, config.diffusion.loss, self.alphas)
         self.num_steps = config.num_steps(len(corpus))
         with seeded_initialisation(seed, "denoiser"):
-            self.denoiser = Denoiser(config.network, corpus.first_read, corpus.layout).to(device)
+            self.denoiser = Denoiser(config.network, self.first_read, corpus.layout).to(device)
         self.average = WeightAverage(self.denoiser, config.ema_decay)
         self.optimizer = torch.optim.AdamW(self.denoiser.parameters(), lr=config.rate, weight_decay=config.weight_decay)
 
@@ -45,7 +48,7 @@ class DenoiserTraining:
         )
         set_rate(self.optimizer, factor * config.rate)
         rows = torch.randint(len(self.corpus), (config.batch,), generator=generator)
-        latents = self.statistics.standardise(self.corpus.draw(rows, generator))
+        latents = self.space.standardise(self.corpus.draw(rows, generator))
         conditions = self.corpus.draw_conditions(
             rows, generator, drop=config.condition_drop, action_share=config.action_share
         )
@@ -55,7 +58,7 @@ class DenoiserTraining:
         target = prediction_target(diffusion.prediction, latents, noise, steps, self.alphas)
         with _dropout_from(generator, self.device):
             output = self.denoiser(noisy.to(self.device), steps.to(self.device), conditions.to(self.device))
-        used = in_use(self.corpus.first_read, conditions.duration)
+        used = in_use(self.first_read, conditions.duration)
         weights = used * self.weights[steps, None].to(torch.float32) / used.sum()
         loss = ((output - target.to(self.device)).square() * weights.to(self.device)).sum()
         self.optimizer.zero_grad(set_to_none=True)
@@ -67,12 +70,12 @@ class DenoiserTraining:
     def finished(self, *, text_fingerprint: str, field_sha256: str) -> TrainedDenoiser:
         """The trained denoiser, with its averaged weights, on the CPU."""
         with seeded_initialisation(0, "denoiser"):
-            denoiser = Denoiser(self.config.network, self.corpus.first_read, self.corpus.layout)
+            denoiser = Denoiser(self.config.network, self.first_read, self.corpus.layout)
         denoiser.load_state_dict(self.average.tensors())
         return TrainedDenoiser(
             config=self.config,
             denoiser=denoiser.eval().requires_grad_(False),
-            statistics=self.statistics,
+            space=self.space,
             layout=self.corpus.layout,
             durations=self.corpus.duration,
             text_encoder=self.config.text_encoder,

@@ -14,6 +14,7 @@ from motionkit.store.reader import Store
 from motionkit.store.schema import CACHE_FOLDER
 from nerm.conditions import unit_rows
 from nerm.latent_corpus import LatentCorpus, latent_corpus
+from nerm.local_latents import LocalLatents
 from nerm.text_cache import embed_texts
 from nerm.text_encoders import TextEncoder
 from nerm.window_captions import mirrored_text, overlapping_captions
@@ -25,7 +26,7 @@ def corpus_of(
     windows: Windows,
     store: Store,
     encoder: TextEncoder | None,
-    first_read: Float32[torch.Tensor, "latent"] | None = None,
+    banks: LocalLatents | None = None,
 ) -> LatentCorpus:
     """Posteriors with their windows' captions (embedded, cached inside the store's cache folder) and actions."""
     sequences = store.columns("captions", "action")
@@ -39,7 +40,7 @@ def corpus_of(
         actions=actions_of_windows(windows, sequences),
         texts=texts,
         embeddings=_embeddings(encoder, texts, store.path / CACHE_FOLDER),
-        first_read=first_read,
+        banks=banks,
     )
 
 

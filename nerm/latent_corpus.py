@@ -5,44 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from nerm.conditions import NO_ACTION, ConditionLayout, Conditions
-from nerm.latent_reach import ALWAYS
-
-
-@dataclass(frozen=True, eq=False)
-class LatentStatistics:
-    """Per-dimension mean and deviation of z, by which latents are standardised."""
-
-    mean: Float32[Tensor, "latent"]
-    deviation: Float32[Tensor, "latent"]
-
-    def standardise(self, latents: Float32[Tensor, "batch latent"]) -> Float32[Tensor, "batch latent"]:
-        """Latents of the field → latents of the diffusion."""
-        return (latents - self.mean) / self.deviation
-
-    def restore(self, latents: Float32[Tensor, "batch latent"]) -> Float32[Tensor, "batch latent"]:
-        """The inverse of `standardise`."""
-        return latents * self.deviation + self.mean
-
-
-def latent_statistics(
-    means: Float32[Tensor, "windows latent"],
-    log_variances: Float32[Tensor, "windows latent"],
-    in_use: Bool[Tensor, "windows latent"],
-) -> LatentStatistics:
-    """Mean and deviation of z over the posteriors of all windows that use a number: Var z = Var μ_i + E σ_i².
-
-    A number that no window uses gets mean 0 and deviation 1.
-    """
-    wide, counts = means.to(torch.float64), in_use.sum(dim=0)
-    share = in_use.to(torch.float64) / counts.clamp(min=1)
-    mean = (wide * share).sum(dim=0)
-    variance = ((wide - mean).square() * share).sum(dim=0) + (log_variances.to(torch.float64).exp() * share).sum(dim=0)
-    deviation = torch.where(counts > 0, variance.sqrt().clamp(min=1e-6), torch.ones_like(variance))
-    return LatentStatistics(mean.to(torch.float32), deviation.to(torch.float32))
+from nerm.latent_reach import first_read
+from nerm.local_latents import LocalLatents
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +18,8 @@ class LatentCorpus:
     """n posteriors with their conditions.
 
     `caption_rows` [n, most] leads into `text` [texts, dimension] (unit length), the first `num_captions` of each row
-    count; `action` is `NO_ACTION` where there is none; `duration` is in units of l_max. `first_read` says from
-    when on the field reads each number (`nerm.latent_reach`).
+    count; `action` is `NO_ACTION` where there is none; `duration` is in units of l_max. `banks` are what z is
+    made of (None: not of knots).
     """
 
     means: Float32[Tensor, "windows latent"]
@@ -62,10 +30,15 @@ class LatentCorpus:
     num_captions: Int64[Tensor, "windows"]
     action: Int64[Tensor, "windows"]
     layout: ConditionLayout
-    first_read: Float32[Tensor, "latent"]
+    banks: LocalLatents | None
 
     def __len__(self) -> int:
         return len(self.means)
+
+    @property
+    def first_read(self) -> Float32[Tensor, "latent"]:
+        """From when on the field reads each number of z (`nerm.latent_reach`)."""
+        return first_read(self.means.shape[1], self.banks)
 
     def draw(self, rows: Int64[Tensor, "batch"], generator: torch.Generator) -> Float32[Tensor, "batch latent"]:
         """z ~ N(μ_i, Σ_i) for the windows `rows`, drawn anew at every call (§3.2)."""
@@ -102,12 +75,9 @@ def latent_corpus(
     actions: Sequence[str],
     texts: Sequence[str],
     embeddings: Float32[np.ndarray, "texts dimension"],
-    first_read: Float32[Tensor, "latent"] | None = None,
+    banks: LocalLatents | None = None,
 ) -> LatentCorpus:
-    """Bring captions and actions of all windows into index form; `embeddings` belong to the distinct `texts`.
-
-    Without `first_read` every number of z is read at every instant.
-    """
+    """Bring captions and actions of all windows into index form; `embeddings` belong to the distinct `texts`."""
     row_of = {text: row for row, text in enumerate(texts)}
     names = tuple(sorted({action for action in actions if action}))
     index_of = {name: index for index, name in enumerate(names)} | {"": NO_ACTION}
@@ -125,5 +95,5 @@ def latent_corpus(
         num_captions=torch.tensor([len(of_window) for of_window in captions], dtype=torch.int64),
         action=torch.tensor([index_of[action] for action in actions], dtype=torch.int64),
         layout=ConditionLayout(embeddings.shape[1], names),
-        first_read=torch.full((means.shape[1],), ALWAYS) if first_read is None else first_read,
+        banks=banks,
     )

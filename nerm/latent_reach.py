@@ -8,17 +8,15 @@ import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
-from nerm.local_latents import local_latents
-from nerm.recipes import FieldConfig
+from nerm.local_latents import LocalLatents
 
 ALWAYS = -1.0
 
 
-def first_read(config: FieldConfig) -> Float32[Tensor, "latent"]:
+def first_read(dimension: int, banks: LocalLatents | None) -> Float32[Tensor, "latent"]:
     """The earliest instant, in units of l_max, at which the field reads each number of z; `ALWAYS` without knots."""
-    banks = local_latents(config)
     if banks is None:
-        return torch.full((config.latent_dimension,), ALWAYS)
+        return torch.full((dimension,), ALWAYS)
     numbers = banks.describe()
     return (0.5 * (1.0 + numbers.centre - numbers.reach)).to(torch.float32)
 

@@ -18,8 +18,9 @@ from nerm.conditions import ConditionLayout, Conditions, guided
 from nerm.denoiser import Denoiser
 from nerm.denoiser_config import SAMPLERS, DenoiserConfig
 from nerm.diffusion import cumulative_alphas, predicted_noise, sample_ddim, sample_ddpm, sampling_steps
-from nerm.latent_corpus import LatentStatistics
 from nerm.latent_reach import in_use
+from nerm.latent_space import LatentSpace
+from nerm.local_latents import LocalLatents
 
 STAGE_NAME = "denoiser"
 SAMPLES_PER_BATCH = 256
@@ -29,14 +30,15 @@ SAMPLES_PER_BATCH = 256
 class TrainedDenoiser:
     """ε_φ with everything that sampling latents needs.
 
-    `denoiser` holds the averaged weights; `durations` are those of the training windows in units of l_max;
+    `denoiser` holds the averaged weights; `space` is where it works; `durations` are those of the
+    training windows in units of l_max;
     `text_encoder` and `text_fingerprint` name the encoder whose embeddings it was trained on (empty without texts), and
     `field_sha256` the field whose latents it generates.
     """
 
     config: DenoiserConfig
     denoiser: Denoiser
-    statistics: LatentStatistics
+    space: LatentSpace
     layout: ConditionLayout
     durations: Float32[Tensor, "windows"]
     text_encoder: str
@@ -46,7 +48,7 @@ class TrainedDenoiser:
     @property
     def latent_dimension(self) -> int:
         """Numbers in a latent."""
-        return len(self.statistics.mean)
+        return len(self.space.mean)
 
     def sample(
         self,
@@ -108,7 +110,7 @@ class TrainedDenoiser:
         else:
             latents = sample_ddpm(predict_noise, draw_noise(), alphas, steps, draw_noise)
         used = in_use(self.denoiser.first_read.to("cpu"), conditions.duration)
-        return self.statistics.restore(latents.to(torch.float32) * used)
+        return self.space.restore(latents.to(torch.float32) * used)
 
     def draw_durations(self, count: int, *, seed: int, first: int = 0) -> Float32[Tensor, "count"]:
         """Durations drawn from the training windows', in units of l_max; number i follows from (seed, first + i)."""
@@ -120,12 +122,13 @@ class TrainedDenoiser:
 def save_denoiser(run: RunFolder, trained: TrainedDenoiser) -> None:
     """Write RUN/denoiser/model.safetensors."""
     tensors = prefixed("denoiser", trained.denoiser.state_dict()) | {
-        "latent_mean": trained.statistics.mean,
-        "latent_deviation": trained.statistics.deviation,
+        "latent_mean": trained.space.mean,
+        "latent_deviation": trained.space.deviation,
         "durations": trained.durations,
     }
     description = {
         "config": to_plain(trained.config),
+        "banks": None if trained.space.banks is None else to_plain(trained.space.banks),
         "text_dimension": trained.layout.text_dimension,
         "actions": list(trained.layout.actions),
         "text_encoder": trained.text_encoder,
@@ -155,14 +158,15 @@ def load_denoiser(run: RunFolder, device: torch.device | None = None) -> Trained
 def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> TrainedDenoiser:
     config = from_plain(DenoiserConfig, description["config"])
     layout = ConditionLayout(int(description["text_dimension"]), tuple(description["actions"]))
-    statistics = LatentStatistics(tensors["latent_mean"], tensors["latent_deviation"])
+    banks = None if description["banks"] is None else from_plain(LocalLatents, description["banks"])
+    space = LatentSpace(banks, config.path, tensors["latent_mean"], tensors["latent_deviation"])
     with seeded_initialisation(0, STAGE_NAME):
         denoiser = Denoiser(config.network, tensors["denoiser.first_read"], layout)
     denoiser.load_state_dict(unprefixed("denoiser", tensors))
     return TrainedDenoiser(
         config=config,
         denoiser=denoiser.eval().requires_grad_(False),
-        statistics=statistics,
+        space=space,
         layout=layout,
         durations=tensors["durations"],
         text_encoder=str(description["text_encoder"]),

@@ -8,6 +8,7 @@ import torch
 
 from nerm.field import FieldNetwork
 from nerm.latent_reach import first_read, in_use
+from nerm.local_latents import local_latents
 from nerm.recipes import FieldConfig, demo, paper
 
 ONE_BANK = FieldConfig(
@@ -39,15 +40,15 @@ def test_a_field_reads_the_numbers_in_use_and_no_others(share, config):
     coordinates = torch.linspace(-1, -1 + 2 * share, 400, dtype=torch.float64)[None]
     network(latents, coordinates, torch.tensor([60.0], dtype=torch.float64)).square().sum().backward()
     assert latents.grad is not None
-    used = in_use(first_read(config), torch.tensor([share]))
+    used = in_use(first_read(config.latent_dimension, local_latents(config)), torch.tensor([share]))
     np.testing.assert_array_equal(latents.grad[0] != 0, used[0])
 
 
 def test_a_whole_window_uses_every_number():
     for config in (demo().field, paper().field):
-        assert len(first_read(config)) == config.latent_dimension
-        assert bool(in_use(first_read(config), torch.tensor([1.0])).all())
+        assert len(first_read(config.latent_dimension, local_latents(config))) == config.latent_dimension
+        assert bool(in_use(first_read(config.latent_dimension, local_latents(config)), torch.tensor([1.0])).all())
 
 
 def test_without_knots_every_number_is_read_at_every_instant():
-    assert bool(in_use(first_read(paper().field), torch.tensor([0.0, 1e-3])).all())
+    assert bool(in_use(first_read(256, local_latents(paper().field)), torch.tensor([0.0, 1e-3])).all())

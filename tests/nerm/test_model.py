@@ -16,8 +16,8 @@ from motionkit.training.run import RunError
 from nerm.conditions import ConditionLayout
 from nerm.denoiser import Denoiser
 from nerm.denoiser_config import DenoiserConfig, DiffusionConfig, TransformerConfig
-from nerm.latent_corpus import LatentStatistics
 from nerm.latent_reach import ALWAYS
+from nerm.latent_space import LatentSpace
 from nerm.model import NermModel
 from nerm.trained_denoiser import TrainedDenoiser
 
@@ -63,7 +63,7 @@ def known_model(text_fingerprint: str = "") -> NermModel:
     trained = TrainedDenoiser(
         config=DenoiserConfig(network=NETWORK, diffusion=DiffusionConfig(sampling_steps=5), guidance_scale=2.0),
         denoiser=denoiser.eval(),
-        statistics=LatentStatistics(torch.full((4,), 5.0), torch.ones(4)),
+        space=LatentSpace(None, "places", torch.full((4,), 5.0), torch.ones(4)),
         layout=layout,
         durations=torch.tensor([0.25, 0.5]),
         text_encoder="letters",
