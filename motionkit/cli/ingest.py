@@ -109,6 +109,12 @@ def ingest(
     A store that exists is added to: sequences that it holds from equal files are left alone, and the same id from
     another file is refused. The store is the same whatever the engine and the number of workers.
     """
+    from motionkit.workers.engines import LOCAL
+    from motionkit.workers.process_engine import start_server
+
+    if engine == LOCAL and workers is not None and workers > 1:
+        start_server()
+
     from motionkit.formats.framerate_rules import read_rules
     from motionkit.skeleton_families import read_skeleton_map
     from motionkit.store.ingest import Listener

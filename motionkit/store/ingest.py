@@ -17,13 +17,13 @@ from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map
 from motionkit.skeleton_map import SkeletonMapError, joint_map
 from motionkit.store.encode import EncodedMotion, RefusedMotion
-from motionkit.store.engines import LOCAL, check_engine, make_engine
 from motionkit.store.manifest import read_manifest
-from motionkit.store.parallel import Engine, WorkerDied, map_in_order
-from motionkit.store.process_engine import usable_cores
 from motionkit.store.read_batch import read_batch
 from motionkit.store.schema import MANIFEST_FILE
 from motionkit.store.writer import StoreWriter
+from motionkit.workers.engines import LOCAL, check_engine, make_engine
+from motionkit.workers.parallel import Engine, WorkerDied, map_in_order
+from motionkit.workers.process_engine import usable_cores
 
 OnError = Literal["skip", "stop"]
 

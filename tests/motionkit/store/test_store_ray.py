@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from motionkit.errors import MissingExtraError, UsageError
-from motionkit.store.engines import check_engine
 from motionkit.store.ingest import ingest
-from motionkit.store.parallel import WorkerDied, map_in_order
-from motionkit.store.ray_engine import RayEngine
+from motionkit.workers.engines import check_engine
+from motionkit.workers.parallel import WorkerDied, map_in_order
+from motionkit.workers.ray_engine import RayEngine
 
 BVH = """HIERARCHY
 ROOT Hips

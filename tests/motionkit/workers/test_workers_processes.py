@@ -8,9 +8,9 @@ import pytest
 
 from motionkit.errors import FormatError, MotionkitError
 from motionkit.formats.items import ReadOptions, SourceItem
-from motionkit.store.parallel import WorkerDied, map_in_order
-from motionkit.store.process_engine import Processes, ThisProcess
 from motionkit.store.read_batch import read_batch
+from motionkit.workers.parallel import WorkerDied, map_in_order
+from motionkit.workers.process_engine import Processes, ThisProcess
 
 
 def ten_times(numbers: Sequence[int]) -> list[int]:

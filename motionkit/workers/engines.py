@@ -1,9 +1,9 @@
-"""Who computes an ingest: processes of this machine, or a Ray cluster."""
+"""Who computes: processes of this machine, or a Ray cluster."""
 
 from motionkit.errors import UsageError
-from motionkit.store.parallel import Engine
-from motionkit.store.process_engine import Processes, ThisProcess
-from motionkit.store.ray_engine import RayEngine
+from motionkit.workers.parallel import Engine
+from motionkit.workers.process_engine import Processes, ThisProcess
+from motionkit.workers.ray_engine import RayEngine
 
 LOCAL, RAY, RAY_ADDRESS = "local", "ray", "ray://"
 
@@ -20,4 +20,4 @@ def make_engine(name: str, num_workers: int | None) -> Engine:
     check_engine(name)
     if name != LOCAL:
         return RayEngine(None if name == RAY else name, num_workers)
-    return ThisProcess() if num_workers in (None, 1) else Processes(num_workers, ["motionkit.store.read_batch"])
+    return ThisProcess() if num_workers in (None, 1) else Processes(num_workers)

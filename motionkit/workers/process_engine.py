@@ -8,10 +8,15 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing import forkserver
 from multiprocessing.connection import wait
+from multiprocessing.context import BaseContext
 from typing import Any
 
-from motionkit.store.parallel import WorkerDied
+from motionkit.workers.parallel import WorkerDied
+
+# One server serves all workers of a process, whatever they compute.
+PRELOADED = ("motionkit.store.read_batch",)
 
 Function = Callable[[Sequence[Any]], Sequence[Any]]
 
@@ -19,6 +24,18 @@ Function = Callable[[Sequence[Any]], Sequence[Any]]
 def usable_cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def start_server() -> BaseContext:
+    """Start the process that workers are forked from, unless it runs, and do not wait for it.
+
+    It imports what every worker needs, once, while this process goes on: a command that will need workers starts it
+    before its own imports.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["__main__", *PRELOADED])
+    forkserver.ensure_running()
+    return context
 
 
 class ThisProcess:
@@ -51,13 +68,12 @@ class _Ticket:
 class Processes:
     """Processes of this machine; they end with this one, however it ends.
 
-    They are forked from a small server that has imported `modules` and started no thread, not from this process, where
-    Arrow has threads. A pool of which one process died is of no more use: the next batch starts another.
+    They are forked from a small server (`start_server`), not from this process, where Arrow has threads. A pool of
+    which one process died is of no more use: the next batch starts another.
     """
 
-    def __init__(self, num_workers: int, modules: Sequence[str] = ()) -> None:
+    def __init__(self, num_workers: int) -> None:
         self.num_workers = num_workers
-        self._modules = ["__main__", *modules]
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> "Processes":
@@ -69,9 +85,7 @@ class Processes:
     def submit(self, function: Function, batch: Sequence[Any]) -> _Ticket:
         """Hand a batch to the pool, which is started where there is none."""
         if self._pool is None:
-            context = multiprocessing.get_context("forkserver")
-            context.set_forkserver_preload(self._modules)
-            self._pool = ProcessPoolExecutor(self.num_workers, mp_context=context, initializer=_start_worker)
+            self._pool = ProcessPoolExecutor(self.num_workers, mp_context=start_server(), initializer=_start_worker)
         try:
             return _Ticket(self._pool, self._pool.submit(function, batch))
         except BrokenProcessPool as broken:

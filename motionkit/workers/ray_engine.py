@@ -8,8 +8,8 @@ from typing import Any
 
 import motionkit
 from motionkit.errors import MissingExtraError, MotionkitError
-from motionkit.store.parallel import WorkerDied
-from motionkit.store.process_engine import usable_cores
+from motionkit.workers.parallel import WorkerDied
+from motionkit.workers.process_engine import usable_cores
 
 Function = Callable[[Sequence[Any]], Sequence[Any]]
 
