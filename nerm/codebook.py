@@ -16,6 +16,8 @@ from motionkit.training.tensors import CheckpointError, load_tensors
 from nerm.recipes import CodebookConfig
 
 STAGE_NAME = "codebook"
+FORMAT = "nerm-codebook"
+FORMAT_VERSION = 1
 DOWNSAMPLINGS = 2
 DILATION_GROWTH = 3
 
@@ -171,6 +173,9 @@ def load_codes(run: RunFolder | Path) -> Float32[torch.Tensor, "codes dimension"
     if not folder.model_path.is_file():
         folder.read_summary()
     tensors, description = load_tensors(folder.model_path)
-    if description.get("format") != "nerm-codebook":
-        raise CheckpointError(f"{folder.model_path} is {description.get('format')!r}, expected 'nerm-codebook'")
+    if (description.get("format"), description.get("version")) != (FORMAT, FORMAT_VERSION) or "codes" not in tensors:
+        raise CheckpointError(
+            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
+            f"{FORMAT!r} version {FORMAT_VERSION}: train it again (motionkit train --stage codebook --overwrite)"
+        )
     return tensors["codes"]

@@ -6,13 +6,14 @@ from typing import Any
 
 import torch
 
-from motionkit.store.cache import open_cache
+from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import prefixed, save_tensors
-from nerm.codebook_training import CodebookTraining, build_vector_corpus
+from nerm.codebook import FORMAT, FORMAT_VERSION
+from nerm.codebook_training import CodebookTraining, build_vector_corpus, check_lengths
 from nerm.published_codebook import PublishedCodebook, load_published
 from nerm.recipes import CodebookConfig, NermConfig
 
@@ -20,16 +21,17 @@ from nerm.recipes import CodebookConfig, NermConfig
 def train_codebook(context: StageContext, config: NermConfig) -> None:
     """Train the VQ-VAE, or take T2M-GPT's own; writes codes [N, d], network and statistics to model.safetensors."""
     settings, store = config.codebook, Store.open(context.store)
+    description = {"format": FORMAT, "version": FORMAT_VERSION, "fps": settings.fps, "convention": FORMAT}
     published = _published(settings)
-    folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
-    description = {"format": "nerm-codebook", "version": 1, "fps": settings.fps, "convention": "nerm-codebook"}
     if published is not None:
         facts = _facts(published)
+        folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
         save_tensors(folder.model_path, _tensors(published), {**description, **facts})
         folder.finish({"codes": len(published.codes), "from": settings.published_weights, **facts})
         return
     started = time.perf_counter()
-    source = open_cache(store, layout="smpl22", where=settings.where or None)
+    source = _source(store, settings)
+    folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
     corpus = build_vector_corpus(source, settings, folder.path / "vectors.f32")
     training = CodebookTraining(corpus, settings, seed=context.seed, device=resolve_device(context.device))
     figures = train_loop(training, folder, steps=settings.steps, seed=context.seed)
@@ -61,3 +63,15 @@ def _tensors(published: PublishedCodebook) -> dict[str, torch.Tensor]:
 def _facts(published: PublishedCodebook) -> dict[str, Any]:
     statistics = "not given" if published.statistics is None else "evaluator"
     return {"convention": "T2M-GPT", "numbers": published.num_numbers, "statistics": statistics}
+
+
+def check_codebook(context: StageContext, config: NermConfig) -> None:
+    """Raise what would stop this stage: no sequence that is long enough, published weights that are not there."""
+    if _published(config.codebook) is None:
+        _source(Store.open(context.store), config.codebook)
+
+
+def _source(store: Store, settings: CodebookConfig) -> PositionCache:
+    source = open_cache(store, layout="smpl22", where=settings.where or None)
+    check_lengths(source, settings)
+    return source

@@ -47,8 +47,9 @@ class VectorCorpus:
 def build_vector_corpus(source: PositionSource, config: CodebookConfig, path: Path) -> VectorCorpus:
     """Resample every sequence to `config.fps`, write its `codebook_vectors` to `path`, measure them on the way.
 
-    A file that is there already is used again (a resumed run). Raises `UsageError` where no sequence lasts a window.
+    A file that is there already is used again (a resumed run). Raises `UsageError` as `check_lengths` does.
     """
+    check_lengths(source, config)
     lengths_path = path.with_suffix(".json")
     if not lengths_path.is_file():
         lengths = _write_vectors(source, config, path)
@@ -59,14 +60,26 @@ def build_vector_corpus(source: PositionSource, config: CodebookConfig, path: Pa
     ends = np.cumsum(lengths)
     starts = [np.arange(end - length, end - frames + 1) for end, length in zip(ends, lengths, strict=True)]
     first_rows = np.concatenate([*starts, np.zeros(0, dtype=np.int64)]).astype(np.int64)
-    if not len(first_rows):
-        raise UsageError(
-            f"no sequence has {frames} poses at {config.fps} fps ({frames / config.fps:g} s), the codebook's windows; "
-            f"set codebook.window_frames lower"
-        )
     vectors = np.memmap(path, dtype="<f4", mode="r", shape=(int(ends[-1]), size)).view(np.ndarray)
     mean, scale = _statistics(vectors)
     return VectorCorpus(vectors, first_rows, mean, scale)
+
+
+def check_lengths(source: PositionSource, config: CodebookConfig) -> None:
+    """Raise `UsageError` where no sequence lasts a training window."""
+    frames, fps = config.window_frames, config.fps
+    if not (_num_vectors(source, fps) >= frames).any():
+        seconds = (source.num_frames - 1) * source.fps_denominator / source.fps_numerator
+        raise UsageError(
+            f"no sequence has {frames} poses at {fps} fps ({frames / fps:g} s), the codebook's windows; the longest "
+            f"lasts {seconds.max():.3g} s: set codebook.window_frames lower"
+        )
+
+
+def _num_vectors(source: PositionSource, fps: int) -> Int64[np.ndarray, "sequences"]:
+    """Rows that `codebook_vectors` gives for each sequence resampled to `fps`."""
+    intervals = (source.num_frames.astype(np.int64) - 1) * fps * source.fps_denominator
+    return np.asarray(intervals // source.fps_numerator, dtype=np.int64)
 
 
 def _write_vectors(source: PositionSource, config: CodebookConfig, path: Path) -> list[int]:
@@ -80,11 +93,9 @@ def _write_vectors(source: PositionSource, config: CodebookConfig, path: Path) -
 
 def _resampled_vectors(source: PositionSource, config: CodebookConfig) -> Iterator[Float32[np.ndarray, "rows numbers"]]:
     fps = Fraction(config.fps)
-    for index in range(len(source.num_frames)):
+    for index in np.flatnonzero(_num_vectors(source, config.fps) >= config.window_frames).tolist():
         start, count = int(source.start_row[index]), int(source.num_frames[index])
         native_fps = Fraction(int(source.fps_numerator[index]), int(source.fps_denominator[index]))
-        if count * fps / native_fps < config.window_frames:
-            continue
         positions = resample_positions(np.asarray(source.positions[start : start + count]), native_fps, fps)
         yield codebook_vectors(positions, fps)
 

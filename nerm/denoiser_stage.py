@@ -2,25 +2,27 @@
 
 import time
 
+from motionkit.errors import UsageError
 from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
+from nerm.denoiser_config import DenoiserConfig
 from nerm.denoiser_training import DenoiserTraining
 from nerm.field_corpus import corpus_of
 from nerm.field_model import load_field
 from nerm.local_latents import local_latents
 from nerm.recipes import NermConfig
-from nerm.text_encoders import file_sha256, load_text_encoder
+from nerm.text_encoders import TextEncoder, file_sha256, load_text_encoder
 from nerm.trained_denoiser import STAGE_NAME, save_denoiser
 
 
 def train_denoiser(context: StageContext, config: NermConfig) -> None:
     """Train ε_φ on the latents of RUN/field; writes the denoiser and what sampling needs to model.safetensors.
 
-    Raises `RunError` where the field is missing or was trained on another state of the store: captions are looked up in
-    the store by its windows' sequences.
+    Raises `RunError` where the field is missing or was trained on another state of the store (captions are looked up in
+    the store by its windows' sequences), and `UsageError` where texts are to be learnt and no window has any.
     """
     settings, store = config.denoiser, Store.open(context.store)
     field = load_field(context.run)
@@ -29,9 +31,8 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
             f"the field of {context.run.path} was trained on a store of fingerprint {field.store_fingerprint[:16]}, "
             f"{context.store} has {store.fingerprint[:16]}: train the field again, or give --store"
         )
-    folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
     started = time.perf_counter()
-    encoder = None if settings.text_encoder == "none" else load_text_encoder(settings.text_encoder)
+    encoder, device = _encoder(settings), resolve_device(context.device)
     corpus = corpus_of(
         field.posterior_mean,
         field.posterior_log_variance,
@@ -40,7 +41,10 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         encoder,
         local_latents(field.config),
     )
-    training = DenoiserTraining(settings, corpus, seed=context.seed, device=resolve_device(context.device))
+    if encoder is not None and not corpus.num_captions.any():
+        raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
+    folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
+    training = DenoiserTraining(settings, corpus, seed=context.seed, device=device)
     figures = train_loop(training, folder, steps=training.num_steps, seed=context.seed)
     trained = training.finished(
         text_fingerprint="" if encoder is None else encoder.fingerprint,
@@ -56,4 +60,25 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
             "actions": len(corpus.layout.actions),
             "seconds": round(time.perf_counter() - started, 1),
         }
+    )
+
+
+def check_denoiser(context: StageContext, config: NermConfig) -> None:
+    """Raise what would stop this stage: a store without captions for a recipe with texts, an encoder that is absent."""
+    settings = config.denoiser
+    if _encoder(settings) is None:
+        return
+    store = Store.open(context.store)
+    if not store.columns("captions")["captions"].map(len).any():
+        raise _without_captions(f"no sequence of {context.store}", settings)
+
+
+def _encoder(settings: DenoiserConfig) -> TextEncoder | None:
+    return None if settings.text_encoder == "none" else load_text_encoder(settings.text_encoder)
+
+
+def _without_captions(who: str, settings: DenoiserConfig) -> UsageError:
+    return UsageError(
+        f"{who} has a caption, and denoiser.text_encoder={settings.text_encoder} learns from texts: ingest with "
+        f"--captions, or train on actions and unconditionally (--set denoiser.text_encoder=none)"
     )

@@ -1,6 +1,7 @@
 """A trained motion field: what stage 1 leaves behind, and what generation and reconstruction decode with."""
 
 from collections import OrderedDict
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +12,7 @@ import torch
 from jaxtyping import Float, Float32, Float64
 
 from motionkit.clips import Windows
+from motionkit.errors import UsageError
 from motionkit.features import field as field_vectors
 from motionkit.motionfield import Poses, check_times
 from motionkit.skeleton import SMPL22, Skeleton
@@ -18,7 +20,7 @@ from motionkit.timegrid import normalise_seconds
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.device import resolve_device
 from motionkit.training.run import RunFolder, StageFolder
-from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, save_tensors, unprefixed
+from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
 from nerm.field import EncodedCoordinates, FieldNetwork
 from nerm.latent_fit import LinearModel, PoseComponents
 from nerm.recipes import FieldConfig
@@ -202,8 +204,18 @@ def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
             f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
             f"'nerm-field' version {FORMAT_VERSION}: train it again (motionkit train --stage field --overwrite)"
         )
-    config = from_plain(FieldConfig, description["config"])
     where = resolve_device(device)
+    try:
+        return _rebuild(tensors, description, where)
+    except (KeyError, RuntimeError, TypeError, UsageError) as error:
+        raise CheckpointError(
+            f"{folder.model_path}: not a field of this version of motionkit ({one_line(error)}); train it again "
+            f"(motionkit train --stage field --overwrite)"
+        ) from None
+
+
+def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any], where: torch.device) -> TrainedField:
+    config = from_plain(FieldConfig, description["config"])
     scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
     network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))
     network.load_state_dict(unprefixed("network", tensors))

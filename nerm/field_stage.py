@@ -5,10 +5,10 @@ import time
 import torch
 from jaxtyping import Float32
 
-from motionkit.clips import WindowPoses
+from motionkit.clips import WindowPoses, Windows
 from motionkit.console import stderr
 from motionkit.skeleton import SMPL22
-from motionkit.store.cache import open_cache
+from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
@@ -26,9 +26,8 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     settings, store = config.field, Store.open(context.store)
     started = time.perf_counter()
     # Everything that may be refused comes before `begin`, which may remove an earlier run (--overwrite).
-    source = open_cache(store, layout="smpl22", where=settings.where or None)
-    windows = training_windows(source, settings)
-    codes = _codes(context, settings)
+    source, windows = _corpus(store, settings)
+    codes, device = _codes(context, settings), resolve_device(context.device)
     folder = context.begin("field", config, store_fingerprint=store.fingerprint)
     for remark in remarks(source, windows, settings):
         stderr.print(f"motionkit: warning: {remark}", markup=False)
@@ -37,7 +36,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         settings,
         codebook=codes,
         seed=context.seed,
-        device=resolve_device(context.device),
+        device=device,
     )
     figures = train_loop(training, folder, steps=training.steps, seed=context.seed)
     trained = TrainedField(
@@ -53,6 +52,16 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     hours = float(windows.duration_seconds.sum()) / 3600
     facts = {"windows": len(windows), "hours": round(hours, 3), "wall_seconds": round(time.perf_counter() - started, 1)}
     folder.finish({**figures, **facts})
+
+
+def check_field(context: StageContext, config: NermConfig) -> None:
+    """Raise what would stop this stage: no sequence to cut windows from."""
+    _corpus(Store.open(context.store), config.field)
+
+
+def _corpus(store: Store, settings: FieldConfig) -> tuple[PositionCache, Windows]:
+    source = open_cache(store, layout="smpl22", where=settings.where or None)
+    return source, training_windows(source, settings)
 
 
 def _codes(context: StageContext, settings: FieldConfig) -> Float32[torch.Tensor, "codes dimension"] | None:

@@ -162,11 +162,11 @@ def load(run: Path) -> NermModel:
     """
     folder = RunFolder(run)
     device = resolve_device("auto")
-    denoiser = load_denoiser(folder, device)
+    denoiser, field = load_denoiser(folder, device), load_field(folder, str(device))
     field_path = folder.stage("field").model_path
-    if not field_path.is_file() or file_sha256(field_path) != denoiser.field_sha256:
+    if file_sha256(field_path) != denoiser.field_sha256:
         raise RunError(
             f"{field_path} is not the field whose latents the denoiser of {run} generates: train the denoiser again "
             f"(motionkit train --stage denoiser --run {run.name} --overwrite)"
         )
-    return NermModel(load_field(folder, str(device)), denoiser)
+    return NermModel(field, denoiser)

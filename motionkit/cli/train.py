@@ -51,6 +51,8 @@ def train(
     read_manifest(store_path)  # a store that is missing is told before anything heavy is imported
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))
     context = StageContext(store_path, folder, recipe, seed=seed, resume=resume, overwrite=overwrite, device=device)
+    for each, config in zip(chosen, configs, strict=True):
+        each.check(context, config)
     summaries = []
     for each, config in zip(chosen, configs, strict=True):
         summary = _train_stage(each, config, context)

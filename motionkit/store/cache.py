@@ -186,7 +186,8 @@ def _remove_stale(folder: Path, fingerprint: str) -> None:
 def _build(store: Store, layout: str, where: str | None, maps: dict[str, _SkeletonMap], target: Path) -> None:
     chosen = store.columns("sequence_id", "skeleton", *INDEX_COLUMNS).loc[store.select(where)]
     if chosen.empty:
-        raise UsageError(f"no sequence of {store.path} satisfies {where!r}" if where else f"{store.path} is empty")
+        told = f"no sequence of {store.path} satisfies {where!r}" if where else f"{store.path} is empty"
+        raise UsageError(f"{told} (motionkit info --store {store.path} says what it holds)")
     faults = chosen["skeleton"].map(lambda fingerprint: maps[fingerprint].fault)
     kept = chosen[faults == ""]
     if kept.empty:

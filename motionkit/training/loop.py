@@ -18,7 +18,7 @@ from motionkit.console import progress
 from motionkit.training.randomness import step_generator
 from motionkit.training.ranks import Ranks
 from motionkit.training.run import RunError, StageFolder
-from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, save_tensors, unprefixed
+from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
 
 ALONE = Ranks()
 
@@ -146,8 +146,8 @@ def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[i
         step, logged = int(description["step"]), int(description["logged"])
         trainable.load_state_tensors(unprefixed("state", tensors))
     except (KeyError, RuntimeError, ValueError) as error:
-        reason = str(error).strip().splitlines()[0]
-        raise CheckpointError(f"{path} does not fit these settings or this version ({reason}): {mend}") from None
+        told = f"{path} does not fit these settings or this version ({one_line(error)})"
+        raise CheckpointError(f"{told}: {mend}") from None
     ranks.on_first(lambda: folder.truncate_metrics(step))
     return step, _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)
 

@@ -118,7 +118,12 @@ class StageFolder:
                 f"{path} does not exist: stage {self.path.name!r} of run {str(self.path.parent)!r} is not trained "
                 f"(motionkit train --stage {self.path.name} --run {self.path.parent.name})"
             )
-        value: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        try:
+            value: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise RunError(
+                f"{path} is damaged ({error}): restore it from a copy, or train the stage again with --overwrite"
+            ) from None
         return value
 
 
@@ -174,9 +179,11 @@ def begin_stage(
 def _check_same(folder: StageFolder, config: ConfigLike, asked: Mapping[str, Any]) -> None:
     begun = folder.read_config()
     for key in ("seed", "store_fingerprint"):
-        if begun[key] != asked[key]:
-            raise RunError(f"{folder.path} was begun with {key} {begun[key]!r}, not {asked[key]!r}: use another --run")
-    was, now = _leaves(begun["config"]), _leaves(to_plain(config))
+        if begun.get(key) != asked[key]:
+            raise RunError(
+                f"{folder.path} was begun with {key} {begun.get(key)!r}, not {asked[key]!r}: use another --run"
+            )
+    was, now = _leaves(begun.get("config", {})), _leaves(to_plain(config))
     changed = [
         key for key in {**was, **now} if was.get(key) != now.get(key) and concerns(folder.path.name, key, config)
     ]

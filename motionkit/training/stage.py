@@ -46,13 +46,19 @@ class StageContext:
         return folder
 
 
+def _nothing_to_check(context: StageContext, config: Any) -> None:
+    """A stage that finds every fault as soon as it begins."""
+
+
 @dataclass(frozen=True)
 class Stage(Generic[ConfigT]):
     """One thing to train: `train(context, config)` writes RUN/NAME/ and ends with `StageFolder.finish`.
 
-    `order` ranks the stages of `--stage all` (low first), `in_all` says whether this one is among them; `recipes` maps
-    a recipe's name to the function that makes its configuration. Stages of one model may share a configuration whose
-    parts are named after the stages: a change of another stage's part doesn't stop `--resume`.
+    `check(context, config)` raises what can be told before anything is trained, so that hours of an earlier stage are
+    not spent first; it may not need another stage's results. `order` ranks the stages of `--stage all` (low first),
+    `in_all` says whether this one is among them; `recipes` maps a recipe's name to the function that makes its
+    configuration. Stages of one model may share a configuration whose parts are named after the stages: a change of
+    another stage's part doesn't stop `--resume`.
     """
 
     name: str
@@ -61,6 +67,7 @@ class Stage(Generic[ConfigT]):
     recipes: Mapping[str, Callable[[], ConfigT]]
     train: Callable[[StageContext, ConfigT], None]
     in_all: bool = True
+    check: Callable[[StageContext, ConfigT], None] = _nothing_to_check
 
     def recipe(self, name: str) -> ConfigT:
         """The configuration of a named recipe; raises `UsageError` naming those there are."""

@@ -46,7 +46,13 @@ def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
             description = json.loads((opened.metadata() or {}).get("description", "{}"))
             return {name: opened.get_tensor(name) for name in opened.keys()}, description  # noqa: SIM118
     except (safetensors.SafetensorError, ValueError) as error:
-        raise CheckpointError(f"{path}: not a whole safetensors file ({error})") from None
+        raise CheckpointError(f"{path}: not a whole safetensors file ({one_line(error)})") from None
+
+
+def one_line(error: Exception, longest: int = 200) -> str:
+    """What an error says, on one line and no longer than a person reads."""
+    said = " ".join(str(error).split()) or type(error).__name__
+    return said if len(said) <= longest else f"{said[:longest]} …"
 
 
 def prefixed(prefix: str, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -120,5 +120,7 @@ def test_perplexity_counts_codes_in_use() -> None:
 
 def test_codes_are_read_from_a_run(tmp_path: Path) -> None:
     codes = torch.randn(6, 4)
-    save_tensors(tmp_path / "codebook" / "model.safetensors", {"codes": codes}, {"format": "nerm-codebook"})
+    save_tensors(
+        tmp_path / "codebook" / "model.safetensors", {"codes": codes}, {"format": "nerm-codebook", "version": 1}
+    )
     assert torch.equal(load_codes(tmp_path), codes)

