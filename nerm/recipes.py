@@ -239,6 +239,9 @@ def _banked_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
         knot_numbers=(16, 13),
         path_knots=16,
         knot_kernel="lanczos",
+        knot_radius=3.0,
+        knot_modes=3,
+        initial_log_variance=-8.0,
         ridge=0.02,
         latent_rate=1e-2,
     )
