@@ -1,5 +1,6 @@
 """Stage `codebook`: from a store to trained codes."""
 
+import dataclasses
 import time
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
+from motionkit.training.precision import float32_products, with_precision_of
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import prefixed, save_tensors
 from nerm.codebook import FORMAT, FORMAT_VERSION
@@ -20,7 +22,9 @@ from nerm.recipes import CodebookConfig, NermConfig
 
 def train_codebook(context: StageContext, config: NermConfig) -> None:
     """Train the VQ-VAE, or take T2M-GPT's own; writes codes [N, d], network and statistics to model.safetensors."""
-    settings, store = config.codebook, Store.open(context.store)
+    store, device = Store.open(context.store), resolve_device(context.device)
+    settings = with_precision_of(config.codebook, device)
+    config = dataclasses.replace(config, codebook=settings)
     description = {"format": FORMAT, "version": FORMAT_VERSION, "fps": settings.fps, "convention": FORMAT}
     published = _published(settings)
     if published is not None:
@@ -33,8 +37,9 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     source = _source(store, settings)
     folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
     corpus = build_vector_corpus(source, settings, folder.path / "vectors.f32")
-    training = CodebookTraining(corpus, settings, seed=context.seed, device=resolve_device(context.device))
-    figures = train_loop(training, folder, steps=settings.steps, seed=context.seed)
+    training = CodebookTraining(corpus, settings, seed=context.seed, device=device)
+    with float32_products(settings.precision):
+        figures = train_loop(training, folder, steps=settings.steps, seed=context.seed)
     tensors = {"codes": training.network.quantiser.codes, "mean": corpus.mean, "scale": corpus.scale}
     network = {f"network.{name}": tensor for name, tensor in training.network.state_dict().items()}
     save_tensors(folder.model_path, tensors | network, description)

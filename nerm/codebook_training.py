@@ -14,6 +14,7 @@ from torch.nn.functional import smooth_l1_loss
 from motionkit.clips import PositionSource
 from motionkit.errors import UsageError
 from motionkit.resample import resample_positions
+from motionkit.training.precision import autocast
 from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.schedule import set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
@@ -131,10 +132,12 @@ class CodebookTraining:
         config, quantiser = self.config, self.network.quantiser
         starts = torch.randint(len(self.corpus.first_rows), (config.batch,), generator=generator)
         vectors = self.corpus.windows(starts, config.window_frames).to(self.device)
-        features = self.network.encode(vectors)
+        with autocast(config.precision, self.device):
+            features = self.network.encode(vectors).float()
         quantiser.start(features, generator)
         quantised = quantiser(features)
-        decoded = self.network.decode(quantised.values)
+        with autocast(config.precision, self.device):
+            decoded = self.network.decode(quantised.values).float()
         reconstruction = smooth_l1_loss(decoded, vectors)
         positions = smooth_l1_loss(decoded[..., self.positions], vectors[..., self.positions])
         loss = reconstruction + config.position_weight * positions + config.commitment_weight * quantised.commitment

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
+from motionkit.training.config import Precision
+
 NoiseSchedule = Literal["scaled_linear", "cosine"]
 Prediction = Literal["noise", "latent", "velocity"]
 LossMeasure = Literal["noise", "latent", "velocity", "min_snr"]
@@ -95,6 +97,8 @@ class DenoiserConfig:
     schedule: Literal["constant", "cosine"] = "constant"
     rate_warmup_fraction: float = 0.0
     ema_decay: float = 0.9999
+    precision: Precision = "float32"
+    compile: bool = False
 
     def __post_init__(self) -> None:
         if (self.steps is None) == (self.epochs is None):

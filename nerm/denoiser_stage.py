@@ -1,11 +1,13 @@
 """Stage `denoiser`: from a run's field and the store it was trained on to a trained latent diffusion."""
 
+import dataclasses
 import time
 
 from motionkit.errors import UsageError
 from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
+from motionkit.training.precision import float32_products, with_precision_of
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
 from nerm.denoiser_config import DenoiserConfig
@@ -24,7 +26,9 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     Raises `RunError` where the field is missing or was trained on another state of the store (captions are looked up in
     the store by its windows' sequences), and `UsageError` where texts are to be learnt and no window has any.
     """
-    settings, store = config.denoiser, Store.open(context.store)
+    store, device = Store.open(context.store), resolve_device(context.device)
+    settings = with_precision_of(config.denoiser, device)
+    config = dataclasses.replace(config, denoiser=settings)
     field = load_field(context.run)
     if field.store_fingerprint != store.fingerprint:
         raise RunError(
@@ -45,7 +49,8 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device)
-    figures = train_loop(training, folder, steps=training.num_steps, seed=context.seed)
+    with float32_products(settings.precision):
+        figures = train_loop(training, folder, steps=training.num_steps, seed=context.seed)
     trained = training.finished(
         text_fingerprint="" if encoder is None else encoder.fingerprint,
         field_sha256=file_sha256(context.run.stage("field").model_path),

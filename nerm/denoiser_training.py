@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor
 
+from motionkit.training.precision import autocast, compile_each
 from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.schedule import WeightAverage, rate_factor, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
@@ -37,6 +38,8 @@ class DenoiserTraining:
         self.num_steps = config.num_steps(len(corpus))
         with seeded_initialisation(seed, "denoiser"):
             self.denoiser = Denoiser(config.network, self.first_read, corpus.layout).to(device)
+        if config.compile:
+            compile_each(self.denoiser.layers)
         self.average = WeightAverage(self.denoiser, config.ema_decay)
         self.optimizer = torch.optim.AdamW(self.denoiser.parameters(), lr=config.rate, weight_decay=config.weight_decay)
 
@@ -56,11 +59,11 @@ class DenoiserTraining:
         noise = torch.randn(latents.shape, generator=generator)
         noisy = add_noise(latents, noise, steps, self.alphas)
         target = prediction_target(diffusion.prediction, latents, noise, steps, self.alphas)
-        with _dropout_from(generator, self.device):
+        with _dropout_from(generator, self.device), autocast(config.precision, self.device):
             output = self.denoiser(noisy.to(self.device), steps.to(self.device), conditions.to(self.device))
         used = in_use(self.first_read, conditions.duration)
         weights = used * self.weights[steps, None].to(torch.float32) / used.sum()
-        loss = ((output - target.to(self.device)).square() * weights.to(self.device)).sum()
+        loss = ((output.float() - target.to(self.device)).square() * weights.to(self.device)).sum()
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         self.optimizer.step()

@@ -1,5 +1,6 @@
 """Stage `field`: from a store to a trained field with the posteriors of all windows."""
 
+import dataclasses
 import time
 
 import torch
@@ -12,6 +13,7 @@ from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
+from motionkit.training.precision import float32_products, with_precision_of
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
 from nerm.codebook import load_codes
@@ -23,7 +25,9 @@ from nerm.recipes import FieldConfig, NermConfig
 
 def train_field(context: StageContext, config: NermConfig) -> None:
     """Train f_θ and the posteriors of all windows; writes both, with the window table, to model.safetensors."""
-    settings, store = config.field, Store.open(context.store)
+    store, device = Store.open(context.store), resolve_device(context.device)
+    settings = with_precision_of(config.field, device)
+    config = dataclasses.replace(config, field=settings)
     started = time.perf_counter()
     # Everything that may be refused comes before `begin`, which may remove an earlier run (--overwrite).
     source, windows = _corpus(store, settings)
@@ -38,7 +42,8 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         seed=context.seed,
         device=device,
     )
-    figures = train_loop(training, folder, steps=training.steps, seed=context.seed)
+    with float32_products(settings.precision):
+        figures = train_loop(training, folder, steps=training.steps, seed=context.seed)
     trained = TrainedField(
         network=training.network.eval().requires_grad_(False),
         scaling=training.scaling,

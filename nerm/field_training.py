@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Float32, Int64
 
 from motionkit.clips import PoseBatch, WindowPoses, rows_by_duration, shuffled_batches
+from motionkit.training.precision import autocast, compile_each
 from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.schedule import rate_factor, scale_rates
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
@@ -59,6 +60,8 @@ class FieldTraining:
             self.network = FieldNetwork(config, num_numbers, codebook).to(device)
         if self.network.linear is not None and self.components is not None:
             self.network.start_linear_path(self.components.mean, self.components.inverse())
+        if config.compile:
+            compile_each(self.network.layers)
         self.visits = torch.from_numpy(rows_by_duration(poses.windows, config.seconds_per_visit))
         self.steps = config.num_steps(len(self.visits))
         self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.weight_decay)
@@ -91,7 +94,7 @@ class FieldTraining:
         if config.variational:
             noise = torch.randn(len(which), latents.shape[1], generator=generator).to(self.device)
             latents = sample_posterior(latents, log_variance[which], noise)
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
+        with autocast(config.precision, self.device):
             predicted = self.network(latents, batch.coordinates, batch.fps)
         reconstruction = (predicted.float() - self.scaling.apply(batch.vectors)).square().mean()
         kl = kl_divergence(mean, log_variance)

@@ -12,6 +12,7 @@ from fractions import Fraction
 from typing import Literal
 
 from motionkit.timegrid import parse_fps
+from motionkit.training.config import Precision
 from nerm.denoiser_config import DenoiserConfig, TransformerConfig
 
 TimeEncoding = Literal["none", "raw", "fourier", "codebook"]
@@ -43,6 +44,7 @@ class CodebookConfig:
     rate_drop_at: int = 200_000
     rate_drop: float = 0.05
     weight_decay: float = 0.0
+    precision: Precision = "float32"
     published_weights: str = ""
     published_statistics: str = ""
     where: str = "split = 'train'"
@@ -117,7 +119,8 @@ class FieldConfig:
     weight_decay: float = 0.01
     schedule: Literal["constant", "cosine"] = "constant"
     rate_warmup_fraction: float = 0.0
-    precision: Literal["float32", "bfloat16"] = "float32"
+    precision: Precision = "float32"
+    compile: bool = False
 
     def __post_init__(self) -> None:
         if (self.steps is None) == (self.epochs is None):
@@ -226,7 +229,7 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
         latent_rate=1e-1,
         weight_decay=0.0,
         schedule="cosine",
-        precision="bfloat16",
+        precision="auto",
     )
 
 

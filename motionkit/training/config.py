@@ -19,6 +19,9 @@ class ConfigLike(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
+# A setting that stages share: in which number format they multiply matrices (motionkit.training.precision).
+Precision = Literal["auto", "float32", "tf32", "bfloat16"]
+
 ConfigT = TypeVar("ConfigT", bound=ConfigLike)
 T = TypeVar("T")
 
