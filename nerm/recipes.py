@@ -1,4 +1,5 @@
-"""Settings of NeRM and its named recipes: `paper` (the paper's figures), `nano` and `demo` (minutes on two cores).
+"""Settings of NeRM and its named recipes: `paper` (the paper's figures), `base` (an hour on a GPU), `nano` and `demo`
+(minutes on two cores).
 
 Ablations of the paper are values here, not forks of the code: Table 1's "NeRM-fixed" `field.fixed_fps`, Table 5
 `field.time_encoding`, Table 6 `field.variational`, Table 7 `field.decoder`, Table 8 `field.latent_dimension` and
@@ -191,6 +192,31 @@ def nano() -> NermConfig:
     return NermConfig(codebook=codebook, field=_local_field(steps=5000), denoiser=_knot_denoiser(steps=2500))
 
 
+def base() -> NermConfig:
+    """One GPU of the H100's kind for an hour: `nano` at the paper's widths; docs/nerm.md counts the FLOPs."""
+    codebook = CodebookConfig(steps=20_000, rate_drop_at=13_000, precision="auto")
+    field = dataclasses.replace(
+        nano().field,
+        mirrored=True,
+        num_queries=256,
+        hidden=1024,
+        steps=60_000,
+        batch=4096,
+        rate=2e-3,
+        attention_rate=5e-4,
+    )
+    denoiser = dataclasses.replace(
+        nano().denoiser,
+        network=TransformerConfig(num_layers=9, width=512, num_heads=8, ffn_width=2048, dropout=0.1, latent_tokens=4),
+        batch=256,
+        steps=80_000,
+        rate=3e-4,
+        ema_decay=0.9999,
+        precision="auto",
+    )
+    return NermConfig(codebook=codebook, field=field, denoiser=denoiser)
+
+
 def demo() -> NermConfig:
     """Three minutes on the embedded corpus: `nano` with a smaller codebook, sparser windows and fewer steps."""
     codebook = CodebookConfig(
@@ -264,4 +290,4 @@ def _knot_denoiser(*, steps: int) -> DenoiserConfig:
     )
 
 
-RECIPES: dict[str, Callable[[], NermConfig]] = {"nano": nano, "demo": demo, "paper": paper}
+RECIPES: dict[str, Callable[[], NermConfig]] = {"nano": nano, "demo": demo, "base": base, "paper": paper}

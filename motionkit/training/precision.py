@@ -56,7 +56,8 @@ def with_precision_of(settings: SettingsT, device: torch.device) -> SettingsT:
 
 def autocast(precision: Precision, device: torch.device) -> AbstractContextManager[None]:
     """Matrix products inside, and later their gradients, are computed in bfloat16 where that is the precision."""
-    return torch.autocast(device.type, torch.bfloat16, enabled=precision == "bfloat16")
+    chosen = precision == "bfloat16" or (precision == "auto" and has_bfloat16(device))
+    return torch.autocast(device.type, torch.bfloat16, enabled=chosen)
 
 
 @contextmanager

@@ -7,16 +7,20 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
-from motionkit.training import loop
+from motionkit.training import loop, precision
+from motionkit.training.config import apply_overrides
 from motionkit.training.randomness import step_generator
 from motionkit.training.run import RunError, RunFolder, StageFolder
+from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError
-from tests.tiny import STAGES, train_stage, write_store
+from nerm.stages import CODEBOOK, DENOISER, FIELD
+from tests.tiny import NERM, STAGES, train_stage, write_store
 
 REPOSITORY = Path(__file__).parents[2]
 GOLDEN = Path(__file__).with_name("golden_losses.json")
@@ -108,7 +112,8 @@ import os, signal, sys
 from functools import partial
 from pathlib import Path
 import torch
-from motionkit.training import loop
+from motionkit.training import loop, precision
+from motionkit.training.config import apply_overrides
 from motionkit.training.randomness import step_generator
 from nerm import field_stage
 from tests.tiny import train_stage
@@ -170,3 +175,31 @@ def test_a_run_goes_on_only_with_what_it_was_begun_with(
     folder.config_path.write_text(json.dumps(begun | {"seed": 2}))
     with pytest.raises(RunError, match="begun with seed 2, not 1"):
         train_stage("codebook", store, folder.path.parent, resume=True)
+
+
+def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
+    store: Path, run: Path, other_run: Callable[[str], StageFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = other_run("field")
+    monkeypatch.setattr(precision, "has_bfloat16", lambda device: True)
+    asked = replace(NERM, field=replace(NERM.field, precision="auto"))
+    monkeypatch.setitem(STAGES, "field", (STAGES["field"][0], asked))
+    train_stage("field", store, folder.path.parent)
+    assert folder.read_config()["config"]["field"]["precision"] == "bfloat16"
+    (_, found), (_, expected) = figures(folder), figures(RunFolder(run).stage("field"))
+    assert found != expected
+    assert found["reconstruction"] == pytest.approx(expected["reconstruction"], rel=0.2)
+    monkeypatch.setattr(precision, "has_bfloat16", lambda device: False)
+    with pytest.raises(RunError, match=r"field.precision 'bfloat16' → 'float32'"):
+        train_stage("field", store, folder.path.parent, resume=True)
+
+
+def test_the_recipe_base_trains_here_with_fewer_steps_and_smaller_batches(store: Path, tmp_path: Path) -> None:
+    settings = ["denoiser.text_encoder=none", "field.stride_seconds=4"]
+    for stage in (CODEBOOK, FIELD, DENOISER):
+        settings += [f"{stage.name}.steps=1", f"{stage.name}.batch=2"]
+    config = apply_overrides(CODEBOOK.recipe("base"), settings)
+    for stage in (CODEBOOK, FIELD, DENOISER):
+        stage.train(StageContext(store, RunFolder(tmp_path), "base", device="cpu"), config)
+    losses = [RunFolder(tmp_path).stage(name).read_summary()["loss"] for name in ("codebook", "field", "denoiser")]
+    assert all(0 < loss < 100 for loss in losses)

@@ -1,0 +1,73 @@
+"""A stage-1 step in float32 and in bfloat16, as it is and compiled by torch: CPU seconds a step on a store's windows.
+
+    python benchmarks/nerm/precision.py --store STORE [--recipe nano] [--batch N] [--steps 20] [--json]
+
+One thread; the median over the steps, the first ones (and compilation) left out. The settings are `field.precision` and
+`field.compile`; the codes of the time encoding are random, which costs the same.
+"""
+
+import argparse
+import dataclasses
+import json
+import statistics
+import time
+from pathlib import Path
+
+import torch
+
+from motionkit.clips import WindowPoses
+from motionkit.skeleton import SMPL22
+from motionkit.store.cache import open_cache
+from motionkit.store.reader import Store
+from motionkit.training.config import Precision
+from motionkit.training.randomness import step_generator
+from nerm.field_training import FieldTraining
+from nerm.field_windows import training_windows
+from nerm.recipes import RECIPES, FieldConfig
+
+WARMING = 3
+PRECISIONS: tuple[Precision, ...] = ("float32", "bfloat16")
+
+
+def seconds_a_step(poses: WindowPoses, config: FieldConfig, codes: torch.Tensor, steps: int) -> float:
+    """The median CPU seconds of a step."""
+    training = FieldTraining(poses, config, codebook=codes, seed=0, device=torch.device("cpu"))
+    found = []
+    for step in range(WARMING + steps):
+        started = time.process_time()
+        training.step(step, step_generator(0, "field", step))
+        found.append(time.process_time() - started)
+    return statistics.median(found[WARMING:])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--store", type=Path, required=True)
+    parser.add_argument("--recipe", choices=RECIPES, default="nano")
+    parser.add_argument("--batch", type=int)
+    parser.add_argument("--steps", type=int, default=20)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    recipe = RECIPES[arguments.recipe]()
+    config = dataclasses.replace(recipe.field, batch=arguments.batch or recipe.field.batch)
+    source = open_cache(Store.open(arguments.store), layout="smpl22", where=config.where or None)
+    poses = WindowPoses(source, training_windows(source, config), SMPL22.left_right_pairs)
+    codes = torch.randn(recipe.codebook.num_codes, recipe.codebook.code_dimension)
+    figures = {
+        f"{precision}{', compiled' if compiled else ''}": seconds_a_step(
+            poses, dataclasses.replace(config, precision=precision, compile=compiled), codes, arguments.steps
+        )
+        for precision in PRECISIONS
+        for compiled in (False, True)
+    }
+    if arguments.json:
+        print(json.dumps({"recipe": arguments.recipe, "batch": config.batch, "cpu_seconds_a_step": figures}, indent=2))
+        return
+    print(f"recipe {arguments.recipe}, {config.batch} × {config.num_poses} poses, hidden {config.hidden}")
+    for name, seconds in figures.items():
+        print(f"{name:22} {1000 * seconds:8.1f} CPU ms a step")
+
+
+if __name__ == "__main__":
+    main()
