@@ -36,7 +36,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
             f"{context.store} has {store.fingerprint[:16]}: train the field again, or give --store"
         )
     started = time.perf_counter()
-    encoder, device = _encoder(settings), resolve_device(context.device)
+    encoder = _encoder(settings)
     corpus = corpus_of(
         field.posterior_mean,
         field.posterior_log_variance,
