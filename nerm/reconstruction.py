@@ -15,9 +15,9 @@ from jaxtyping import Bool, Float32, Int64
 
 from motionkit.clips import PositionSource, WindowPoses, Windows, mirror_positions
 from motionkit.features import field as field_vectors
+from motionkit.motionfield import to_motion
 from motionkit.resample import resample_positions
 from motionkit.skeleton import SMPL22
-from motionkit.timegrid import TimeGrid
 from nerm.encoding import encode_by_optimisation
 from nerm.field_model import TrainedField
 
@@ -57,9 +57,9 @@ def reconstructions(
     """Windows that have a truth at `fps`, one by one, each decoded from its latent at that framerate."""
     for row in np.flatnonzero(windows.fps >= float(fps) - 1e-6).tolist():
         truth = window_truth(source, windows, row, fps)
-        times = TimeGrid(fps, len(truth)).seconds()
-        found = trained.decode(latents[row : row + 1], times, fps)[0]
-        yield Reconstruction(found, truth, float(windows.duration_seconds[row]))
+        seconds = float(windows.duration_seconds[row])
+        found = to_motion(trained.as_motion_field(latents[row], seconds), fps).joint_positions
+        yield Reconstruction(found, truth, seconds)
 
 
 def encode_windows(

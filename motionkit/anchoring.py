@@ -1,0 +1,110 @@
+"""Fields that miss the observed frames, led through them: given frames must not move, and must not jump either."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float64
+
+from motionkit.interpolation.joints import Joints
+from motionkit.kinematics import (
+    quaternion_conjugate,
+    quaternion_multiply,
+    quaternion_to_rotation_vector,
+    rotation_vector_to_quaternion,
+)
+from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, told_fps
+from motionkit.skeleton import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class Anchored:
+    """A `MotionEncoder` whose fields pass through every observed frame: another encoder's, corrected.
+
+    What a field is off by at the observed times is spread between them by a monotone cubic (PCHIP: continuous velocity,
+    no overshoot in a gap), stays as it is beyond both ends, and is taken away: from rotations (as rotation vectors),
+    bones and root where field and observation both have rotations, else from joint positions.
+    """
+
+    encoder: MotionEncoder
+
+    @property
+    def name(self) -> str:
+        """The encoder's name, and that it is anchored."""
+        return f"{self.encoder.name}, anchored"
+
+    def encode(
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> "AnchoredField":
+        """The encoder's field through the observed frames; raises what the encoder raises."""
+        field = self.encoder.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds)
+        return anchored(field, observation)
+
+
+@dataclass(frozen=True, eq=False)
+class AnchoredField:
+    """A field and what is added to it: offsets at the observed times, as columns of numbers."""
+
+    field: MotionField
+    observation: Observation
+    offsets: Float64[np.ndarray, "frames numbers"]
+    on_rotations: bool
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The field's."""
+        return self.field.skeleton
+
+    @property
+    def start_seconds(self) -> float:
+        """The field's."""
+        return self.field.start_seconds
+
+    @property
+    def end_seconds(self) -> float:
+        """The field's."""
+        return self.field.end_seconds
+
+    def at_fps(self, fps: Fraction) -> "AnchoredField":
+        """The field for this framerate, anchored anew."""
+        return anchored(told_fps(self.field, fps), self.observation)
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        poses, observed = self.field.query(times_seconds), self.observation.times_seconds
+        from scipy.interpolate import PchipInterpolator
+
+        # The end offsets again beyond the ends: there the slope becomes zero, so velocity stays continuous.
+        knots = np.concatenate(([observed[0] - 1.0], observed, [observed[-1] + 1.0]))
+        curve = PchipInterpolator(knots, self.offsets[[0, *range(len(observed)), -1]])
+        offsets = np.asarray(curve(np.clip(times_seconds, knots[0], knots[-1])))
+        return _with_offsets(poses, offsets, self.skeleton) if self.on_rotations else _with_moves(poses, offsets)
+
+
+def anchored(field: MotionField, observation: Observation) -> AnchoredField:
+    """A field led through observed frames inside its domain; raises `ValueError` for those outside."""
+    made, given = field.query(observation.times_seconds), observation.poses
+    if made.local_rotations is None or given.local_rotations is None:
+        moves = given.joint_positions.astype(np.float64) - made.joint_positions
+        return AnchoredField(field, observation, moves.reshape(len(moves), -1), False)
+    mine, theirs = Joints.of(made, field.skeleton), Joints.of(given, field.skeleton)
+    turns = quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(mine.rotations), theirs.rotations))
+    parts = (turns, theirs.bones - mine.bones, (theirs.root - mine.root)[:, None])
+    return AnchoredField(field, observation, np.concatenate(parts, axis=1).reshape(len(turns), -1), True)
+
+
+def _with_moves(poses: Poses, offsets: Float64[np.ndarray, "times numbers"]) -> Poses:
+    positions = poses.joint_positions + offsets.reshape(poses.joint_positions.shape)
+    return Poses(positions.astype(np.float32))
+
+
+def _with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times numbers"], skeleton: Skeleton) -> Poses:
+    count = skeleton.num_joints
+    turns, bones, root = np.split(offsets.reshape(len(offsets), 2 * count + 1, 3), (count, 2 * count), axis=1)
+    joints = Joints.of(poses, skeleton)
+    rotations = quaternion_multiply(joints.rotations, rotation_vector_to_quaternion(turns))
+    moved = Joints(rotations, joints.bones + bones, joints.root + root[:, 0])
+    translation = poses.root_translation
+    if translation is not None:
+        translation = (translation + root[:, 0]).astype(np.float32)
+    return Poses(moved.positions(skeleton), rotations.astype(np.float32), translation)
