@@ -14,12 +14,14 @@ from motionkit.errors import UsageError
 from motionkit.training.config import apply_overrides, parse_override
 from nerm.recipes import LatentLayout, NermConfig
 
+# What a recipe that was made for the other layout needs; its own layout needs nothing.
 LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
     "global": (
         "field.latent_layout=global",
         "field.latent_dimension=256",
         "field.initialisation=normal",
         "field.linear_path=false",
+        "field.latent_rate=1e-1",
         "denoiser.network.latent_tokens=1",
     ),
     "local": ("field.latent_layout=local",),
@@ -49,12 +51,12 @@ class Variant:
             for stage in ("codebook", "field")
             if where
         ]
-        return apply_overrides(recipe, [*LAYOUTS[self.layout], *narrowed, *overrides, *self.change])
+        return apply_overrides(recipe, [*self.settings(recipe), *narrowed, *overrides])
 
-    @property
-    def settings(self) -> tuple[str, ...]:
-        """The layout's settings and the change."""
-        return (*LAYOUTS[self.layout], *self.change)
+    def settings(self, recipe: NermConfig) -> tuple[str, ...]:
+        """What is set in a recipe: the layout's settings where it has the other layout, and the change."""
+        layout = () if recipe.field.latent_layout == self.layout else LAYOUTS[self.layout]
+        return (*layout, *self.change)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """`motionkit report`: every result as one page."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -9,16 +9,19 @@ from motionkit.console import print_json, stderr
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 
+if TYPE_CHECKING:
+    from eval.report.results import Result
+
 
 def report(
     results: Annotated[Path | None, typer.Option(help="Folder with the JSON results.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Page to write; report.html beside the results.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Page to write, or folder for pictures; beside the results.")] = None,
     format: Annotated[
-        str, typer.Option(help="html for one page; markdown, latex or csv print the tables instead.")
+        str, typer.Option(help="html for one page; png draws curves; markdown, latex or csv print the tables instead.")
     ] = "html",
     as_json: Annotated[bool, typer.Option("--json", help="Print every result as JSON.")] = False,
 ) -> None:
-    """Show every result of the results folder: one HTML page, or Markdown, LaTeX or CSV on stdout."""
+    """Show every result of the results folder: one HTML page, pictures, or Markdown, LaTeX or CSV on stdout."""
     from dataclasses import asdict
 
     from eval.report.render import to_csv, to_html, to_latex, to_markdown
@@ -38,5 +41,17 @@ def report(
         page.write_text(to_html(found), encoding="utf-8")
         print(page)
         stderr.print(f"{len(found)} results", markup=False)
+    elif format == "png":
+        for path in _pictures(found, out or folder):
+            print(path)
     else:
-        raise UsageError(f"there is no format {format!r}: html, {', '.join(printers)}")
+        raise UsageError(f"there is no format {format!r}: html, png, {', '.join(printers)}")
+
+
+def _pictures(results: "list[Result]", folder: Path) -> list[Path]:
+    """Draw every result that has columns of framerates as FOLDER/TASK.png; returns what was written."""
+    from eval.report.figures import curves_figure, save
+    from eval.report.table_curves import panels_of
+
+    drawn = [(result, panels_of(result, "lower is better")) for result in results]
+    return [save(curves_figure(panels), folder / f"{result.task}.png") for result, panels in drawn if panels]

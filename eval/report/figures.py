@@ -1,4 +1,4 @@
-"""Pictures: strips of skeletons over time, and clip-FID as curves over the framerate. No pyplot, no global state."""
+"""Pictures: strips of skeletons over time, and tables as curves over the framerate. No pyplot, no global state."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -79,6 +79,19 @@ def curves_and_strips_figure(panels: Sequence[Panel], strips: Sequence[Strip], w
     return figure
 
 
+def curves_figure(panels: Sequence[Panel], width_inches: float = 12.0) -> Figure:
+    """Panels of curves alone, at most three in a line."""
+    columns = min(3, len(panels))
+    lines = -(-len(panels) // columns)
+    figure = Figure(figsize=(width_inches, 5.0 * lines), layout="constrained")
+    places = figure.subplots(lines, columns, squeeze=False).ravel()
+    for axes, panel in zip(places, panels, strict=False):
+        draw_curves(axes, panel)
+    for unused in places[len(panels) :]:
+        unused.set_visible(False)
+    return figure
+
+
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG, SVG or PDF by its suffix, at 160 dots per inch; makes the folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -131,7 +144,9 @@ def draw_curves(axes: Axes, panel: Panel) -> None:
     for index, curve in enumerate(curves):
         fps, values, widths = (np.array(column) for column in (curve.fps, curve.values, curve.half_widths))
         colour, marker = CURVE_COLOURS[index % len(CURVE_COLOURS)], MARKERS[index % len(MARKERS)]
-        axes.plot(fps, values, color=colour, marker=marker, markersize=4.5, linewidth=1.6, label=curve.label)
+        # Colours come round again after six curves; the next six are dashed.
+        style = "-" if index < len(CURVE_COLOURS) else "--"
+        axes.plot(fps, values, style, color=colour, marker=marker, markersize=4.5, linewidth=1.6, label=curve.label)
         low = np.maximum(values - widths, 1e-2 * values)
         axes.fill_between(fps, low, values + widths, color=colour, alpha=0.18, linewidth=0)
     values = np.concatenate([np.array(curve.values) for curve in curves])

@@ -14,7 +14,8 @@ def panels_of(result: Result, y_label: str = "clip-FID (lower is better)") -> tu
     Blocks with a column that is no framerate ("120 fps") are left out.
     """
     ordered = sorted(filter(_is_by_framerate, result.blocks), key=_is_from_paper)
-    return tuple(Panel(block.title, y_label, _curves(block)) for block in ordered if block.rows)
+    panels = (Panel(block.title, y_label, _curves(block)) for block in ordered)
+    return tuple(panel for panel in panels if panel.curves)
 
 
 def _is_by_framerate(block: Block) -> bool:

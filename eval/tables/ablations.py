@@ -178,7 +178,7 @@ def _row(ablation: Ablation, row: _Trained, cells: Mapping[str, Cell], stage: st
 
 def _definition(rows: Sequence[_Trained], request: TableRequest) -> dict[str, Any]:
     return {
-        "rows": {row.entry.label: list(row.entry.variant.settings) for row in rows},
+        "rows": {row.entry.label: list(row.entry.variant.change) for row in rows},
         "training windows": "do not overlap, not mirrored; decoded from the posterior mean, not fitted again",
         "held-out windows": "z by L-BFGS on evenly spaced native poses against the frozen field",
         "truth": "the capture, brought down band-limited to the column's framerate; slower takes are left out",

@@ -93,6 +93,9 @@ def test_table_2(store: Path, tmp_path: Path) -> None:
     page = run("report", "--results", tmp_path)
     assert page.returncode == 0, page.stderr
     assert "clip-FID by framerate" in (tmp_path / "report.html").read_text()
+    drawn = run("report", "--results", tmp_path, "--format", "png")
+    assert drawn.stdout.split() == [str(tmp_path / "nerm-table2.png")]
+    assert (tmp_path / "nerm-table2.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_samples_become_a_row_and_what_cannot_be_computed_is_named(store: Path, tmp_path: Path) -> None:

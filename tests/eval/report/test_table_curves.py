@@ -1,3 +1,4 @@
+from eval.report.figures import curves_figure
 from eval.report.results import Block, Cell, Result, Row
 from eval.report.table_curves import panels_of
 
@@ -22,3 +23,15 @@ def test_blocks_become_panels_with_the_papers_last() -> None:
 def test_blocks_by_something_else_are_left_out() -> None:
     by_action = Block("actions", ("walk",), (Row("NeRM", "ours", {"walk": Cell(1.0)}),))
     assert [panel.title for panel in panels_of(result(by_action, OURS))] == ["kinematic"]
+
+
+def test_blocks_without_numbers_have_no_panel() -> None:
+    empty = Block("not trained", COLUMNS, (Row("absent", "ours", {}),))
+    assert [panel.title for panel in panels_of(result(empty, OURS))] == ["kinematic"]
+
+
+def test_five_panels_stand_in_two_lines_and_the_sixth_place_is_empty() -> None:
+    figure = curves_figure(panels_of(result(*[OURS] * 5)))
+    assert [axes.get_visible() for axes in figure.axes] == [True] * 5 + [False]
+    tops = {round(axes.get_subplotspec().get_position(figure).y1, 3) for axes in figure.axes}
+    assert len(tops) == 2
