@@ -16,7 +16,7 @@ from eval.feature_sources import fit_on
 from eval.generated import generate_fields, sample_fields, windows_of
 from eval.parts import Part, kept
 from eval.real import NoRealMotionError, RealMotion, real_motion
-from eval.reconstruction_errors import mpjpe_cell, window_errors
+from eval.reconstruction_errors import mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Cell
 from eval.samples import SampleSet
 from eval.tables.registry import TableRequest
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 TRAINING, HELD_OUT, SYNTHESIS = "training", "held out", "clip-FID"
 PARTS = {"slip": BLOCKS["slip"]}
+MPJPE, MRE = "root-aligned MPJPE (mm)", "MRE"
+ERRORS = {MPJPE: mpjpe_cell, MRE: mre_cell}
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,15 +167,21 @@ class Yardstick:
         for name, encoded in sets.items():
             if encoded is None:
                 continue
-            rows[name] = {}
             for fps in self.rates:
                 found = reconstructions(trained, encoded.source, encoded.windows, encoded.latents, fps)
-                cell = mpjpe_cell([window_errors(window, fps) for window in found])
-                if cell is None:
+                errors = [window_errors(window, fps) for window in found]
+                if not errors:
                     missing.append(f"{name} windows, {label(fps)}: no take is that fast")
-                else:
-                    rows[name][label(fps)] = cell
+                for error, cell_of in ERRORS.items():
+                    cell = cell_of(errors)
+                    if cell is not None:
+                        rows.setdefault(error_of(name, error), {})[label(fps)] = cell
         return Part(rows, tuple(missing))
+
+
+def error_of(windows: str, error: str) -> str:
+    """The row of a reconstruction's part with one error of one set of windows."""
+    return f"{windows}: {error}"
 
 
 def label(fps: Fraction) -> str:
