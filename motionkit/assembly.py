@@ -106,7 +106,7 @@ class AssembledField:
             asked = np.flatnonzero(alone | joining)
             poses = self.pieces[number].query(times_seconds[asked])
             if result is None:
-                result = _like(poses, len(times_seconds))
+                result = poses.room_for(len(times_seconds))
             elif (poses.local_rotations is None) != (result.local_rotations is None):
                 raise ValueError(f"piece {number} and those before it must all have rotations, or none of them")
             joins = joining[asked]
@@ -115,8 +115,8 @@ class AssembledField:
                 span = self.fade_end[number - 1] - self.fade_start[number - 1]
                 u = (times_seconds[rows] - self.fade_start[number - 1]) / span
                 weight = u**3 * (u * (6.0 * u - 15.0) + 10.0)
-                _write(result, rows, _mixed(result.rows(rows), poses.rows(joins), weight, self.skeleton))
-            _write(result, asked[~joins], poses.rows(~joins))
+                result.put(rows, _mixed(result.rows(rows), poses.rows(joins), weight, self.skeleton))
+            result.put(asked[~joins], poses.rows(~joins))
         assert result is not None
         return result
 
@@ -220,20 +220,3 @@ def _mixed(a: Poses, b: Poses, weight: Float64[np.ndarray, "times"], skeleton: S
     rotations = quaternion_slerp(first.rotations, second.rotations, one)
     joints = Joints(rotations, lerp(first.bones, second.bones), lerp(first.root, second.root))
     return Poses(joints.positions(skeleton), rotations.astype(np.float32), translation)
-
-
-def _like(poses: Poses, count: int) -> Poses:
-    return Poses(
-        *(
-            None if array is None else np.empty((count, *array.shape[1:]), dtype=np.float32)
-            for array in (poses.joint_positions, poses.local_rotations, poses.root_translation)
-        )  # type: ignore[arg-type]
-    )
-
-
-def _write(result: Poses, rows: np.ndarray, poses: Poses) -> None:
-    result.joint_positions[rows] = poses.joint_positions
-    if result.local_rotations is not None:
-        result.local_rotations[rows] = poses.local_rotations
-    if result.root_translation is not None:
-        result.root_translation[rows] = poses.root_translation

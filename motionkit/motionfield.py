@@ -5,13 +5,14 @@ and export are written once against the two.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
+from motionkit.kinematics import continuous_quaternions
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import Skeleton
 from motionkit.timegrid import TimeGrid, num_frames_within
@@ -38,6 +39,22 @@ class Poses:
             None if rotations is None else rotations[rows],
             None if translation is None else translation[rows],
         )
+
+    def room_for(self, count: int) -> "Poses":
+        """Poses of the same kind, `count` of them, to be `put` in."""
+        return Poses(
+            np.empty((count, *self.joint_positions.shape[1:]), np.float32),
+            None if self.local_rotations is None else np.empty((count, *self.local_rotations.shape[1:]), np.float32),
+            None if self.root_translation is None else np.empty((count, 3), np.float32),
+        )
+
+    def put(self, rows: np.ndarray, poses: "Poses") -> None:
+        """Write poses of the same kind into some rows of these, in place."""
+        self.joint_positions[rows] = poses.joint_positions
+        if self.local_rotations is not None:
+            self.local_rotations[rows] = poses.local_rotations
+        if self.root_translation is not None:
+            self.root_translation[rows] = poses.root_translation
 
     def at(self, grid: TimeGrid, skeleton: Skeleton, provenance: Provenance | None = None) -> Motion:
         """The poses as a motion on a time grid."""
@@ -86,6 +103,17 @@ class Observation:
         """A motion's frames, or those of them that are `observed`."""
         rows = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
         return cls(motion.timegrid.seconds()[rows], Poses.of(motion).rows(rows), motion.skeleton)
+
+    def rows(self, rows: np.ndarray | slice) -> "Observation":
+        """Some of the poses with their times, by index, slice or mask."""
+        return Observation(self.times_seconds[rows], self.poses.rows(rows), self.skeleton)
+
+    def with_continuous_rotations(self) -> "Observation":
+        """The same rotations, if there are any, as quaternions whose signs do not jump in time."""
+        if self.poses.local_rotations is None:
+            return self
+        rotations = continuous_quaternions(self.poses.local_rotations)
+        return replace(self, poses=replace(self.poses, local_rotations=rotations))
 
     @property
     def start_seconds(self) -> float:

@@ -6,6 +6,7 @@ span `hold` stands still; all others go on at their end velocity: joints on stra
 straight line while every joint turns at a constant rate and bones keep their length (rotations).
 """
 
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
@@ -26,16 +27,25 @@ PosesAt = Callable[[Float64[np.ndarray, "times"]], Poses]
 TIMES_AT_ONCE = 4096
 # An instant this close to an observed one is that one: time stamps are rounded to float64, frames are not.
 SNAP_SECONDS = 1e-8
+FRAMES_AT_ONCE = 2048
+BLOCKS_KEPT = 2
+# A cubic spline feels a frame k frames away by less than 2⁻ᵏ: beyond 48 it is lost in float64.
+_SPLINE_MARGIN = 48
 
 
 @dataclass(frozen=True, eq=False)
 class InterpolatedField:
-    """A `MotionField` through all frames of an observation, on its span and what was asked for beyond it."""
+    """A `MotionField` through all frames of an observation, on its span and what was asked for beyond it.
+
+    Curves are made where they are asked for: of 2,048 frames and so many on both sides as can be felt there. So memory
+    doesn't grow with the motion beyond the observation itself, and a pose depends on its time alone.
+    """
 
     observation: Observation
-    poses_at: PosesAt = field(repr=False)
+    interpolator: "Interpolator"
     start_seconds: float
     end_seconds: float
+    _blocks: "OrderedDict[int, PosesAt]" = field(default_factory=OrderedDict, repr=False)
 
     @property
     def skeleton(self) -> Skeleton:
@@ -49,16 +59,37 @@ class InterpolatedField:
         """
         check_times(self, times_seconds)
         times = _snapped(times_seconds, self.observation.times_seconds)
-        starts = range(0, max(1, len(times)), TIMES_AT_ONCE)
-        return _joined([self.poses_at(times[start : start + TIMES_AT_ONCE]) for start in starts])
+        segment = np.searchsorted(self.observation.times_seconds, times, side="right") - 1
+        block = np.clip(segment, 0, max(0, len(self.observation) - 2)) // FRAMES_AT_ONCE
+        result: Poses | None = None
+        for number in np.unique(block).tolist() or [0]:
+            rows, poses_at = np.flatnonzero(block == number), self._block(number)
+            for start in range(0, max(1, len(rows)), TIMES_AT_ONCE):
+                some = rows[start : start + TIMES_AT_ONCE]
+                poses = poses_at(times[some])
+                result = result or poses.room_for(len(times))
+                result.put(some, poses)
+        assert result is not None
+        return result
+
+    def _block(self, number: int) -> PosesAt:
+        if number not in self._blocks:
+            margin, first = self.interpolator.margin_frames, number * FRAMES_AT_ONCE
+            frames = slice(max(0, first - margin), first + FRAMES_AT_ONCE + 1 + margin)
+            self._blocks[number] = self.interpolator.make(self.observation.rows(frames))
+            while len(self._blocks) > BLOCKS_KEPT:
+                self._blocks.popitem(last=False)
+        self._blocks.move_to_end(number)
+        return self._blocks[number]
 
 
 @dataclass(frozen=True)
 class Interpolator:
-    """A `MotionEncoder` that needs no training."""
+    """A `MotionEncoder` that needs no training: curves through frames, and how far off a frame is still felt."""
 
     name: Method
     make: Callable[[Observation], PosesAt] = field(repr=False)
+    margin_frames: int
 
     def encode(
         self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
@@ -67,8 +98,8 @@ class Interpolator:
         if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
             raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
         return InterpolatedField(
-            observation,
-            self.make(observation),
+            observation.with_continuous_rotations(),
+            self,
             observation.start_seconds - before_seconds,
             observation.end_seconds + after_seconds,
         )
@@ -126,14 +157,14 @@ def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable
 INTERPOLATORS: dict[Method, Interpolator] = {
     interpolator.name: interpolator
     for interpolator in (
-        Interpolator("hold", _hold),
-        Interpolator("linear", _on_positions("linear")),
-        Interpolator("catmull-rom", _on_positions("catmull-rom")),
-        Interpolator("cubic", _on_positions("cubic")),
-        Interpolator("slerp", _on_rotations("slerp", "linear")),
-        Interpolator("rotation-catmull-rom", _on_rotations("catmull-rom", "catmull-rom")),
-        Interpolator("squad", _on_rotations("squad", "catmull-rom")),
-        Interpolator("rotation-cubic", _on_rotations("cubic", "cubic")),
+        Interpolator("hold", _hold, 0),
+        Interpolator("linear", _on_positions("linear"), 0),
+        Interpolator("catmull-rom", _on_positions("catmull-rom"), 1),
+        Interpolator("cubic", _on_positions("cubic"), _SPLINE_MARGIN),
+        Interpolator("slerp", _on_rotations("slerp", "linear"), 0),
+        Interpolator("rotation-catmull-rom", _on_rotations("catmull-rom", "catmull-rom"), 1),
+        Interpolator("squad", _on_rotations("squad", "catmull-rom"), 1),
+        Interpolator("rotation-cubic", _on_rotations("cubic", "cubic"), _SPLINE_MARGIN),
     )
 }
 
@@ -146,15 +177,3 @@ def _snapped(
     below = observed[np.maximum(after - 1, 0)]
     nearest = np.where(np.abs(times - below) < np.abs(times - above), below, above)
     return np.where(np.abs(times - nearest) < SNAP_SECONDS, nearest, times)
-
-
-def _joined(parts: list[Poses]) -> Poses:
-    if len(parts) == 1:
-        return parts[0]
-    rotations = [part.local_rotations for part in parts if part.local_rotations is not None]
-    translations = [part.root_translation for part in parts if part.root_translation is not None]
-    return Poses(
-        np.concatenate([part.joint_positions for part in parts]),
-        np.concatenate(rotations) if rotations else None,
-        np.concatenate(translations) if translations else None,
-    )

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 from turning_body import random_motion
 
 from motionkit import kinematics
+from motionkit.interpolation import fields
 from motionkit.interpolation.fields import INTERPOLATORS, TIMES_AT_ONCE, Method, interpolate
 from motionkit.motion import Motion
 from motionkit.motionfield import (
@@ -105,6 +106,26 @@ def test_chunks_are_the_whole(method: Method) -> None:
         assert np.array_equal(np.concatenate(parts), whole.local_rotations)
     with pytest.raises(ValueError, match="one frame at least, not 0"):
         next(motion_chunks(field, Fraction(30), 0))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_long_motions_are_worked_through_in_blocks_that_nobody_sees(
+    method: Method, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for rotations in (True, False):
+        observation = uneven(random_motion(16, num_frames=400, rotations=rotations))
+        whole = INTERPOLATORS[method].encode(observation, before_seconds=0.1, after_seconds=0.1)
+        times = np.random.default_rng(0).permutation(np.linspace(whole.start_seconds, whole.end_seconds, 500))
+        expected = whole.query(times)
+        with monkeypatch.context() as patched:
+            patched.setattr(fields, "FRAMES_AT_ONCE", 60)
+            field = INTERPOLATORS[method].encode(observation, before_seconds=0.1, after_seconds=0.1)
+            found = field.query(times)
+            assert len(field._blocks) == fields.BLOCKS_KEPT
+        assert np.allclose(found.joint_positions, expected.joint_positions, atol=1e-6, rtol=0)
+        if expected.local_rotations is not None:
+            assert found.local_rotations is not None
+            assert np.allclose(found.local_rotations, expected.local_rotations, atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("method", METHODS)
