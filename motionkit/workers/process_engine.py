@@ -1,5 +1,6 @@
 """Workers of this machine: this process itself, or others that it starts."""
 
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -11,14 +12,20 @@ from dataclasses import dataclass
 from multiprocessing import forkserver
 from multiprocessing.connection import wait
 from multiprocessing.context import BaseContext
+from multiprocessing.sharedctypes import RawArray
 from typing import Any
 
-from motionkit.workers.parallel import WorkerDied
+from motionkit.workers.parallel import BATCHES_IN_FLIGHT_PER_WORKER, WorkerDied
+from motionkit.workers.parcel import Parcel, pack, unpack
 
 # One server serves all workers of a process, whatever they compute.
 PRELOADED = ("motionkit.store.read_batch",)
 
+# What a batch of a megabyte of text becomes; one file alone may be larger.
+SLOT_BYTES = 4 * 2**20
+
 Function = Callable[[Sequence[Any]], Sequence[Any]]
+Shared = ctypes.Array[ctypes.c_ubyte]
 
 
 def usable_cores() -> int:
@@ -62,14 +69,16 @@ class ThisProcess:
 @dataclass(frozen=True)
 class _Ticket:
     pool: ProcessPoolExecutor
-    future: "Future[Sequence[Any]]"
+    future: Future[Parcel]
+    slot: int | None
 
 
 class Processes:
     """Processes of this machine; they end with this one, however it ends.
 
     They are forked from a small server (`start_server`), not from this process, where Arrow has threads. A pool of
-    which one process died is of no more use: the next batch starts another.
+    which one process died is of no more use: the next batch starts another. Arrays come back through memory that is
+    shared with the workers, one slot for each batch in flight; without a free slot, or too large for one, by the pipe.
     """
 
     def __init__(self, num_workers: int) -> None:
@@ -77,30 +86,42 @@ class Processes:
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> "Processes":
+        num_slots = self.num_workers * BATCHES_IN_FLIGHT_PER_WORKER
+        self._shared = RawArray("B", num_slots * SLOT_BYTES)
+        self._free_slots = list(range(num_slots))
         return self
 
     def __exit__(self, *exception: object) -> None:
         self._end()
+        del self._shared
 
     def submit(self, function: Function, batch: Sequence[Any]) -> _Ticket:
         """Hand a batch to the pool, which is started where there is none."""
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(self.num_workers, mp_context=start_server(), initializer=_start_worker)
+            self._pool = ProcessPoolExecutor(
+                self.num_workers, mp_context=start_server(), initializer=_start_worker, initargs=(self._shared,)
+            )
+        slot = self._free_slots.pop() if self._free_slots else None
         try:
-            return _Ticket(self._pool, self._pool.submit(function, batch))
+            future = self._pool.submit(_compute, function, batch, slot)
         except BrokenProcessPool as broken:
-            failed: Future[Sequence[Any]] = Future()
-            failed.set_exception(broken)
-            return _Ticket(self._pool, failed)
+            future = Future()
+            future.set_exception(broken)
+        return _Ticket(self._pool, future, slot)
 
     def result(self, ticket: _Ticket) -> Sequence[Any]:
         """Wait for a batch; raises `WorkerDied` where the pool broke before it was computed."""
         try:
-            return ticket.future.result()
+            outputs: Sequence[Any] = unpack(ticket.future.result(), _memory_of(self._shared, ticket.slot))
         except BrokenProcessPool:
             if ticket.pool is self._pool:
                 self._end()
             raise WorkerDied from None
+        finally:
+            # Nobody writes there any more: the batch is done, or its pool has ended.
+            if ticket.slot is not None:
+                self._free_slots.append(ticket.slot)
+        return outputs
 
     def _end(self) -> None:
         if self._pool is not None:
@@ -108,7 +129,20 @@ class Processes:
             self._pool = None
 
 
-def _start_worker() -> None:
+def _memory_of(shared: Shared, slot: int | None) -> memoryview | None:
+    return None if slot is None else memoryview(shared).cast("B")[slot * SLOT_BYTES : (slot + 1) * SLOT_BYTES]
+
+
+# In a worker, the memory that it shares with the process that started it: only its start can bring it there.
+_shared_with_parent: list[Shared] = []
+
+
+def _compute(function: Function, batch: Sequence[Any], slot: int | None) -> Parcel:
+    return pack(function(batch), _memory_of(_shared_with_parent[0], slot))
+
+
+def _start_worker(shared: Shared) -> None:
+    _shared_with_parent.append(shared)
     # Ctrl-C is the parent's to handle; a parent that is killed takes its workers with it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -4,6 +4,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit.errors import FormatError, MotionkitError
@@ -46,6 +47,19 @@ def test_the_input_that_a_worker_dies_of_is_named_and_the_others_are_computed() 
 def test_workers_that_die_before_anything_is_done_end_the_map() -> None:
     with Processes(2) as engine, pytest.raises(MotionkitError, match=r"3 workers ended .* at 2\): .*--workers 1 shows"):
         list(map_in_order(engine, die, BATCHES))
+
+
+def noise(numbers: Sequence[int]) -> list[np.ndarray]:
+    return [np.random.default_rng(number).random(number) for number in numbers]
+
+
+def test_arrays_of_any_size_come_back_while_others_are_on_their_way() -> None:
+    # From nothing to more than a slot of the shared memory holds, each kept until the end.
+    sizes = [0, 1, 700_000, 3, *range(1000, 30_000, 1000), 600_000, 5]
+    with Processes(2) as engine:
+        results = list(map_in_order(engine, noise, [sizes[:3], *([size] for size in sizes[3:])]))
+    assert [size for size, _ in results] == sizes
+    assert all(np.array_equal(array, *noise([size])) for size, array in results)
 
 
 def test_few_inputs_are_in_flight() -> None:
