@@ -1,9 +1,9 @@
 """Random poses at native framerates with their coordinates, as torch batches.
 
 A window is a stretch of at most l_max seconds of one sequence: what one latent stands for. Its frame k lies at k / fps
-after its first, at the coordinate t = −1 + 2·(k / fps) / l_max (NeRM §3.1), and its poses are `field` vectors in the
-window's own frame. Poses are gathered from the memory-mapped cache when they are asked for, so memory doesn't grow with
-the corpus; mirrored windows are mirrored then, not stored.
+after its first, at the coordinate t = −1 + 2·(k / fps) / l_max (NeRM §3.1), and its poses are vectors in the window's
+own frame (`field` vectors, or what a `FrameVectors` makes of frames). Poses are gathered from the memory-mapped cache
+when they are asked for, so memory doesn't grow with the corpus; mirrored windows are mirrored then, not stored.
 """
 
 from collections.abc import Iterator
@@ -115,7 +115,7 @@ class PoseBatch:
     """Poses of some windows at some of their instants.
 
     `coordinates` t ∈ [−1, 1] stay float64 until a network reads them; `fps` is the rate s at which the poses were
-    taken; `vectors` are `field` vectors in metres.
+    taken; `vectors` are pose vectors in their own units (`field` vectors: metres).
     """
 
     window: Int64[torch.Tensor, "batch"]
@@ -189,27 +189,93 @@ def mirror_positions(
     return joint_positions[..., order, :] * np.array([-1.0, 1.0, 1.0], dtype=np.float32)
 
 
+@runtime_checkable
+class FrameVectors(Protocol):
+    """How frames of a source become pose vectors: gathered by row, interpolated between rows, put into a window.
+
+    What is gathered may be any array with a row per frame; rows are those of the source's positions.
+    """
+
+    def gather(
+        self, row: Int64[np.ndarray, "batch poses"], mirrored: Bool[np.ndarray, "batch"]
+    ) -> Float32[np.ndarray, "batch poses *shape"]:
+        """The numbers of frames, mirrored where the window is; the caller may write to them."""
+        ...
+
+    def between(
+        self,
+        before: Float32[np.ndarray, "batch poses *shape"],
+        after: Float32[np.ndarray, "batch poses *shape"],
+        weight: Float32[np.ndarray, "batch poses"],
+    ) -> Float32[np.ndarray, "batch poses *shape"]:
+        """Numbers between two frames."""
+        ...
+
+    def encode(
+        self,
+        gathered: Float32[np.ndarray, "batch poses *shape"],
+        yaw: Float32[np.ndarray, "batch"],
+        origin: Float32[np.ndarray, "batch 2"],
+    ) -> Float32[np.ndarray, "batch poses numbers"]:
+        """Pose vectors in the windows' frames."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class FramePositions:
+    """`field` vectors, from positions as the source has them."""
+
+    source: PositionSource
+    left_right_pairs: tuple[tuple[int, int], ...]
+
+    def gather(
+        self, row: Int64[np.ndarray, "batch poses"], mirrored: Bool[np.ndarray, "batch"]
+    ) -> Float32[np.ndarray, "batch poses joints 3"]:
+        """World positions, mirrored where the window is."""
+        gathered = np.asarray(self.source.positions[row])
+        if mirrored.any():
+            gathered[mirrored] = mirror_positions(gathered[mirrored], self.left_right_pairs)
+        return gathered
+
+    def between(
+        self,
+        before: Float32[np.ndarray, "batch poses joints 3"],
+        after: Float32[np.ndarray, "batch poses joints 3"],
+        weight: Float32[np.ndarray, "batch poses"],
+    ) -> Float32[np.ndarray, "batch poses joints 3"]:
+        """On straight lines."""
+        return np.asarray(before + weight[..., None, None] * (after - before))
+
+    def encode(
+        self,
+        gathered: Float32[np.ndarray, "batch poses joints 3"],
+        yaw: Float32[np.ndarray, "batch"],
+        origin: Float32[np.ndarray, "batch 2"],
+    ) -> Float32[np.ndarray, "batch poses numbers"]:
+        """Root path in the window's frame, joints relative to the root."""
+        return field.encode(gathered, yaw, origin)
+
+
 @dataclass(frozen=True, eq=False)
 class WindowPoses:
-    """Poses of windows, gathered from their source: the one place where frames become `field` vectors.
+    """Poses of windows, gathered from their source: the one place where frames become pose vectors.
 
-    With `fixed_fps` poses are taken at that framerate only, instead of at the native ones.
+    With `fixed_fps` poses are taken at that framerate only, instead of at the native ones. `frames` says what vectors
+    they become (default: `field` vectors of the source's positions).
     """
 
     source: PositionSource
     windows: Windows
     left_right_pairs: tuple[tuple[int, int], ...]
     fixed_fps: Fraction | None = None
+    frames: FrameVectors | None = None
 
     def positions(
         self, window: Int64[np.ndarray, "batch"], frame: Int64[np.ndarray, "batch poses"]
     ) -> Float32[np.ndarray, "batch poses joints 3"]:
         """World positions at native frames (counted from each window's first), mirrored where the window is."""
-        gathered = np.asarray(self.source.positions[self.windows.start_row[window][:, None] + frame])
-        mirrored = self.windows.mirrored[window]
-        if mirrored.any():
-            gathered[mirrored] = mirror_positions(gathered[mirrored], self.left_right_pairs)
-        return gathered
+        row = self.windows.start_row[window][:, None] + frame
+        return FramePositions(self.source, self.left_right_pairs).gather(row, self.windows.mirrored[window])
 
     def at_frames(
         self,
@@ -221,21 +287,21 @@ class WindowPoses:
         fps = self.windows.fps[window]
         if keep_every is not None:
             fps, frame = fps / keep_every, frame * keep_every[:, None]
-        return self._batch(window, frame / self.windows.fps[window][:, None], fps, self.positions(window, frame))
+        return self._batch(window, frame / self.windows.fps[window][:, None], fps, self._gathered(window, frame))
 
     def at_rate(
         self, window: Int64[np.ndarray, "batch"], tick: Int64[np.ndarray, "batch poses"], fps: Fraction
     ) -> PoseBatch:
-        """A batch of poses at tick / fps seconds; between native frames positions are interpolated linearly."""
+        """A batch of poses at tick / fps seconds; between native frames they are interpolated (positions linearly)."""
         numerator = self.windows.fps_numerator[window][:, None] * fps.denominator
         denominator = self.windows.fps_denominator[window][:, None] * fps.numerator
         before, remainder = np.divmod(tick * numerator, denominator)
         after = np.minimum(before + 1, self.windows.num_frames[window][:, None] - 1)
-        positions = self.positions(window, before)
+        gathered = self._gathered(window, before)
         weight = (remainder / denominator).astype(np.float32)
         if weight.any():
-            positions += weight[..., None, None] * (self.positions(window, after) - positions)
-        return self._batch(window, tick / float(fps), np.full(len(window), float(fps)), positions)
+            gathered = self._frames.between(gathered, self._gathered(window, after), weight)
+        return self._batch(window, tick / float(fps), np.full(len(window), float(fps)), gathered)
 
     def draw(
         self,
@@ -286,14 +352,23 @@ class WindowPoses:
         rate = self.windows.fps[window] / float(fps)
         return np.asarray(np.floor((self.windows.num_frames[window] - 1) / rate + 1e-6), dtype=np.int64)
 
+    @property
+    def _frames(self) -> FrameVectors:
+        return self.frames or FramePositions(self.source, self.left_right_pairs)
+
+    def _gathered(
+        self, window: Int64[np.ndarray, "batch"], frame: Int64[np.ndarray, "batch poses"]
+    ) -> Float32[np.ndarray, "batch poses *shape"]:
+        return self._frames.gather(self.windows.start_row[window][:, None] + frame, self.windows.mirrored[window])
+
     def _batch(
         self,
         window: Int64[np.ndarray, "batch"],
         seconds: Float64[np.ndarray, "batch poses"],
         fps: Float64[np.ndarray, "batch"],
-        positions: Float32[np.ndarray, "batch poses joints 3"],
+        gathered: Float32[np.ndarray, "batch poses *shape"],
     ) -> PoseBatch:
-        vectors = field.encode(positions, self.windows.yaw[window], self.windows.origin[window])
+        vectors = self._frames.encode(gathered, self.windows.yaw[window], self.windows.origin[window])
         return PoseBatch(
             window=torch.from_numpy(window),
             coordinates=torch.from_numpy(normalise_seconds(seconds, self.windows.max_duration_seconds)),

@@ -13,7 +13,6 @@ from jaxtyping import Float, Float32, Float64
 
 from motionkit.clips import Windows
 from motionkit.errors import UsageError
-from motionkit.features import field as field_vectors
 from motionkit.motionfield import Poses, check_times
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.timegrid import normalise_seconds
@@ -23,6 +22,7 @@ from motionkit.training.run import RunFolder, StageFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
 from nerm.field import EncodedCoordinates, FieldNetwork
 from nerm.latent_fit import LinearModel, PoseComponents
+from nerm.pose_vectors import FIELD_VECTORS, PoseVectors, described, restored
 from nerm.recipes import FieldConfig
 from nerm.scaling import VectorScaling
 
@@ -37,7 +37,7 @@ class TrainedField:
     """f_θ with its scales and the posteriors N(μ_i, Σ_i) of all training windows.
 
     `network` is in evaluation mode, its gradients off; `components` are the pose components of the linear model that a
-    local latent's search starts from (None for the global layout).
+    local latent's search starts from (None for the global layout); `vectors` is what is learnt at each instant.
     """
 
     network: FieldNetwork
@@ -47,6 +47,7 @@ class TrainedField:
     posterior_log_variance: Float32[torch.Tensor, "windows latent"]
     windows: Windows
     store_fingerprint: str
+    vectors: PoseVectors = FIELD_VECTORS
     _grids: "OrderedDict[tuple[bytes, Fraction], EncodedCoordinates]" = field(default_factory=OrderedDict, repr=False)
 
     @property
@@ -58,6 +59,11 @@ class TrainedField:
     def latent_dimension(self) -> int:
         """d."""
         return self.config.latent_dimension
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """That of decoded poses; its first 22 joints are the 22-joint layout's."""
+        return self.vectors.skeleton
 
     @property
     def linear_model(self) -> LinearModel | None:
@@ -103,31 +109,50 @@ class TrainedField:
         latents: Float[torch.Tensor, "batch latent"],
         times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
         fps: Fraction,
-    ) -> Float32[np.ndarray, "batch times joints 3"]:
-        """Positions in metres, in the windows' own frames, of each latent's motion.
+    ) -> Float32[np.ndarray, "batch times 22 3"]:
+        """Positions in metres, in the windows' own frames, of the 22-joint layout in each latent's motion.
 
         Times are seconds from the window's start, shared by all latents or one row each; `fps` is the framerate s the
         field is told. However many latents or times, only `POSES_AT_ONCE` poses are in the network at once.
         """
+        joints = slice(0, SMPL22.num_joints)
+        return np.stack([poses.joint_positions[:, joints] for poses in self.poses(latents, times_seconds, fps)])
+
+    def poses(
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
+        fps: Fraction,
+    ) -> list[Poses]:
+        """As `decode`: the poses of each latent's motion, with rotations where the field has learnt them."""
         rows = times_seconds[None] if times_seconds.ndim == 1 else times_seconds
-        num_times, num_joints = rows.shape[1], len(self.scaling.mean) // 3
-        positions = np.empty((len(latents), num_times, num_joints, 3), dtype=np.float32)
+        instants = [self.vectors.instants(row) for row in rows]
+        if len({len(each) for each in instants}) > 1:
+            return [self.poses(latents[row : row + 1], rows[row], fps)[0] for row in range(len(rows))]
+        vectors = self._vectors_at(latents, np.stack(instants), fps)
+        which = range(len(latents)) if len(rows) > 1 else [0] * len(latents)
+        return [self.vectors.decode(each, instants[row], rows[row]) for each, row in zip(vectors, which, strict=True)]
+
+    def _vectors_at(
+        self, latents: Float[torch.Tensor, "batch latent"], rows: Float64[np.ndarray, "rows times"], fps: Fraction
+    ) -> Float32[np.ndarray, "batch times numbers"]:
+        num_times = rows.shape[1]
+        found = np.empty((len(latents), num_times, self.vectors.num_numbers), dtype=np.float32)
         per_call = max(1, POSES_AT_ONCE // max(1, num_times))
         for start in range(0, len(latents), per_call):
             some = latents[start : start + per_call].float().to(self.device)
             own = rows if len(rows) == 1 else rows[start : start + per_call]
             for first in range(0, num_times, POSES_AT_ONCE):
-                times = own[:, first : first + POSES_AT_ONCE]
-                vectors = self.decode_vectors(some, self.encode_times(times, fps), fps)
-                found = field_vectors.decode(vectors.cpu().numpy())
-                positions[start : start + per_call, first : first + POSES_AT_ONCE] = found
-        return positions
+                times = slice(first, first + POSES_AT_ONCE)
+                vectors = self.decode_vectors(some, self.encode_times(own[:, times], fps), fps)
+                found[start : start + per_call, times] = vectors.cpu().numpy()
+        return found
 
     @torch.no_grad()
     def decode_vectors(
         self, latents: Float32[torch.Tensor, "batch latent"], encoded: EncodedCoordinates, fps: Fraction
     ) -> Float32[torch.Tensor, "batch times numbers"]:
-        """`field` vectors in metres at encoded times (one row of times for each latent, or one for all)."""
+        """Pose vectors in their own units at encoded times (one row of times for each latent, or one for all)."""
         which = encoded.which.expand(len(latents), -1)
         rates = torch.full((len(latents),), float(fps), dtype=torch.float64, device=self.device)
         standardised = self.network.decode(latents, replace(encoded, which=which), rates)
@@ -159,8 +184,8 @@ class LatentMotionField:
 
     @property
     def skeleton(self) -> Skeleton:
-        """The 22-joint layout."""
-        return SMPL22
+        """That of the poses: the 22-joint layout, or the rig that rotations were learnt for."""
+        return self.field.skeleton
 
     def at_fps(self, fps: Fraction) -> "LatentMotionField":
         """The same motion (the same z), told that it is sampled at this framerate."""
@@ -169,7 +194,7 @@ class LatentMotionField:
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times in [0, end_seconds]; raises `ValueError` outside it."""
         check_times(self, times_seconds)
-        return Poses(self.field.decode(self.latent[None], times_seconds, self.fps)[0])
+        return self.field.poses(self.latent[None], times_seconds, self.fps)[0]
 
 
 def save_field(folder: StageFolder, trained: TrainedField) -> None:
@@ -178,6 +203,7 @@ def save_field(folder: StageFolder, trained: TrainedField) -> None:
         prefixed("network", trained.network.state_dict())
         | prefixed("scaling", {"mean": trained.scaling.mean, "scale": trained.scaling.scale})
         | prefixed("posterior", {"mean": trained.posterior_mean, "log_variance": trained.posterior_log_variance})
+        | described(trained.vectors)
         | prefixed("windows", {name: torch.from_numpy(array) for name, array in trained.windows.arrays().items()})
     )
     if trained.components is not None:
@@ -187,7 +213,7 @@ def save_field(folder: StageFolder, trained: TrainedField) -> None:
         "format": "nerm-field",
         "version": FORMAT_VERSION,
         "config": to_plain(trained.config),
-        "layout": SMPL22.name,
+        "layout": trained.skeleton.name,
         "store_fingerprint": trained.store_fingerprint,
     }
     save_tensors(folder.model_path, tensors, description)
@@ -231,4 +257,5 @@ def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]
         posterior_log_variance=tensors["posterior.log_variance"],
         windows=Windows(config.max_duration_seconds, **arrays),
         store_fingerprint=str(description["store_fingerprint"]),
+        vectors=restored(config.pose_vectors, tensors),
     )

@@ -6,10 +6,10 @@ import time
 import torch
 from jaxtyping import Float32
 
-from motionkit.clips import WindowPoses, Windows
+from motionkit.clips import FrameVectors, WindowPoses
 from motionkit.console import stderr
 from motionkit.skeleton import SMPL22
-from motionkit.store.cache import PositionCache, open_cache
+from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
@@ -20,6 +20,7 @@ from nerm.codebook import load_codes
 from nerm.field_model import TrainedField, save_field
 from nerm.field_training import FieldTraining
 from nerm.field_windows import remarks, training_windows
+from nerm.pose_vectors import PoseVectors, training_vectors
 from nerm.recipes import FieldConfig, NermConfig
 
 
@@ -30,17 +31,19 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     config = dataclasses.replace(config, field=settings)
     started = time.perf_counter()
     # Everything that may be refused comes before `begin`, which may remove an earlier run (--overwrite).
-    source, windows = _corpus(store, settings)
+    vectors, source, frames = _corpus(store, settings)
+    windows = training_windows(source, settings)
     codes, device = _codes(context, settings), resolve_device(context.device)
     folder = context.begin("field", config, store_fingerprint=store.fingerprint)
     for remark in remarks(source, windows, settings):
         stderr.print(f"motionkit: warning: {remark}", markup=False)
     training = FieldTraining(
-        WindowPoses(source, windows, SMPL22.left_right_pairs, settings.fixed_framerate),
+        WindowPoses(source, windows, SMPL22.left_right_pairs, settings.fixed_framerate, frames),
         settings,
         codebook=codes,
         seed=context.seed,
         device=device,
+        vectors=vectors,
     )
     with float32_products(settings.precision):
         figures = train_loop(training, folder, steps=training.steps, seed=context.seed)
@@ -52,6 +55,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         posterior_log_variance=training.log_variance.table.cpu(),
         windows=windows,
         store_fingerprint=store.fingerprint,
+        vectors=vectors,
     )
     save_field(folder, trained)
     hours = float(windows.duration_seconds.sum()) / 3600
@@ -61,12 +65,14 @@ def train_field(context: StageContext, config: NermConfig) -> None:
 
 def check_field(context: StageContext, config: NermConfig) -> None:
     """Raise what would stop this stage: no sequence to cut windows from."""
-    _corpus(Store.open(context.store), config.field)
+    _, source, _ = _corpus(Store.open(context.store), config.field)
+    training_windows(source, config.field)
 
 
-def _corpus(store: Store, settings: FieldConfig) -> tuple[PositionCache, Windows]:
-    source = open_cache(store, layout="smpl22", where=settings.where or None)
-    return source, training_windows(source, settings)
+def _corpus(store: Store, settings: FieldConfig) -> tuple[PoseVectors, PositionCache, FrameVectors]:
+    where = settings.where or None
+    vectors = training_vectors(settings.pose_vectors, store, where)
+    return vectors, *vectors.open(store, where)
 
 
 def _codes(context: StageContext, settings: FieldConfig) -> Float32[torch.Tensor, "codes dimension"] | None:

@@ -16,6 +16,7 @@ from nerm.field import FieldNetwork
 from nerm.latent_fit import LinearModel, fit_windows, measure_components
 from nerm.latents import LOG_VARIANCE_RANGE, RowAdam, kl_divergence, sample_posterior
 from nerm.local_latents import local_latents
+from nerm.pose_vectors import FIELD_VECTORS, PoseVectors
 from nerm.recipes import FieldConfig
 from nerm.scaling import VectorScaling, measure_scaling
 
@@ -48,9 +49,10 @@ class FieldTraining:
         codebook: Float[torch.Tensor, "codes dimension"] | None,
         seed: int,
         device: torch.device,
+        vectors: PoseVectors = FIELD_VECTORS,
     ) -> None:
         self.poses, self.config, self.seed, self.device = poses, config, seed, device
-        self.scaling = measure_scaling(poses, config)
+        self.scaling = measure_scaling(poses, config, vectors)
         model = linear_model(poses, self.scaling, config)
         self.components = None if model is None else model.components
         means = initial_means(poses, model, config, seed)

@@ -14,7 +14,7 @@ from jaxtyping import Float32
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest, SamplingOptions
 from motionkit.motionfield import MotionField
-from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.skeleton import Skeleton
 from motionkit.training.device import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from nerm.conditions import Conditions, unit_rows
@@ -28,6 +28,11 @@ NO_TEXTS = "this model was trained without texts: ask for an action, or for unco
 @runtime_checkable
 class LatentField(Protocol):
     """What generation needs from `nerm.field_model.TrainedField`."""
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton of its motions."""
+        ...
 
     @property
     def max_duration_seconds(self) -> float:
@@ -58,8 +63,8 @@ class NermModel:
 
     @property
     def skeleton(self) -> Skeleton:
-        """The 22-joint layout."""
-        return SMPL22
+        """The field's: the 22-joint layout, or SMPL's joints where it has learnt rotations."""
+        return self.field.skeleton
 
     @property
     def max_training_fps(self) -> Fraction:

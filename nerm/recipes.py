@@ -18,6 +18,7 @@ from nerm.denoiser_config import DenoiserConfig, TransformerConfig
 
 TimeEncoding = Literal["none", "raw", "fourier", "codebook"]
 LatentLayout = Literal["global", "local"]
+PoseVectorsName = Literal["field", "native", "rotations"]
 Activation = Literal["relu", "silu", "gelu"]
 
 
@@ -70,6 +71,8 @@ class FieldConfig:
     stride_seconds: float = 10.0
     mirrored: bool = False
     where: str = "split = 'train'"
+    # What is learnt at each instant (nerm/pose_vectors.py): positions, the published 263 numbers, SMPL's rotations.
+    pose_vectors: PoseVectorsName = "field"
     # Latents: N(μ, Σ) per window. `local` reads z as banks of knots along time (nerm/local_latents.py): bank i has
     # knots[i] knots of knot_numbers[i] pose components each; path_knots knots hold the body's path (0: no such bank).
     latent_layout: LatentLayout = "global"
@@ -148,6 +151,11 @@ class FieldConfig:
             raise ValueError(
                 f"knots={self.knots} of knot_numbers={self.knot_numbers} and path_knots={self.path_knots} of 3 make "
                 f"latent_dimension={total}, not {self.latent_dimension}"
+            )
+        if self.path_knots and self.pose_vectors != "field":
+            raise ValueError(
+                f"a path of the body is a path of positions: pose_vectors={self.pose_vectors} needs path_knots=0, and "
+                f"latent_dimension={total - 3 * self.path_knots} then"
             )
         if self.path_knots and self.scaling != "group":
             raise ValueError("a path of the body turns poses, so x and z need one scale: scaling=group")

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Int64
 
-from motionkit.clips import PositionSource, WindowPoses, Windows, mirror_positions
+from motionkit.clips import FrameVectors, PositionSource, WindowPoses, Windows, mirror_positions
 from motionkit.features import field as field_vectors
 from motionkit.motionfield import to_motion
 from motionkit.resample import resample_positions
@@ -63,10 +63,18 @@ def reconstructions(
 
 
 def encode_windows(
-    trained: TrainedField, source: PositionSource, windows: Windows, *, num_poses: int = POSES_TO_ENCODE_FROM
+    trained: TrainedField,
+    source: PositionSource,
+    windows: Windows,
+    frames: FrameVectors | None = None,
+    *,
+    num_poses: int = POSES_TO_ENCODE_FROM,
 ) -> Float32[torch.Tensor, "windows latent"]:
-    """The latents of windows that were not in training, by optimisation on `num_poses` native poses of each."""
-    poses = WindowPoses(source, windows, SMPL22.left_right_pairs)
+    """The latents of windows that were not in training, by optimisation on `num_poses` native poses of each.
+
+    `source` and `frames` are what the field's own vectors opened (without `frames`: positions).
+    """
+    poses = WindowPoses(source, windows, SMPL22.left_right_pairs, frames=frames)
     parts = [
         encode_by_optimisation(
             trained, poses.evenly(np.arange(start, min(start + WINDOWS_AT_ONCE, len(windows))), num_poses)

@@ -125,10 +125,9 @@ TABLE = Table("nerm", "4", "reconstruction MPJPE and MRE by framerate", build_ta
 
 def training_windows(trained: "TrainedField", store: "Store", request: TableRequest) -> EncodedWindows:
     """A sample of the windows that a field was trained on, with their posterior means."""
-    from motionkit.store.cache import open_cache
     from nerm.reconstruction import separate_windows
 
-    source = open_cache(store, layout="smpl22", where=trained.config.where or None)
+    source, _ = trained.vectors.open(store, trained.config.where or None)
     everything = EncodedWindows(source, trained.windows, trained.posterior_mean)
     return everything.select(_sample(separate_windows(trained.windows), trained.windows, request))
 
@@ -138,13 +137,12 @@ def held_out_windows(
 ) -> EncodedWindows | None:
     """A sample of another split's windows, encoded against the frozen field; None where there is none."""
     from motionkit.clips import cut_windows
-    from motionkit.store.cache import open_cache
     from nerm.reconstruction import encode_windows, separate_windows
 
     try:
         if request.split in ("all", "train"):
             raise UsageError(f"split {request.split!r} holds training windows; name another (--split test)")
-        source = open_cache(store, layout="smpl22", where=of_split_and(request.split, request.where))
+        source, frames = trained.vectors.open(store, of_split_and(request.split, request.where))
         windows = cut_windows(
             source,
             max_duration_seconds=trained.max_duration_seconds,
@@ -154,7 +152,7 @@ def held_out_windows(
         missing.append(f"{HELD_OUT}: {error}")
         return None
     windows = windows.select(_sample(separate_windows(windows), windows, request))
-    return EncodedWindows(source, windows, encode_windows(trained, source, windows))
+    return EncodedWindows(source, windows, encode_windows(trained, source, windows, frames))
 
 
 def _sample(rows: "np.ndarray", windows: "Windows", request: TableRequest) -> "np.ndarray":

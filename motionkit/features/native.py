@@ -8,14 +8,16 @@ central differences would be off by several percent at 20 fps. At framerate F, t
 """
 
 from fractions import Fraction
+from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Float, Float32, Float64, Int
 
 from motionkit.features.bones import bone_tree, rotations_6d
 from motionkit.features.facing import smooth, to_z_half_angle
 from motionkit.features.layout import SMPL22_LAYOUT, PoseLayout, pose_layout
 from motionkit.features.rows import fill_joint_velocities, fill_positions, turn
+from motionkit.timegrid import TimeGrid
 
 CONVENTION = "native"
 SMOOTHING_SECONDS = 1.0
@@ -60,12 +62,18 @@ def positions(
     Heading and root path are integrated over time by the trapezoidal rule. Raises `ValueError` for vectors of another
     length than the layout's.
     """
+    return positions_at(vectors, layout, TimeGrid(fps, len(vectors)).seconds())
+
+
+def positions_at(
+    vectors: Float[np.ndarray, "times numbers"], layout: str, seconds: Float64[np.ndarray, "times"]
+) -> Float32[np.ndarray, "times joints 3"]:
+    """`positions` for vectors at any ascending time stamps; the first one's root is above the origin."""
     body = pose_layout(layout)
     part = body.vector
     if vectors.shape[1] != part.size:
         raise ValueError(f"{layout} vectors have {part.size} numbers, these have {vectors.shape[1]}")
     numbers = vectors.astype(np.float64)
-    seconds = float(1 / fps)
     angle = _integral(numbers[:, part.root_yaw_velocity], seconds)[:, 0]
     path = _integral(_turned_back(numbers[:, part.root_velocity], angle), seconds)
     relative = numbers[:, part.joint_positions].reshape(len(numbers), body.num_joints - 1, 3)
@@ -74,6 +82,34 @@ def positions(
     result[:, 1:, ::2] = _turned_back(relative[..., ::2], angle[:, None]) + path[:, None]
     result[:, 1:, 1] = relative[..., 1]
     return result.astype(np.float32)
+
+
+def mirrored(vectors: Float[np.ndarray, "*poses numbers"], layout: str) -> Float[np.ndarray, "*poses numbers"]:
+    """The vectors of the mirror image (x ← −x, left and right joints exchanged), number for number."""
+    source, sign = _mirror_map(layout)
+    return np.asarray(vectors[..., source] * sign)
+
+
+@lru_cache(maxsize=4)
+def _mirror_map(layout: str) -> tuple[Int[np.ndarray, "numbers"], Float32[np.ndarray, "numbers"]]:
+    """Which number each number of a mirrored vector is taken from, and its sign."""
+    body = pose_layout(layout)
+    part, joints = body.vector, np.arange(body.num_joints)
+    for left, right in body.skeleton.left_right_pairs:
+        joints[left], joints[right] = right, left
+    source, sign = np.arange(part.size), np.ones(part.size, np.float32)
+    sign[part.root_yaw_velocity] = -1.0
+    sign[part.root_velocity] = (-1.0, 1.0)
+    # The reflection M = diag(−1, 1, 1) turns a bone's rotation R into M·R·M; 6D numbers are R's first two columns.
+    for block, order, signs in (
+        (part.joint_positions, joints[1:] - 1, (-1, 1, 1)),
+        (part.joint_rotations, joints[1:] - 1, (1, -1, -1, -1, 1, 1)),
+        (part.joint_velocities, joints, (-1, 1, 1)),
+        (part.contacts, np.array([2, 3, 0, 1]), (1,)),
+    ):
+        source[block] = source[block].reshape(len(order), -1)[order].reshape(-1)
+        sign[block] = np.tile(np.array(signs, np.float32), len(order))
+    return source, sign
 
 
 def _angle_to_z(
@@ -133,9 +169,9 @@ def _derivative(values: Float64[np.ndarray, "frames columns"], fps: Fraction) ->
 
 
 def _integral(
-    rates: Float64[np.ndarray, "frames columns"], seconds_between_frames: float
+    rates: Float64[np.ndarray, "frames columns"], seconds: Float64[np.ndarray, "frames"]
 ) -> Float64[np.ndarray, "frames columns"]:
-    steps = (rates[1:] + rates[:-1]) * (seconds_between_frames / 2)
+    steps = (rates[1:] + rates[:-1]) * (0.5 * np.diff(seconds)[:, None])
     return np.concatenate((np.zeros_like(rates[:1]), np.cumsum(steps, axis=0)))
 
 

@@ -9,6 +9,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,10 @@ class PositionCache:
     def num_joints(self) -> int:
         """Number of joints J of the layout."""
         return int(self.positions.shape[1])
+
+    def exact_fps(self, sequence: int | np.integer) -> Fraction:
+        """The framerate of the n-th sequence of the cache."""
+        return Fraction(int(self.fps_numerator[sequence]), int(self.fps_denominator[sequence]))
 
     def sequence_positions(self, sequence: int | np.integer) -> Float32[np.ndarray, "frames joints 3"]:
         """All frames of the n-th sequence of the cache, metres: a view, nothing is copied."""

@@ -173,6 +173,12 @@ CASES = (
         ("no training sequence has 120 fps", "the fastest has 30"),
     ),
     Case(
+        "no rotations",
+        f"{TRAIN} good --stage field {NEW} --set field.pose_vectors=rotations",
+        2,
+        ("needs sequences with the joint rotations of SMPL's 22 joints", "good has none", "field.pose_vectors=field"),
+    ),
+    Case(
         "no framerate",
         f"{TRAIN} good --stage field {NEW} --set field.fixed_fps=0",
         2,

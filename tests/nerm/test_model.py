@@ -10,7 +10,7 @@ import torch
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.motionfield import Poses, check_times, to_motion
-from motionkit.skeleton import SMPL22
+from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.run import RunError
 from nerm.conditions import ConditionLayout
@@ -51,6 +51,7 @@ class KnownField:
     latent_dimension: int = 4
     max_duration_seconds: float = 8.0
     max_training_fps: Fraction = Fraction(120)
+    skeleton: Skeleton = SMPL22
 
     def as_motion_field(self, latent, duration_seconds):
         return KnownMotion(latent, duration_seconds)
