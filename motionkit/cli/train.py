@@ -49,6 +49,8 @@ def train(
         configs = narrowed(chosen, configs, where)
     store_path = store or default_path("store")
     read_manifest(store_path)  # a store that is missing is told before anything heavy is imported
+    if where:
+        _check_condition(store_path, where)
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))
     context = StageContext(store_path, folder, recipe, seed=seed, resume=resume, overwrite=overwrite, device=device)
     for each, config in zip(chosen, configs, strict=True):
@@ -62,6 +64,14 @@ def train(
             stdout.print(f"{each.name}: {figures}", markup=False)
     if as_json:
         print_json({"run": str(folder.path), "stages": summaries})
+
+
+def _check_condition(store: Path, where: str) -> None:
+    # Some stages ask for their sequences late: after others have trained, or after minutes of their own.
+    from motionkit.store import Store
+
+    if not Store.open(store).select(where).size:
+        raise UsageError(f"--where: {where!r} holds for no sequence of the store {store}")
 
 
 def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str]) -> list[Any]:

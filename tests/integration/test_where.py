@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import motionkit.cli.train as train_command
 from motionkit.cli.train import narrowed
 from motionkit.conditions import conjunction
 from motionkit.errors import UsageError
@@ -101,3 +102,17 @@ def test_bad_sql_is_told(motionkit, store, tmp_path, command):
     done = motionkit(*command, "--store", store, *place, "--where", "no_such_column = 1")
     assert done.code == 2
     assert "no_such_column" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("where", "told"), [("no_such_column = 1", "no_such_column"), ("fps = 17", "holds for no sequence")]
+)
+def test_a_condition_is_tried_before_the_first_stage_starts(motionkit, store, tmp_path, monkeypatch, where, told):
+    def started(*_):
+        raise AssertionError("a stage was started")
+
+    monkeypatch.setattr(train_command, "_train_stage", started)
+    done = motionkit("train", "--store", store, "--runs", tmp_path, "--where", where)
+    assert done.code == 2
+    assert told in done.stderr
+    assert not list(tmp_path.iterdir())
