@@ -56,7 +56,7 @@ def parse_rules(text: str, name: str) -> tuple[FramerateRule, ...]:
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"{name}: {error}") from None
+        raise UsageError(f"{name} is no TOML file ({error}): expected tables [[rule]], see docs/formats.md") from None
     tables = content.get("rule")
     if set(content) != {"rule"} or not isinstance(tables, list):
         raise UsageError(f"{name}: expected tables [[rule]] with files, fps and, if you like, stated, reason, source")

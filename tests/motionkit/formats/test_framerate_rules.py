@@ -120,7 +120,8 @@ def test_globs_fit_the_end_of_a_path(glob: str, fits: list[str], does_not: list[
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("rule = ", "f.toml: Invalid value"),
+        ("rule = ", r"f.toml is no TOML file \(Invalid value.*\): expected tables \[\[rule\]\]"),
+        ("file,fps\na.bvh,60\n", "f.toml is no TOML file"),
         ("", r"expected tables \[\[rule\]\]"),
         ("[rule]\nfps = 60", r"expected tables \[\[rule\]\]"),
         ("[[rules]]\nfps = 60", r"expected tables \[\[rule\]\]"),
