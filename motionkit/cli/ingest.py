@@ -216,7 +216,8 @@ class _Teller:
 def _print_summary(report: "IngestReport") -> None:
     hours = report.duration_seconds / 3600
     stdout.print(
-        f"stored {report.num_stored:,} sequences ({hours:.2f} h, {report.num_frames:,} frames) in {report.store}, "
+        f"stored {_counted(report.num_stored, 'sequence')} ({hours:.2f} h, {_counted(report.num_frames, 'frame')}) "
+        f"in {report.store}, "
         f"which holds {report.num_in_store:,}",
         markup=False,
     )
@@ -228,6 +229,10 @@ def _print_summary(report: "IngestReport") -> None:
             stdout.print(f"{name}: {sum(counts.values()):,} ({reasons})", markup=False)
     if report.datasets:
         stdout.print(_dataset_table(report.datasets), markup=False)
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
 
 
 def _dataset_table(counts: "Sequence[DatasetCount]") -> str:
