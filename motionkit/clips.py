@@ -312,12 +312,14 @@ class WindowPoses:
         contiguous: bool,
         fps: Fraction | None = None,
         lowest_fps: float | None = None,
+        part: Int64[torch.Tensor, "part"] | None = None,
     ) -> PoseBatch:
         """`num_poses` random poses of each window, at its native framerate or at `fps` (default: `fixed_fps`).
 
         `contiguous`: a clip of m neighbouring poses around a random centre v (NeRM §3.1), in a window with fewer poses
         than m its last pose is repeated; else m independent instants. With `lowest_fps` each window's rate is its
-        native one or a random whole fraction of it that isn't lower ("random framerates", the paper's Fig. 2).
+        native one or a random whole fraction of it that isn't lower ("random framerates", the paper's Fig. 2). With
+        `part` all is drawn alike, but only these rows of the batch are gathered.
         """
         rows, fps = window.numpy(), fps or self.fixed_fps
         keep_every = np.ones(len(rows), dtype=np.int64)
@@ -336,6 +338,8 @@ class WindowPoses:
         else:
             uniform = torch.rand(len(rows), num_poses, generator=generator, dtype=torch.float64).numpy()
             chosen = np.floor(uniform * available[:, None]).astype(np.int64)
+        if part is not None:
+            rows, chosen, keep_every = (each[part.numpy()] for each in (rows, chosen, keep_every))
         return self.at_frames(rows, chosen, keep_every) if fps is None else self.at_rate(rows, chosen, fps)
 
     def evenly(self, window: Int64[np.ndarray, "batch"], num_poses: int) -> PoseBatch:

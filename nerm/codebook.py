@@ -116,11 +116,14 @@ class Quantiser(nn.Module):
 
     @torch.no_grad()
     def update(
-        self, features: Float[torch.Tensor, "batch code frames"], quantised: Quantised, generator: torch.Generator
+        self,
+        features: Float[torch.Tensor, "batch code frames"],
+        which: Int64[torch.Tensor, "batch frames"],
+        generator: torch.Generator,
     ) -> None:
         """Move the codes towards the features that chose them, and reset those that hardly any chooses."""
         vectors = features.detach().transpose(1, 2).reshape(-1, features.shape[1])
-        chosen = quantised.which.reshape(-1)
+        chosen = which.reshape(-1)
         counts = torch.bincount(chosen, minlength=len(self.codes)).to(self.counts.dtype)
         sums = torch.zeros_like(self.sums).index_add_(0, chosen, vectors)
         self.counts.lerp_(counts, 1.0 - self.decay)

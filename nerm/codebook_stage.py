@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from nerm.recipes import CodebookConfig, NermConfig
 
 def train_codebook(context: StageContext, config: NermConfig) -> None:
     """Train the VQ-VAE, or take T2M-GPT's own; writes codes [N, d], network and statistics to model.safetensors."""
-    store, device = Store.open(context.store), resolve_device(context.device)
+    store, device, ranks = Store.open(context.store), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.codebook, device)
     config = dataclasses.replace(config, codebook=settings)
     description = {"format": FORMAT, "version": FORMAT_VERSION, "fps": settings.fps, "convention": FORMAT}
@@ -30,16 +31,22 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     if published is not None:
         facts = _facts(published)
         folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
-        save_tensors(folder.model_path, _tensors(published), {**description, **facts})
-        folder.finish({"codes": len(published.codes), "from": settings.published_weights, **facts})
+        if ranks.is_first:
+            save_tensors(folder.model_path, _tensors(published), {**description, **facts})
+            folder.finish({"codes": len(published.codes), "from": settings.published_weights, **facts})
         return
     started = time.perf_counter()
     source = _source(store, settings)
     folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
-    corpus = build_vector_corpus(source, settings, folder.path / "vectors.f32")
-    training = CodebookTraining(corpus, settings, seed=context.seed, device=device)
+    # The first rank writes the vectors, the others find them.
+    build = partial(build_vector_corpus, source, settings, folder.path / "vectors.f32")
+    ranks.on_first(build)
+    corpus = build()
+    training = CodebookTraining(corpus, settings, seed=context.seed, device=device, ranks=ranks)
     with float32_products(settings.precision):
-        figures = train_loop(training, folder, steps=settings.steps, seed=context.seed)
+        figures = train_loop(training, folder, steps=settings.steps, seed=context.seed, ranks=ranks)
+    if not ranks.is_first:
+        return
     tensors = {"codes": training.network.quantiser.codes, "mean": corpus.mean, "scale": corpus.scale}
     network = {f"network.{name}": tensor for name, tensor in training.network.state_dict().items()}
     save_tensors(folder.model_path, tensors | network, description)

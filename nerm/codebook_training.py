@@ -16,6 +16,7 @@ from motionkit.errors import UsageError
 from motionkit.resample import resample_positions
 from motionkit.training.precision import autocast
 from motionkit.training.randomness import seeded_initialisation
+from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.schedule import set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from nerm.codebook import CodebookNetwork
@@ -118,8 +119,10 @@ def _statistics(
 class CodebookTraining:
     """The VQ-VAE with its optimiser: what `train_loop` steps."""
 
-    def __init__(self, corpus: VectorCorpus, config: CodebookConfig, *, seed: int, device: torch.device) -> None:
-        self.corpus, self.config, self.device = corpus, config, device
+    def __init__(
+        self, corpus: VectorCorpus, config: CodebookConfig, *, seed: int, device: torch.device, ranks: Ranks = ALONE
+    ) -> None:
+        self.corpus, self.config, self.device, self.ranks = corpus, config, device, ranks
         with seeded_initialisation(seed, "codebook"):
             self.network = CodebookNetwork(config, len(corpus.mean)).to(device)
         self.optimizer = torch.optim.AdamW(
@@ -131,26 +134,32 @@ class CodebookTraining:
         """SmoothL1 + 0.5·SmoothL1 on the joint positions + 0.02·commitment, then the codes' moving averages."""
         config, quantiser = self.config, self.network.quantiser
         starts = torch.randint(len(self.corpus.first_rows), (config.batch,), generator=generator)
+        starts = starts[self.ranks.part(config.batch)]
+        share = len(starts) / config.batch
         vectors = self.corpus.windows(starts, config.window_frames).to(self.device)
         with autocast(config.precision, self.device):
             features = self.network.encode(vectors).float()
-        quantiser.start(features, generator)
+        everywhere = self.ranks.all_rows(features.detach(), config.batch)
+        quantiser.start(everywhere, generator)
         quantised = quantiser(features)
         with autocast(config.precision, self.device):
             decoded = self.network.decode(quantised.values).float()
         reconstruction = smooth_l1_loss(decoded, vectors)
         positions = smooth_l1_loss(decoded[..., self.positions], vectors[..., self.positions])
-        loss = reconstruction + config.position_weight * positions + config.commitment_weight * quantised.commitment
+        terms = reconstruction + config.position_weight * positions + config.commitment_weight * quantised.commitment
+        loss = share * terms
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         set_rate(self.optimizer, config.rate * (config.rate_drop if step >= config.rate_drop_at else 1.0))
+        self.ranks.add_up_gradients(self.network.parameters())
         self.optimizer.step()
-        quantiser.update(features, quantised, generator)
+        which = self.ranks.all_rows(quantised.which, config.batch)
+        quantiser.update(everywhere, which, generator)
         return {
             "loss": loss,
-            "reconstruction": reconstruction,
-            "commitment": quantised.commitment,
-            "perplexity": perplexity(quantised.which, config.num_codes),
+            "reconstruction": share * reconstruction,
+            "commitment": share * quantised.commitment,
+            "perplexity": share * perplexity(which, config.num_codes),
         }
 
     def state_tensors(self) -> dict[str, torch.Tensor]:

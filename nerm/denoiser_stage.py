@@ -26,7 +26,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     Raises `RunError` where the field is missing or was trained on another state of the store (captions are looked up in
     the store by its windows' sequences), and `UsageError` where texts are to be learnt and no window has any.
     """
-    store, device = Store.open(context.store), resolve_device(context.device)
+    store, device, ranks = Store.open(context.store), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.denoiser, device)
     config = dataclasses.replace(config, denoiser=settings)
     field = load_field(context.run)
@@ -48,9 +48,11 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     if encoder is not None and not corpus.num_captions.any():
         raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
-    training = DenoiserTraining(settings, corpus, seed=context.seed, device=device)
+    training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
     with float32_products(settings.precision):
-        figures = train_loop(training, folder, steps=training.num_steps, seed=context.seed)
+        figures = train_loop(training, folder, steps=training.num_steps, seed=context.seed, ranks=ranks)
+    if not ranks.is_first:
+        return
     trained = training.finished(
         text_fingerprint="" if encoder is None else encoder.fingerprint,
         field_sha256=file_sha256(context.run.stage("field").model_path),

@@ -8,8 +8,10 @@ from torch import Tensor
 
 from motionkit.training.precision import autocast, compile_each
 from motionkit.training.randomness import seeded_initialisation, step_generator
+from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.schedule import WeightAverage, rate_factor, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from nerm.conditions import Conditions
 from nerm.denoiser import Denoiser
 from nerm.denoiser_config import DenoiserConfig
 from nerm.diffusion import add_noise, cumulative_alphas, loss_weights, prediction_target
@@ -25,8 +27,11 @@ class DenoiserTraining:
     Everything random is drawn on the CPU from the step's generator, so that every device sees the same batches.
     """
 
-    def __init__(self, config: DenoiserConfig, corpus: LatentCorpus, *, seed: int, device: torch.device) -> None:
+    def __init__(
+        self, config: DenoiserConfig, corpus: LatentCorpus, *, seed: int, device: torch.device, ranks: Ranks = ALONE
+    ) -> None:
         self.config = config
+        self.ranks = ranks
         self.corpus = corpus
         self.device = device
         self.first_read = corpus.first_read
@@ -50,6 +55,7 @@ class DenoiserTraining:
             step, self.num_steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction
         )
         set_rate(self.optimizer, factor * config.rate)
+        mine = self.ranks.part(config.batch)
         rows = torch.randint(len(self.corpus), (config.batch,), generator=generator)
         latents = self.space.standardise(self.corpus.draw(rows, generator))
         conditions = self.corpus.draw_conditions(
@@ -59,13 +65,15 @@ class DenoiserTraining:
         noise = torch.randn(latents.shape, generator=generator)
         noisy = add_noise(latents, noise, steps, self.alphas)
         target = prediction_target(diffusion.prediction, latents, noise, steps, self.alphas)
-        with _dropout_from(generator, self.device), autocast(config.precision, self.device):
-            output = self.denoiser(noisy.to(self.device), steps.to(self.device), conditions.to(self.device))
+        given = Conditions(conditions.text[mine], conditions.action[mine], conditions.duration[mine])
+        with _dropout_from(generator, self.ranks.rank, self.device), autocast(config.precision, self.device):
+            output = self.denoiser(noisy[mine].to(self.device), steps[mine].to(self.device), given.to(self.device))
         used = in_use(self.first_read, conditions.duration)
         weights = used * self.weights[steps, None].to(torch.float32) / used.sum()
-        loss = ((output.float() - target.to(self.device)).square() * weights.to(self.device)).sum()
+        loss = ((output.float() - target[mine].to(self.device)).square() * weights[mine].to(self.device)).sum()
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        self.ranks.add_up_gradients(self.denoiser.parameters())
         self.optimizer.step()
         self.average.update(self.denoiser, step)
         return {"loss": loss.detach()}
@@ -102,8 +110,8 @@ class DenoiserTraining:
 
 
 @contextmanager
-def _dropout_from(generator: torch.Generator, device: torch.device) -> Iterator[None]:
-    """Dropout inside follows from the generator; torch's global generators are left as they were."""
+def _dropout_from(generator: torch.Generator, rank: int, device: torch.device) -> Iterator[None]:
+    """Dropout inside follows from the generator and the rank; torch's global generators are left as they were."""
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
-        torch.manual_seed(int(torch.randint(2**62, (), generator=generator)))
+        torch.manual_seed(int(torch.randint(2**62, (), generator=generator)) + rank)
         yield

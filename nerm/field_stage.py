@@ -26,16 +26,16 @@ from nerm.recipes import FieldConfig, NermConfig
 
 def train_field(context: StageContext, config: NermConfig) -> None:
     """Train f_θ and the posteriors of all windows; writes both, with the window table, to model.safetensors."""
-    store, device = Store.open(context.store), resolve_device(context.device)
+    store, device, ranks = Store.open(context.store), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.field, device)
     config = dataclasses.replace(config, field=settings)
     started = time.perf_counter()
     # Everything that may be refused comes before `begin`, which may remove an earlier run (--overwrite).
     vectors, source, frames = _corpus(store, settings)
     windows = training_windows(source, settings)
-    codes, device = _codes(context, settings), resolve_device(context.device)
+    codes = _codes(context, settings)
     folder = context.begin("field", config, store_fingerprint=store.fingerprint)
-    for remark in remarks(source, windows, settings):
+    for remark in remarks(source, windows, settings) if ranks.is_first else []:
         stderr.print(f"motionkit: warning: {remark}", markup=False)
     training = FieldTraining(
         WindowPoses(source, windows, SMPL22.left_right_pairs, settings.fixed_framerate, frames),
@@ -44,15 +44,19 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         seed=context.seed,
         device=device,
         vectors=vectors,
+        ranks=ranks,
     )
     with float32_products(settings.precision):
-        figures = train_loop(training, folder, steps=training.steps, seed=context.seed)
+        figures = train_loop(training, folder, steps=training.steps, seed=context.seed, ranks=ranks)
+    mean, log_variance = training.posteriors()
+    if not ranks.is_first:
+        return
     trained = TrainedField(
         network=training.network.eval().requires_grad_(False),
         scaling=training.scaling,
         components=training.components,
-        posterior_mean=training.mean.table.cpu(),
-        posterior_log_variance=training.log_variance.table.cpu(),
+        posterior_mean=mean,
+        posterior_log_variance=log_variance,
         windows=windows,
         store_fingerprint=store.fingerprint,
         vectors=vectors,

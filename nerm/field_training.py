@@ -4,12 +4,14 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float, Float32, Int64
 
 from motionkit.clips import PoseBatch, WindowPoses, rows_by_duration, shuffled_batches
 from motionkit.training.precision import autocast, compile_each
 from motionkit.training.randomness import seeded_initialisation, step_generator
+from motionkit.training.ranks import ALONE, DealtRows, Ranks
 from motionkit.training.schedule import rate_factor, scale_rates
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from nerm.field import FieldNetwork
@@ -30,16 +32,24 @@ def linear_model(poses: WindowPoses, scaling: VectorScaling, config: FieldConfig
 
 
 def initial_means(
-    poses: WindowPoses, model: LinearModel | None, config: FieldConfig, seed: int
-) -> Float32[torch.Tensor, "windows latent"]:
-    """μ before training: N(0, 1), or the linear model's fit."""
+    poses: WindowPoses,
+    model: LinearModel | None,
+    config: FieldConfig,
+    seed: int,
+    windows: Int64[torch.Tensor, "chosen"],
+) -> Float32[torch.Tensor, "chosen latent"]:
+    """μ of some windows before training: N(0, 1), or the linear model's fit."""
     if config.initialisation == "ridge" and model is not None:
-        return fit_windows(poses, model)
-    return torch.randn(len(poses.windows), config.latent_dimension, generator=step_generator(seed, "latents"))
+        return fit_windows(poses, model, windows.numpy())
+    return torch.randn(len(poses.windows), config.latent_dimension, generator=step_generator(seed, "latents"))[windows]
 
 
 class FieldTraining:
-    """θ, {μ_i} and {log Σ_i} with their optimisers: what `train_loop` steps."""
+    """θ, {μ_i} and {log Σ_i} with their optimisers: what `train_loop` steps.
+
+    Each rank has the latents of its own windows, a stretch of the corpus, and steps on those of a batch that are its
+    own; only the gradient of θ goes between ranks.
+    """
 
     def __init__(
         self,
@@ -50,12 +60,16 @@ class FieldTraining:
         seed: int,
         device: torch.device,
         vectors: PoseVectors = FIELD_VECTORS,
+        ranks: Ranks = ALONE,
     ) -> None:
         self.poses, self.config, self.seed, self.device = poses, config, seed, device
         self.scaling = measure_scaling(poses, config, vectors)
         model = linear_model(poses, self.scaling, config)
         self.components = None if model is None else model.components
-        means = initial_means(poses, model, config, seed)
+        self.ranks = ranks
+        in_corpus = np.argsort(poses.windows.start_row, kind="stable")
+        self.own = DealtRows(ranks, poses.windows.duration_seconds, in_corpus)
+        means = initial_means(poses, model, config, seed, self.own.rows)
         num_numbers = len(self.scaling.mean)
         self.scaling = self.scaling.to(device)
         with seeded_initialisation(seed, "field"):
@@ -88,36 +102,47 @@ class FieldTraining:
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
         """One step on θ and on the latents of the batch."""
         config = self.config
-        batch = self._draw(step, generator)
-        rows, which = torch.unique(batch.window, return_inverse=True)
+        windows = self.visits[shuffled_batches(len(self.visits), config.batch, step, self.seed)]
+        mine = self.own.mine(windows)
+        batch = self._draw(step, windows, mine, generator)
+        distinct, which = torch.unique(windows[mine], return_inverse=True)
+        rows = self.own.place(distinct).to(self.device)
         mean = self.mean.table[rows].requires_grad_()
         log_variance = self.log_variance.table[rows].requires_grad_()
         latents = mean[which]
         if config.variational:
-            noise = torch.randn(len(which), latents.shape[1], generator=generator).to(self.device)
+            noise = torch.randn(len(windows), latents.shape[1], generator=generator)[mine].to(self.device)
             latents = sample_posterior(latents, log_variance[which], noise)
         with autocast(config.precision, self.device):
             predicted = self.network(latents, batch.coordinates, batch.fps)
-        reconstruction = (predicted.float() - self.scaling.apply(batch.vectors)).square().mean()
-        kl = kl_divergence(mean, log_variance)
+        # This rank's parts of means over the whole batch.
+        squares = (predicted.float() - self.scaling.apply(batch.vectors)).square()
+        reconstruction = squares.sum() / (len(windows) * squares.shape[1:].numel())
+        kl = kl_divergence(mean, log_variance, len(torch.unique(windows)))
         loss = reconstruction + config.kl_weight * kl if config.variational else reconstruction
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         self._update(step, rows, mean, log_variance)
         return {"loss": loss, "reconstruction": reconstruction, "kl": kl}
 
-    def _draw(self, step: int, generator: torch.Generator) -> PoseBatch:
+    def _draw(
+        self,
+        step: int,
+        windows: Int64[torch.Tensor, "batch"],
+        mine: Int64[torch.Tensor, "mine"],
+        generator: torch.Generator,
+    ) -> PoseBatch:
         """The clips of a step: at one fixed framerate during warm-up, then at all native ones (or at `fixed_fps`)."""
         config = self.config
-        rows = self.visits[shuffled_batches(len(self.visits), config.batch, step, self.seed)]
         warming_up = step < config.warmup_fraction * self.steps and config.fixed_fps is None
         batch = self.poses.draw(
-            rows,
+            windows,
             config.num_poses,
             generator,
             contiguous=config.contiguous,
             fps=Fraction(config.warmup_fps) if warming_up else None,
             lowest_fps=config.lowest_fps,
+            part=mine,
         )
         return batch.to(self.device)
 
@@ -127,6 +152,7 @@ class FieldTraining:
         config = self.config
         factor = rate_factor(step, self.steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction)
         scale_rates(self.optimizer, factor)
+        self.ranks.add_up_gradients(self.network.parameters())
         self.optimizer.step()
         assert mean.grad is not None
         self.mean.update(rows, mean.grad, config.latent_rate * factor)
@@ -135,17 +161,23 @@ class FieldTraining:
             self.log_variance.table[rows] = self.log_variance.table[rows].clamp(*LOG_VARIANCE_RANGE)
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
-        """All that a later step depends on."""
+        """All that a later step depends on, the latents of all ranks on the first one."""
         return (
             prefixed("network", self.network.state_dict())
             | prefixed("optimizer", optimizer_tensors(self.optimizer))
-            | prefixed("mean", self.mean.tensors())
-            | prefixed("log_variance", self.log_variance.tensors())
+            | {name: self.own.gather(table) for name, table in self._tables().items()}
         )
+
+    def posteriors(self) -> tuple[Float32[torch.Tensor, "windows latent"], Float32[torch.Tensor, "windows latent"]]:
+        """{μ_i} and {log Σ_i} of all windows, on the CPU of the first rank."""
+        return self.own.gather(self.mean.table), self.own.gather(self.log_variance.table)
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Go back to a state."""
         self.network.load_state_dict(unprefixed("network", tensors))
         load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
-        self.mean.load(unprefixed("mean", tensors))
-        self.log_variance.load(unprefixed("log_variance", tensors))
+        for name, table in self._tables().items():
+            table.copy_(tensors[name][self.own.rows])
+
+    def _tables(self) -> dict[str, torch.Tensor]:
+        return prefixed("mean", self.mean.tensors()) | prefixed("log_variance", self.log_variance.tensors())

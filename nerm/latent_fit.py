@@ -7,8 +7,9 @@ nothing is lost between the two.
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Float, Float32, Float64, Int64
 
 from motionkit.clips import PoseBatch, WindowPoses, chunks
 from nerm.body_path import measured_heading, relative_to
@@ -77,10 +78,12 @@ def measure_components(poses: WindowPoses, banks: LocalLatents, scaling: VectorS
     return PoseComponents(mean.float(), directions.float())
 
 
-def fit_windows(poses: WindowPoses, model: LinearModel) -> Float32[torch.Tensor, "windows latent"]:
-    """The latents of all windows."""
+def fit_windows(
+    poses: WindowPoses, model: LinearModel, windows: Int64[np.ndarray, "chosen"]
+) -> Float32[torch.Tensor, "chosen latent"]:
+    """The latents of some windows."""
     return torch.cat(
-        [model.fit(poses.evenly(rows, TIMES_PER_WINDOW)) for rows in chunks(len(poses.windows), WINDOWS_AT_ONCE)]
+        [model.fit(poses.evenly(windows[rows], TIMES_PER_WINDOW)) for rows in chunks(len(windows), WINDOWS_AT_ONCE)]
     )
 
 

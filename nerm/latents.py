@@ -4,8 +4,6 @@ Only the rows of a batch cost anything: they are gathered, and Adam's moments ar
 work does not depend on how many windows there are.
 """
 
-from collections.abc import Mapping
-
 import torch
 from jaxtyping import Float, Float32, Int64
 
@@ -48,11 +46,6 @@ class RowAdam:
         """Table and moments."""
         return {"table": self.table, "first": self.first, "second": self.second, "count": self.count}
 
-    def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Put table and moments back."""
-        for name, tensor in self.tensors().items():
-            tensor.copy_(tensors[name])
-
 
 def sample_posterior(
     mean: Float[torch.Tensor, "batch latent"],
@@ -64,7 +57,13 @@ def sample_posterior(
 
 
 def kl_divergence(
-    mean: Float[torch.Tensor, "batch latent"], log_variance: Float[torch.Tensor, "batch latent"]
+    mean: Float[torch.Tensor, "batch latent"],
+    log_variance: Float[torch.Tensor, "batch latent"],
+    num_windows: int | None = None,
 ) -> Float[torch.Tensor, ""]:
-    """KL(N(μ, Σ) ‖ N(0, I)) of Eq. 3 for diagonal Σ, as a mean over latent numbers and windows, in nats."""
-    return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
+    """KL(N(μ, Σ) ‖ N(0, I)) of Eq. 3 for diagonal Σ, as a mean over latent numbers and windows, in nats.
+
+    With `num_windows` these are some of so many windows, and the result is their part of the mean.
+    """
+    divergence = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance)
+    return divergence.sum() / (mean.shape[1] * (num_windows or len(mean)))

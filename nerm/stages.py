@@ -47,6 +47,7 @@ CODEBOOK = Stage(
     recipes=RECIPES,
     train=_train_codebook,
     check=_check_codebook,
+    shared=True,
 )
 FIELD = Stage(
     name="field",
@@ -55,6 +56,7 @@ FIELD = Stage(
     recipes=RECIPES,
     train=_train_field,
     check=_check_field,
+    shared=True,
 )
 DENOISER = Stage(
     name="denoiser",
@@ -63,4 +65,5 @@ DENOISER = Stage(
     recipes=RECIPES,
     train=_train_denoiser,
     check=_check_denoiser,
+    shared=True,
 )

@@ -92,7 +92,7 @@ def write_store(path: Path) -> Path:
     return path
 
 
-def train_stage(name: str, store: Path, run: Path, *, resume: bool = False) -> None:
-    """Train one stage of a run on the CPU."""
+def train_stage(name: str, store: Path, run: Path, *, resume: bool = False, shared: bool = False) -> None:
+    """Train one stage of a run on the CPU, `shared` by the ranks that this process has joined."""
     stage, config = STAGES[name]
-    stage.train(StageContext(store, RunFolder(run), "tiny", seed=1, resume=resume, device="cpu"), config)
+    stage.train(StageContext(store, RunFolder(run), "tiny", seed=1, resume=resume, device="cpu", shared=shared), config)

@@ -1,5 +1,7 @@
 """`motionkit train`: train the stages of a model from a store into a run folder."""
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -53,16 +55,24 @@ def train(
         _check_condition(store_path, where)
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))
     context = StageContext(store_path, folder, recipe, seed=seed, resume=resume, overwrite=overwrite, device=device)
-    for each, config in zip(chosen, configs, strict=True):
-        each.check(context, config)
-    summaries = []
-    for each, config in zip(chosen, configs, strict=True):
-        summary = _train_stage(each, config, context)
-        summaries.append({"stage": each.name, **summary})
-        if not as_json:
-            figures = ", ".join(f"{name} {_short(value)}" for name, value in summary.items())
-            stdout.print(f"{each.name}: {figures}", markup=False)
-    if as_json:
+    from motionkit.training.ranks import joined_ranks
+
+    with joined_ranks() as ranks:
+        for each, config in zip(chosen, configs, strict=True):
+            ranks.on_first(partial(each.check, context, config))
+        summaries = []
+        for each, config in zip(chosen, configs, strict=True):
+            _train_stage(each, config, replace(context, shared=each.shared), is_first=ranks.is_first)
+            if each.shared:
+                ranks.wait()  # for what the first one saves at last: the next stage reads it
+            if not ranks.is_first:
+                continue
+            summary = folder.stage(each.name).read_summary()
+            summaries.append({"stage": each.name, **summary})
+            if not as_json:
+                figures = ", ".join(f"{name} {_short(value)}" for name, value in summary.items())
+                stdout.print(f"{each.name}: {figures}", markup=False)
+    if as_json and ranks.is_first:
         print_json({"run": str(folder.path), "stages": summaries})
 
 
@@ -110,14 +120,14 @@ def narrowed(stages: tuple[Stage[Any], ...], configs: list[Any], where: str) -> 
     ]
 
 
-def _train_stage(stage: Stage[Any], config: Any, context: StageContext) -> dict[str, Any]:
+def _train_stage(stage: Stage[Any], config: Any, context: StageContext, *, is_first: bool) -> None:
     folder = context.run.stage(stage.name)
-    if context.resume and folder.is_complete:
-        stderr.print(f"{stage.name}: complete already, kept", markup=False)
-    else:
-        stderr.print(f"{stage.name}: {stage.description} → {folder.path}", markup=False)
+    complete = context.resume and folder.is_complete
+    if is_first:
+        doing = "complete already, kept" if complete else f"{stage.description} → {folder.path}"
+        stderr.print(f"{stage.name}: {doing}", markup=False)
+    if not complete and (stage.shared or is_first):
         stage.train(context, config)
-    return folder.read_summary()
 
 
 def _short(value: Any) -> str:

@@ -16,11 +16,9 @@ import torch
 
 from motionkit.console import progress
 from motionkit.training.randomness import step_generator
-from motionkit.training.ranks import Ranks
+from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.run import RunError, StageFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
-
-ALONE = Ranks()
 
 
 @runtime_checkable

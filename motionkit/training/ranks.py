@@ -7,7 +7,7 @@ can be resumed by another number of ranks. One rank is the ordinary case, in whi
 """
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -17,6 +17,8 @@ import torch
 from jaxtyping import Float, Int64, Shaped
 from torch import distributed
 
+from motionkit.errors import UsageError
+
 # A rank may wait for long, while the first one trains a stage that has no use for several; torchrun ends all where one
 # dies.
 PATIENCE = timedelta(days=7)
@@ -24,11 +26,10 @@ PATIENCE = timedelta(days=7)
 
 @dataclass(frozen=True)
 class Ranks:
-    """This process among `size` equal ones; `local_rank` counts on this machine."""
+    """This process among `size` equal ones."""
 
     rank: int = 0
     size: int = 1
-    local_rank: int = 0
 
     @property
     def is_first(self) -> bool:
@@ -36,7 +37,12 @@ class Ranks:
         return self.rank == 0
 
     def part(self, count: int) -> slice:
-        """This rank's part of `count` rows: parts are contiguous, in the order of ranks, and differ by one at most."""
+        """This rank's part of `count` rows: parts are contiguous, in the order of ranks, and differ by one at most.
+
+        Raises `UsageError` where a rank would have none.
+        """
+        if count < self.size:
+            raise UsageError(f"a batch of {count} can't be shared by {self.size} ranks")
         return slice(count * self.rank // self.size, count * (self.rank + 1) // self.size)
 
     def add_up(self, tensors: Iterable[torch.Tensor]) -> None:
@@ -53,7 +59,7 @@ class Ranks:
         """Sum gradients over ranks. Parameters without one have none on any rank: all ranks build the same graph."""
         self.add_up(parameter.grad for parameter in parameters if parameter.grad is not None)
 
-    def all_rows(self, part: Float[torch.Tensor, "part *rest"], count: int) -> Float[torch.Tensor, "count *rest"]:
+    def all_rows(self, part: Shaped[torch.Tensor, "part *rest"], count: int) -> Shaped[torch.Tensor, "count *rest"]:
         """The rows of all ranks, of which each has its `part(count)`."""
         if self.size == 1:
             return part
@@ -70,6 +76,10 @@ class Ranks:
         distributed.all_reduce(raised, distributed.ReduceOp.MAX)
         return tuple(bool(flag) for flag in raised)
 
+    def wait(self) -> None:
+        """Until all ranks have come here."""
+        self.agree(False)
+
     def on_first(self, action: Callable[[], object]) -> None:
         """The first rank acts while the others wait; where it fails, it raises and the others leave without a word."""
         failed = True
@@ -83,24 +93,32 @@ class Ranks:
             raise SystemExit(1)
 
 
+ALONE = Ranks()
+
+
+def present_ranks() -> Ranks:
+    """The ranks that this process has joined; a single one where it has joined none."""
+    if distributed.is_available() and distributed.is_initialized():
+        return Ranks(distributed.get_rank(), distributed.get_world_size())
+    return ALONE
+
+
 @contextmanager
 def joined_ranks() -> Iterator[Ranks]:
-    """This process's rank as torchrun's environment says; without torchrun, or with one process, a single one.
+    """Join the ranks that torchrun's environment names; without torchrun, or with one process, there are none to join.
 
-    Messages go by NCCL between GPUs and by Gloo between CPUs.
+    Messages go by NCCL between GPUs and by Gloo between CPUs; "cuda" is then the GPU of this rank.
     """
-    size = int(os.environ.get("WORLD_SIZE", "1"))
-    if size == 1:
-        yield Ranks()
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        yield ALONE
         return
-    local_rank = int(os.environ.get("LOCAL_RANK", "0"))
     backend = "gloo"
     if torch.cuda.is_available():
-        torch.cuda.set_device(local_rank % torch.cuda.device_count())
+        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
         backend = "cpu:gloo,cuda:nccl"
     distributed.init_process_group(backend, timeout=PATIENCE)
     try:
-        yield Ranks(distributed.get_rank(), size, local_rank)
+        yield present_ranks()
     finally:
         distributed.destroy_process_group()
 
@@ -127,11 +145,9 @@ class DealtRows:
         """Where this rank's own table holds rows that it owns."""
         return torch.searchsorted(self.rows, rows)
 
-    def gather(self, tables: Sequence[Shaped[torch.Tensor, "own *rest"]]) -> list[Shaped[torch.Tensor, "rows *rest"]]:
-        """Whole tables on the CPU of the first rank, from what each rank holds; the other ranks get empty ones."""
-        return [self._gather(table.detach().cpu()) for table in tables]
-
-    def _gather(self, table: torch.Tensor) -> torch.Tensor:
+    def gather(self, table: Shaped[torch.Tensor, "own *rest"]) -> Shaped[torch.Tensor, "all *rest"]:
+        """The whole table on the CPU of the first rank, from what each rank holds; the others get an empty one."""
+        table = table.detach().cpu()
         if self.ranks.size == 1:
             return table
         if not self.ranks.is_first:

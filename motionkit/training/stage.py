@@ -6,20 +6,24 @@ An entry point names a module attribute that is a `Stage`. That module must impo
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Generic
+from typing import TYPE_CHECKING, Any, Generic
 
 from motionkit.errors import UsageError
 from motionkit.training.config import ConfigLike, ConfigT
 from motionkit.training.run import RunFolder, StageFolder, begin_stage
+
+if TYPE_CHECKING:
+    from motionkit.training.ranks import Ranks
 
 
 @dataclass(frozen=True)
 class StageContext:
     """Where a stage is trained: from which store, into which run, with which seed, on which device.
 
-    `device` is "auto" or a torch device's name.
+    `device` is "auto" or a torch device's name; `shared` whether all ranks that torchrun started train this stage.
     """
 
     store: Path
@@ -29,11 +33,20 @@ class StageContext:
     resume: bool = False
     overwrite: bool = False
     device: str = "auto"
+    shared: bool = False
+
+    @property
+    def ranks(self) -> "Ranks":
+        """The ranks that train this stage together."""
+        from motionkit.training.ranks import ALONE, present_ranks
+
+        return present_ranks() if self.shared else ALONE
 
     def begin(self, stage: str, config: ConfigLike, *, store_fingerprint: str) -> StageFolder:
-        """Open the stage's folder, new or to be resumed; errors as in `begin_stage`."""
+        """Open the stage's folder, new or to be resumed; errors as in `begin_stage`. The first rank does it."""
         folder = self.run.stage(stage)
-        begin_stage(
+        begin = partial(
+            begin_stage,
             folder,
             config,
             recipe=self.recipe,
@@ -43,6 +56,7 @@ class StageContext:
             resume=self.resume,
             overwrite=self.overwrite,
         )
+        self.ranks.on_first(begin)
         return folder
 
 
@@ -58,7 +72,8 @@ class Stage(Generic[ConfigT]):
     not spent first; it may not need another stage's results. `order` ranks the stages of `--stage all` (low first),
     `in_all` says whether this one is among them; `recipes` maps a recipe's name to the function that makes its
     configuration. Stages of one model may share a configuration whose parts are named after the stages: a change of
-    another stage's part doesn't stop `--resume`.
+    another stage's part doesn't stop `--resume`. Under torchrun every rank calls the `train` of a stage that is
+    `shared` (`motionkit.training.ranks`); others are trained by the first rank alone.
     """
 
     name: str
@@ -68,6 +83,7 @@ class Stage(Generic[ConfigT]):
     train: Callable[[StageContext, ConfigT], None]
     in_all: bool = True
     check: Callable[[StageContext, ConfigT], None] = _nothing_to_check
+    shared: bool = False
 
     def recipe(self, name: str) -> ConfigT:
         """The configuration of a named recipe; raises `UsageError` naming those there are."""

@@ -67,7 +67,7 @@ def test_codes_move_to_the_mean_of_what_chooses_them_and_unused_ones_are_reset()
     quantiser.sums.copy_(quantiser.codes)
     features = torch.tensor([[1.0, 1.0], [1.0, 1.0], [9.0, 9.0], [9.0, 9.0]]).T[None]
     for _ in range(30):
-        quantiser.update(features, quantiser(features), torch.Generator().manual_seed(0))
+        quantiser.update(features, quantiser(features).which, torch.Generator().manual_seed(0))
     codes = {tuple(code) for code in quantiser.codes.round(decimals=3).tolist()}
     assert codes == {(1.0, 1.0), (9.0, 9.0)}
 
