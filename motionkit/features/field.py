@@ -78,7 +78,7 @@ def encode(
     """World positions in metres → `field` vectors in the frames that `window_frame` gave."""
     local = to_window(joint_positions, yaw, origin)
     local[:, :, 1:] -= local[:, :, :1]
-    return local.reshape(*local.shape[:2], -1)
+    return local.reshape(*local.shape[:2], 3 * local.shape[2])
 
 
 def decode(vectors: Float[np.ndarray, "*poses numbers"]) -> Float32[np.ndarray, "*poses joints 3"]:

@@ -19,12 +19,13 @@ REPOSITORY = Path(__file__).parents[2]
 STAGES = ("codebook", "field", "denoiser")
 RANK = """
 import os, signal, sys
+from dataclasses import replace
 from pathlib import Path
 import torch
 from motionkit.training import loop
 from motionkit.training.randomness import step_generator
 from motionkit.training.ranks import joined_ranks
-from tests.tiny import train_stage
+from tests.tiny import STAGES, train_stage
 
 def interrupting(seed, purpose, step):
     if step == 23 and os.environ["RANK"] == "1":
@@ -32,10 +33,15 @@ def interrupting(seed, purpose, step):
     return step_generator(seed, purpose, step)
 
 torch.set_num_threads(1)
-store, whole, interrupted = map(Path, sys.argv[1:])
+store, whole, interrupted, lonely = map(Path, sys.argv[1:])
 with joined_ranks():
     for name in ("codebook", "field", "denoiser"):
         train_stage(name, store, whole, shared=True)
+    # One clip a batch: at every step one of the ranks has nothing to do.
+    stage, config = STAGES["field"]
+    STAGES["field"] = (stage, replace(config, field=replace(config.field, batch=1, steps=6)))
+    train_stage("field", store, lonely, shared=True)
+    STAGES["field"] = (stage, config)
     loop.step_generator = interrupting
     train_stage("field", store, interrupted, shared=True)
 """
@@ -51,12 +57,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in STAGES:
         train_stage(name, store, path / "one")
     torch.set_num_threads(threads)
-    shutil.copytree(path / "one" / "codebook", path / "interrupted" / "codebook")
+    for run in ("interrupted", "lonely"):
+        shutil.copytree(path / "one" / "codebook", path / run / "codebook")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     environment = os.environ | {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
-    command = [sys.executable, "-c", RANK, *(str(path / name) for name in ("store", "two", "interrupted"))]
+    command = [sys.executable, "-c", RANK, *(str(path / name) for name in ("store", "two", "interrupted", "lonely"))]
     ranks = [
         subprocess.Popen(command, cwd=REPOSITORY, env=environment | {"RANK": str(rank)}, stderr=subprocess.PIPE)
         for rank in range(2)
@@ -78,6 +85,12 @@ def test_two_ranks_learn_what_one_does(folder: Path, name: str) -> None:
     assert len(one) == len(two) == 2
     for expected, found in zip(one, two, strict=True):
         assert found == pytest.approx(expected, rel=1e-3, abs=1e-9)
+
+
+def test_a_rank_without_a_window_in_the_batch_takes_part_all_the_same(folder: Path) -> None:
+    (line,) = losses(folder / "lonely", "field")
+    assert line["step"] == 6
+    assert 0 < line["loss"] < 1
 
 
 def test_the_latents_of_both_ranks_are_in_the_model(folder: Path) -> None:
