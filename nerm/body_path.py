@@ -20,7 +20,7 @@ def turned(
 ) -> Float[torch.Tensor, "*poses numbers"]:
     """`field` vectors turned about the vertical by radians (positive from Z+ towards X+), root position included."""
     cosine, sine = torch.cos(yaw)[..., None], torch.sin(yaw)[..., None]
-    x, y, z = vectors.unflatten(-1, (-1, 3)).unbind(-1)
+    x, y, z = vectors.reshape(*vectors.shape[:-1], vectors.shape[-1] // 3, 3).unbind(-1)
     return torch.stack((cosine * x + sine * z, y, cosine * z - sine * x), dim=-1).flatten(-2)
 
 

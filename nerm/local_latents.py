@@ -101,7 +101,7 @@ class LocalLatents:
 
     def split(self, latents: Float[torch.Tensor, "batch latent"]) -> list[Float[torch.Tensor, "batch _ _"]]:
         """z → [batch, knots, numbers] of each bank."""
-        stretches = latents.unflatten(1, (self.num_stretches, -1))
+        stretches = latents.reshape(len(latents), self.num_stretches, latents.shape[1] // self.num_stretches)
         parts = torch.split(stretches, [self._per_stretch(bank) for bank in self.banks], dim=-1)
         return [
             part.reshape(len(latents), bank.knots.num_knots, bank.numbers)
