@@ -30,10 +30,11 @@ def encode_by_optimisation(
 ) -> Float32[torch.Tensor, "batch latent"]:
     """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, all clips at once.
 
-    A clip's poses are in order of time. ½‖z‖²/d is the KL term of a posterior whose variance is fixed. On the CPU in
-    the end.
+    A clip's poses are in order of time. ½‖z‖²/d is the KL term of a posterior whose variance is fixed; a field
+    without distributions has none (Eq. 9). On the CPU in the end.
     """
     config, device = trained.config, trained.device
+    kl_weight = config.kl_weight if config.variational else 0.0
     target = trained.scaling.apply(batch.vectors.to(device))
     start = starting_latents(trained, batch).to(device)
     fps = batch.fps.to(device)
@@ -47,7 +48,7 @@ def encode_by_optimisation(
         search.zero_grad()
         latents = start + unit * moved
         misfit = (trained.network.decode(latents, encoded, fps) - target).square().mean(dim=(1, 2))
-        prior = 0.5 * config.kl_weight * latents.square().mean(dim=1)
+        prior = 0.5 * kl_weight * latents.square().mean(dim=1)
         # A sum, not a mean: clips are independent, and each should see the gradient it would see alone.
         loss = (misfit + prior).sum()
         torch.autograd.backward(loss)

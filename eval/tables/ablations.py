@@ -17,6 +17,7 @@ from eval.reported import SOURCES, Reported, reported_figures
 from eval.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
 from eval.tables.registry import Table, TableRequest
 from eval.tables.table2 import P1, P2, ROW_NOTES
+from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.training.config import parse_override
 from motionkit.training.run import RunFolder
@@ -50,7 +51,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     from motionkit.store.reader import Store
 
     if request.run is None:
-        raise UsageError(f"an ablation table needs a name: --run NAME, where motionkit ablate made NAME-{'VARIANT'}")
+        raise UsageError("an ablation table needs the name of its runs: --run NAME for runs/NAME-VARIANT")
     rows = [_Trained(entry, _runs(request.run, entry)) for entry in ablation.entries]
     if not any(row.runs for row in rows):
         raise UsageError(
@@ -59,9 +60,13 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         )
     yardstick = Yardstick(Store.open(request.store), request, request.fps or COLUMNS)
     missing: list[str] = []
-    blocks = [*_reconstruction_blocks(ablation, rows, yardstick, missing)]
+    blocks = _reconstruction_blocks(ablation, rows, yardstick, missing)
     if "denoiser" in ablation.stages:
         blocks.append(_synthesis_block(ablation, rows, yardstick, missing))
+        if not any(row.cells for row in blocks[-1].rows):
+            missing.append(
+                f"clip-FID: no denoiser is trained (motionkit ablate {ablation.table} --run {request.run.name})"
+            )
     paper = _paper_blocks(ablation)
     return Result(
         task=f"nerm-table{ablation.table}",
@@ -140,13 +145,18 @@ def _measure(
 ) -> dict[str, list[Part]]:
     """A figure of every run whose stage is trained, each run once; a run that can't be measured is told."""
     parts: dict[Path, Part] = {}
-    for run in dict.fromkeys(run for row in rows for run in row.runs if RunFolder(run).stage(stage).is_complete):
-        try:
-            parts[run] = figure(run)
-        except MotionkitError as error:
-            missing.append(f"{run.name}: {error}")
-        else:
-            missing.extend(parts[run].missing)
+    runs = list(dict.fromkeys(run for row in rows for run in row.runs if RunFolder(run).stage(stage).is_complete))
+    with progress() as display:
+        task = display.add_task(f"measuring {stage}", total=len(runs), note="")
+        for run in runs:
+            display.update(task, note=run.name)
+            try:
+                parts[run] = figure(run)
+            except MotionkitError as error:
+                missing.append(f"{run.name}: {error}")
+            else:
+                missing.extend(parts[run].missing)
+            display.advance(task)
     return {row.entry.label: [parts[run] for run in row.runs if run in parts] for row in rows}
 
 

@@ -187,13 +187,15 @@ def test_what_was_measured_is_kept_until_the_run_is_trained_again(project: Path)
     parts = list((project / "results-8" / "parts").iterdir())
     assert len(parts) == 1
     written = parts[0].stat().st_mtime_ns
-    assert table(project, "9", "kept", "results-8").blocks[0].rows[1].cells == first.blocks[0].rows[1].cells
+    kept_9 = table(project, "9", "kept", "results-8")
+    assert kept_9.blocks[0].rows[1].cells == first.blocks[0].rows[1].cells
     assert parts[0].stat().st_mtime_ns == written
     command(project, "8", "--run", "kept", "--only", "global", "--overwrite", settings=(*TINY, "field.num_poses=3"))
     again = table(project, "8", "kept", "results-8")
     assert again.blocks[0].rows[1].cells != first.blocks[0].rows[1].cells
     # One run, two rows of the paper.
     assert rows(again.blocks[0])["global: d = 256"].cells == rows(again.blocks[0])["global: λ_KL = 1e-4"].cells
+    assert any(line.startswith("clip-FID: no denoiser is trained") for line in kept_9.missing)
     assert rows(again.blocks[-1])["latent_dim = 512 (paper)"].cells["20 fps"].value == 0.0407
 
 
