@@ -38,14 +38,19 @@ def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
     return windows
 
 
+def chosen_windows(windows: Sequence[Window], seed: int, limit: int) -> list[Window]:
+    """All windows, or a random choice of `limit` where there are more, in their order."""
+    if len(windows) <= limit:
+        return list(windows)
+    picked = np.random.default_rng((seed, 7)).choice(len(windows), size=limit, replace=False)
+    return [windows[index] for index in np.sort(picked).tolist()]
+
+
 def generate_fields(
     model: GenerativeModel, windows: Sequence[Window], seed: int, limit: int
 ) -> dict[Window, MotionField]:
     """One motion field per window, or for a random choice of `limit` windows where there are more."""
-    chosen = list(windows)
-    if len(chosen) > limit:
-        picked = np.random.default_rng((seed, 7)).choice(len(chosen), size=limit, replace=False)
-        chosen = [chosen[index] for index in np.sort(picked).tolist()]
+    chosen = chosen_windows(windows, seed, limit)
     fields = model.generate([window.request for window in chosen], seed=seed)
     return dict(zip(chosen, fields, strict=True))
 

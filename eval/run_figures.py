@@ -7,13 +7,26 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from eval.baselines.low_pass import low_passed
+from eval.clip_fid import (
+    REAL,
+    ClipError,
+    check_lengths,
+    describe_clips,
+    draw_clips,
+    place_clips,
+    score_disjoint_halves,
+    score_rows,
+)
 from eval.clip_fid import VERSION as CLIP_FID_VERSION
-from eval.clip_fid import ClipError, check_lengths, score_disjoint_halves, score_rows
 from eval.evaluators.kinematic import BLOCKS, KinematicDescriptor
 from eval.evaluators.kinematic import VERSION as KINEMATIC_VERSION
 from eval.feature_sources import fit_on
-from eval.generated import generate_fields, sample_fields, windows_of
+from eval.generated import Window, chosen_windows, sample_fields, windows_of
+from eval.metrics.diversity import diversity
+from eval.metrics.interval import estimate
 from eval.parts import Part, kept
 from eval.real import NoRealMotionError, RealMotion, real_motion
 from eval.reconstruction_errors import mpjpe_cell, mre_cell, window_errors
@@ -24,13 +37,15 @@ from eval.tables.table2 import P1, P2, clip_fid_cell
 from eval.tables.table4 import VERSION as RECONSTRUCTION_VERSION
 from eval.tables.table4 import held_out_windows, training_windows
 from motionkit.errors import UsageError
-from motionkit.generation import load_model
+from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions, load_model
+from motionkit.motionfield import MotionField
 from motionkit.training.run import RunFolder
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
 
 TRAINING, HELD_OUT, SYNTHESIS = "training", "held out", "clip-FID"
+DIVERSITY, REAL_DIVERSITY = "diversity", "diversity of real motion"
 PARTS = {"slip": BLOCKS["slip"]}
 MPJPE, MRE = "root-aligned MPJPE (mm)", "MRE"
 ERRORS = {MPJPE: mpjpe_cell, MRE: mre_cell}
@@ -64,14 +79,20 @@ class Yardstick:
         """clip-FID of real motion with itself: independent draws (P1), and disjoint halves of the takes (P2)."""
         return kept(self.request.results, "floors", self._clip_terms(), self._floors)
 
-    def synthesis(self, run: Path) -> Part:
+    def synthesis(self, run: Path, sampling: SamplingOptions = SamplingOptions()) -> Part:
         """clip-FID of what a run generates for the captions and durations of the real sequences.
 
         Raises `RunError` where a stage of it is not trained.
         """
-        models = {stage: _sha256(run, stage) for stage in ("field", "denoiser")}
-        terms = {"models": models, "motions": self.request.max_motions, **self._clip_terms()}
-        return kept(self.request.results, "synthesis", terms, lambda: self._synthesis(run))
+        terms = {**self._generated_terms(run), "sampling": asdict(sampling)}
+        return kept(self.request.results, "synthesis", terms, lambda: self._synthesis(run, sampling))
+
+    def unconditional(self, run: Path) -> Part:
+        """clip-FID and diversity of what a run generates without any condition but the real sequences' durations.
+
+        Raises `RunError` where a stage of it is not trained.
+        """
+        return kept(self.request.results, "unconditional", self._generated_terms(run), lambda: self._unconditional(run))
 
     def reconstruction(self, run: Path) -> Part:
         """Errors of training windows decoded from μ and of held-out windows encoded by optimisation.
@@ -95,6 +116,10 @@ class Yardstick:
             "fps": [str(fps) for fps in self.rates],
             "seed": request.seed,
         }
+
+    def _generated_terms(self, run: Path) -> dict[str, Any]:
+        models = {stage: _sha256(run, stage) for stage in ("field", "denoiser")}
+        return {"models": models, "motions": self.request.max_motions, **self._clip_terms()}
 
     def _clip_terms(self) -> dict[str, Any]:
         versions = [CLIP_FID_VERSION, KINEMATIC_VERSION]
@@ -130,23 +155,61 @@ class Yardstick:
                 missing.append(f"{P2}, {label(fps)}: {error}")
         return Part(rows, tuple(missing))
 
-    def _synthesis(self, run: Path) -> Part:
+    def _windows(self, model: GenerativeModel) -> list[Window]:
+        """What is asked of a model: the real sequences' durations and conditions, a random choice of many."""
+        windows = windows_of(self.real.at(min(self._columns.found)), model.max_duration_seconds)
+        return chosen_windows(windows, self.request.seed, self.request.max_motions)
+
+    def _synthesis(self, run: Path, sampling: SamplingOptions) -> Part:
         model, columns = load_model("nerm", run), self._columns
         if not columns.found:
             return Part({SYNTHESIS: {}}, columns.missing)
-        windows = windows_of(self.real.at(min(columns.found)), model.max_duration_seconds)
-        fields = generate_fields(model, windows, self.request.seed, self.request.max_motions)
+        windows = self._windows(model)
+        requests = [window.request for window in windows]
+        fields = dict(zip(windows, model.generate(requests, seed=self.request.seed, sampling=sampling), strict=True))
         cells, missing = {}, list(columns.missing)
-        for fps, (real, descriptor) in columns.found.items():
-            samples = sample_fields(fields, real.sequence_ids, fps, run.name)
-            if samples is None:
+        for fps in columns.found:
+            score = self._score(run, fields, fps)
+            if score is None:
                 missing.append(f"{run.name}, {label(fps)}: no generated motion is for a sequence this fast")
-                continue
-            rows = {run.name: self._smoothed(samples)}
-            cells[label(fps)] = clip_fid_cell(
-                score_rows(real, rows, descriptor, self.request.protocol, PARTS)[run.name]
-            )
+            else:
+                cells[label(fps)] = score
         return Part({SYNTHESIS: cells}, tuple(missing))
+
+    def _unconditional(self, run: Path) -> Part:
+        model, columns = load_model("nerm", run), self._columns
+        if not columns.found:
+            return Part({}, columns.missing)
+        windows = self._windows(model)
+        requests = [GenerationRequest(window.request.duration_seconds) for window in windows]
+        fields = dict(zip(windows, model.generate(requests, seed=self.request.seed), strict=True))
+        rows: dict[str, dict[str, Cell]] = {SYNTHESIS: {}, DIVERSITY: {}, REAL_DIVERSITY: {}}
+        for fps, (real, _) in columns.found.items():
+            score, samples = self._score(run, fields, fps), sample_fields(fields, real.sequence_ids, fps, run.name)
+            if score is not None and samples is not None:
+                rows[SYNTHESIS][label(fps)] = score
+                rows[DIVERSITY][label(fps)] = self._diversity(self._smoothed(samples), fps)
+            rows[REAL_DIVERSITY][label(fps)] = self._diversity(real, fps)
+        return Part(rows, columns.missing)
+
+    def _score(self, run: Path, fields: Mapping[Window, MotionField], fps: Fraction) -> Cell | None:
+        real, descriptor = self._columns.found[fps]
+        samples = sample_fields(fields, real.sequence_ids, fps, run.name)
+        if samples is None:
+            return None
+        rows = {run.name: self._smoothed(samples)}
+        return clip_fid_cell(score_rows(real, rows, descriptor, self.request.protocol, PARTS)[run.name])
+
+    def _diversity(self, samples: SampleSet, fps: Fraction) -> Cell:
+        """Diversity of random clips in the descriptor's space, over the protocol's replications."""
+        protocol, descriptor = self.request.protocol, self._columns.found[fps][1]
+        values = []
+        for replication in range(protocol.replications):
+            places = place_clips(draw_clips(protocol, fps, replication, REAL), samples)
+            rng = np.random.default_rng((protocol.seed, replication, 5))
+            values.append(diversity(describe_clips(samples, places, descriptor), rng))
+        found = estimate(values)
+        return Cell(found.mean, found.ci95)
 
     def _reconstruction(self, run: Path) -> Part:
         from nerm.field_model import load_field

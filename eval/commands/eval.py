@@ -1,4 +1,4 @@
-"""`motionkit eval`: build a table, or calibrate the feature sets."""
+"""`motionkit eval`: build a table or a figure, or calibrate the feature sets."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,6 +20,7 @@ DEFAULT_RUN = "nano"
 
 def evaluate(
     table: Annotated[str | None, typer.Option(help="Table to build, by its number in the paper.")] = None,
+    figure: Annotated[str | None, typer.Option(help="Figure to build as a table, by its number: 5, 8.")] = None,
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="Check that clip-FID rises with damage, and only with damage.")
     ] = False,
@@ -55,12 +56,13 @@ def evaluate(
     seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Build one of the papers' tables, or calibrate the features that clip-FID is computed on."""
+    """Build one of the papers' tables or figures, or calibrate the features that clip-FID is computed on."""
     from eval.clip_fid import Protocol
     from eval.tables.registry import TableRequest, installed_tables
 
-    if (table is None) == (not calibrate):
-        raise UsageError(f"give --table NUMBER or --calibrate; installed tables: {', '.join(installed_tables())}")
+    if sum((table is not None, figure is not None, calibrate)) != 1:
+        known = ", ".join(installed_tables())
+        raise UsageError(f"give --table NUMBER, --figure NUMBER or --calibrate; installed tables: {known}")
     request = TableRequest(
         store=store or default_path("store"),
         results=results or default_path("results"),
@@ -75,7 +77,7 @@ def evaluate(
         max_motions=motions,
         seed=seed,
     )
-    _build(request, table, paper, as_json)
+    _build(request, table if figure is None else f"figure{figure}", paper, as_json)
 
 
 def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool) -> None:

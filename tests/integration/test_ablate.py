@@ -8,10 +8,14 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from eval import feature_sources
 from eval.clip_fid import PoseRange, Protocol
 from eval.report.render import to_markdown
 from eval.report.results import Block, Result, Row
+from eval.tables import figure8
 from eval.tables.ablations import HIGHEST, LOWEST, TABLES
+from eval.tables.figure5 import build_figure5
+from eval.tables.figure8 import build_figure8
 from eval.tables.registry import TableRequest
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.motion import Motion
@@ -57,6 +61,13 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
             split = "test" if index >= 4 else "train"
             writer.add(Motion(positions, SMPL22, grid, split=split, sequence_id=f"walk-{index}"))
     return folder
+
+
+@pytest.fixture(autouse=True)
+def smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feature_sources, "FIT_CLIPS", 256)
+    monkeypatch.setattr(figure8, "STEPS", (3,))
+    monkeypatch.setattr(figure8, "REPEATS", 1)
 
 
 def command(project: Path, *arguments: str, settings: tuple[str, ...] = TINY) -> str:
@@ -143,11 +154,14 @@ def test_faults_are_told_before_anything_is_trained(arguments: tuple[str, ...], 
     assert not list(tmp_path.iterdir())
 
 
-def table(project: Path, number: str, run: str, results: str) -> Result:
+def request(project: Path, run: str, results: str, *rates: int) -> TableRequest:
     protocol = Protocol(sizes=PoseRange(16, 16), num_clips=80, replications=2, detailed_replications=0)
-    rates = (Fraction(20), Fraction(60))
-    places = {"store": project / "store", "results": project / results, "run": project / "runs" / run}
-    return TABLES[number].build(TableRequest(**places, fps=rates, protocol=protocol))
+    fps = tuple(Fraction(rate) for rate in rates)
+    return TableRequest(project / "store", project / results, project / "runs" / run, fps=fps, protocol=protocol)
+
+
+def table(project: Path, number: str, run: str, results: str) -> Result:
+    return TABLES[number].build(request(project, run, results, 20, 60))
 
 
 def rows(block: Block) -> dict[str, Row]:
@@ -179,6 +193,16 @@ def test_a_table_shows_what_is_trained_and_says_how_to_train_the_rest(project: P
     assert rows(printed[1])["transformer decoder (paper)"].cells["20 fps"].value == 0.381
     assert "| global: transformer | – | – |" in to_markdown(result)
     assert result.notes == ()
+    drawn = build_figure5(request(project, "table-global", "results-7", 60))
+    scores, spread = (rows(block) for block in drawn.blocks)
+    assert scores["real, independent draws (P1)"].cells == rows(synthesis)["real, independent draws (P1)"].cells
+    assert scores["NeRM, unconditional"].cells["60 fps"].value > 1.0
+    assert spread["real"].cells["60 fps"].value > 0.0
+    (cost,) = build_figure8(request(project, "table-global", "results-7", 60)).blocks
+    assert [row.name for row in cost.rows if row.origin == "ours"] == ["NeRM, 3 diffusion steps"]
+    assert all(set(row.cells) == set(cost.columns) for row in cost.rows if row.origin == "ours")
+    with pytest.raises(UsageError, match="one framerate"):
+        build_figure8(request(project, "table-global", "results-7", 20, 60))
 
 
 def test_what_was_measured_is_kept_until_the_run_is_trained_again(project: Path) -> None:

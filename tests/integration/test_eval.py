@@ -131,7 +131,8 @@ def test_calibration(store: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (("eval",), 2, "give --table NUMBER or --calibrate; installed tables: nerm-2"),
+        (("eval",), 2, "give --table NUMBER, --figure NUMBER or --calibrate; installed tables: nerm-2"),
+        (("eval", "--table", "2", "--figure", "5"), 2, "give --table NUMBER, --figure NUMBER or --calibrate"),
         (("eval", "--table", "77"), 2, "there is no table 77 of 'nerm'"),
         (("eval", "--table", "2", "--fps", "20,x"), 2, "--fps 20,x"),
         (("eval", "--table", "2", "--sizes", "64:16"), 2, "--sizes 64:16"),
