@@ -35,6 +35,17 @@ def distinct(
     return unique, inverse
 
 
+def rounded_up(values: Float64[torch.Tensor, "distinct"]) -> Float64[torch.Tensor, "padded"]:
+    """The values, the last one repeated until there are m · 2ⁿ of them with m ≤ 16: at most an eighth more.
+
+    How many distinct coordinates a batch has differs from step to step, the more the higher the framerates, and
+    libraries keep what they prepare for each shape of a matrix: few shapes make a step's memory the same at all rates.
+    """
+    count = len(values)
+    step = 1 << max(0, (count - 1).bit_length() - 4)
+    return torch.cat((values, values[-1:].expand(-count % step)))
+
+
 class FourierFeatures(nn.Module):
     """γ(t) = [cos 2πb₁t, sin 2πb₁t, …] with b_r from an isotropic Gaussian (Tancik et al. 2020).
 

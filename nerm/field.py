@@ -12,7 +12,7 @@ from torch import nn
 
 from nerm.attention import CodebookCoordinateAttention
 from nerm.body_path import placed
-from nerm.coordinates import FourierFeatures, distinct, frame_numbers, framerate_number
+from nerm.coordinates import FourierFeatures, distinct, frame_numbers, framerate_number, rounded_up
 from nerm.local_latents import KnotWeights, Reading, local_latents
 from nerm.recipes import Activation, FieldConfig
 
@@ -136,6 +136,7 @@ class FieldNetwork(nn.Module):
         if self.config.coordinates == "frames":
             read = frame_numbers(coordinates, fps, self.config.max_duration_seconds)
         values, which = distinct(read)
+        values = rounded_up(values)
         weights = None if self.local is None else self.local.weights(values)
         return EncodedCoordinates(self._features(values), weights, which)
 
@@ -147,6 +148,7 @@ class FieldNetwork(nn.Module):
             read, which = values, torch.arange(len(values), device=values.device)
         else:
             read, which = distinct(torch.remainder(values + 1.0, self.local.phase_period))
+            read = rounded_up(read)
         features: torch.Tensor = self.fourier(read)
         if self.attention is not None:
             features = self.attention(features)

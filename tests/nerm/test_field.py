@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from nerm.attention import CodebookCoordinateAttention
-from nerm.coordinates import FourierFeatures, distinct, frame_numbers, framerate_number
+from nerm.coordinates import FourierFeatures, distinct, frame_numbers, framerate_number, rounded_up
 from nerm.field import FieldNetwork
 from nerm.recipes import RECIPES, FieldConfig
 
@@ -167,3 +167,12 @@ def test_a_local_latent_means_the_same_at_every_knot() -> None:
     here = network(latents.flatten(1), t, fps)
     later = network(torch.roll(latents, 2, dims=1).flatten(1), t + 2 * spacing, fps)
     torch.testing.assert_close(here, later, atol=1e-5, rtol=1e-4)
+
+
+def test_few_shapes_of_coordinates_and_the_same_answers() -> None:
+    counts = [len(rounded_up(torch.arange(count, dtype=torch.float64))) for count in range(1, 3000)]
+    assert all(count <= rounded <= 1.125 * count + 1 for count, rounded in enumerate(counts, start=1))
+    assert len(set(counts)) < 80
+    values = torch.tensor([0.1, 0.2, 0.5] * 11, dtype=torch.float64)
+    torch.testing.assert_close(rounded_up(values)[:33], values)
+    assert rounded_up(values)[33:].tolist() == [0.5] * 3
