@@ -1,5 +1,6 @@
 """Rotations, forward and inverse kinematics, vectorised over frames. Quaternions are (w, x, y, z)."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Literal
 
@@ -271,12 +272,33 @@ def global_rotations(
 def inverse_kinematics(
     joint_positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton
 ) -> Float[np.ndarray, "frames joints 4"]:
-    """Local rotations that point the skeleton's rest bones along the observed ones.
+    """Local rotations that point the skeleton's rest bones along the observed ones, each frame by itself.
 
     A joint with one child takes the shortest rotation (its twist is not observable); a joint with several takes the
     least-squares rotation of all its bones; a leaf keeps its parent's. Forward kinematics with the observed bone
     lengths restores the positions of every joint whose parent has one child. Source: Kabsch 1976 for the least squares.
     """
+    return _pointed(joint_positions, skeleton, quaternion_between)
+
+
+def inverse_kinematics_in_time(
+    joint_positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton
+) -> Float[np.ndarray, "frames joints 4"]:
+    """`inverse_kinematics` for what is done along time: from frame to frame no bone turns about itself.
+
+    The shortest rotation from rest has a pole: near the opposite of the rest direction (an arm overhead) its twist
+    spins, and a curve through such rotations swings what hangs on the bone by decimetres. Here a joint with one child
+    goes from frame to frame by the shortest rotation of its bone. Over a long motion that twist drifts from the
+    anatomical one, so this is no pose to show or to export.
+    """
+    return _pointed(joint_positions, skeleton, _carried_along)
+
+
+def _pointed(
+    joint_positions: Float[np.ndarray, "frames joints 3"],
+    skeleton: Skeleton,
+    point: Callable[[Float[np.ndarray, "3"], Float[np.ndarray, "frames 3"]], Float[np.ndarray, "frames 4"]],
+) -> Float[np.ndarray, "frames joints 4"]:
     positions = joint_positions.astype(np.float64)
     num_frames, num_joints = positions.shape[:2]
     world = np.zeros((num_frames, num_joints, 4))
@@ -292,11 +314,23 @@ def inverse_kinematics(
             continue
         bones = quaternion_rotate(quaternion_conjugate(above)[:, None], positions[:, children] - positions[:, [joint]])
         if len(children) == 1:
-            local[:, joint] = quaternion_between(rest[children[0]], bones[:, 0])
+            local[:, joint] = point(rest[children[0]], bones[:, 0])
         else:
             local[:, joint] = _fit_rotation(rest[children], bones)
         world[:, joint] = quaternion_multiply(above, local[:, joint])
     return local.astype(np.float32)
+
+
+def _carried_along(
+    rest: Float[np.ndarray, "3"], observed: Float[np.ndarray, "frames 3"]
+) -> Float[np.ndarray, "frames 4"]:
+    q = np.concatenate((quaternion_between(rest, observed[:1]), quaternion_between(observed[:-1], observed[1:])))
+    reach = 1
+    while reach < len(q):  # products of all steps so far, in log₂ frames passes
+        q[reach:] = quaternion_multiply(q[reach:], q[:-reach])
+        reach *= 2
+    # Once more from where the bone now points: products drift, and a bone without length has no direction to hand on.
+    return quaternion_multiply(quaternion_between(quaternion_rotate(q, rest), observed), q)
 
 
 def _fit_rotation(

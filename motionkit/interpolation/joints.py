@@ -24,10 +24,10 @@ class Joints:
 
     @classmethod
     def of(cls, poses: Poses, skeleton: Skeleton) -> "Joints":
-        """Take poses apart; poses without rotations get those of `kinematics.inverse_kinematics`."""
+        """Take poses apart; poses without rotations, in order of time, get those of inverse kinematics."""
         local = poses.local_rotations
         if local is None:
-            local = kinematics.inverse_kinematics(poses.joint_positions, skeleton)
+            local = kinematics.inverse_kinematics_in_time(poses.joint_positions, skeleton)
         rotations = local.astype(np.float64)
         positions = poses.joint_positions.astype(np.float64)
         parents = list(skeleton.parents[1:])

@@ -66,6 +66,40 @@ def test_inverse_then_forward_kinematics_restores_chains(skeleton: Skeleton) -> 
     assert np.allclose(kinematics.forward_kinematics(recovered, root, skeleton), positions, atol=2e-5)
 
 
+def test_along_time_no_bone_turns_about_itself() -> None:
+    rng = np.random.default_rng(6)
+    steps = Rotation.from_rotvec(rng.normal(scale=0.4, size=(40, 22, 3)).cumsum(axis=0).reshape(-1, 3))
+    rotations = steps.as_quat(scalar_first=True).reshape(40, 22, 4).astype(np.float32)
+    root = np.zeros((40, 3), np.float32)
+    positions = kinematics.forward_kinematics(rotations, root, SMPL22)
+    local = kinematics.inverse_kinematics_in_time(positions, SMPL22)
+    assert np.allclose(kinematics.forward_kinematics(local, root, SMPL22), positions, atol=2e-5)
+    chosen = [joint for joint in range(22) if len(SMPL22.children(joint)) == 1]
+    assert len(chosen) > 10
+
+    def twist(local: np.ndarray) -> float:
+        """How much farther joints turn from frame to frame than their bones' directions do, radians."""
+        found = local.astype(np.float64)[:, chosen]
+        rest = np.stack([SMPL22.offsets[SMPL22.children(joint)[0]] for joint in chosen]).astype(np.float64)
+        bones = kinematics.quaternion_rotate(found, rest / np.linalg.norm(rest, axis=-1, keepdims=True))
+        swing = np.arccos(np.clip(np.sum(bones[1:] * bones[:-1], axis=-1), -1, 1))
+        turns = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(found[:-1]), found[1:])
+        return float((np.linalg.norm(kinematics.quaternion_to_rotation_vector(turns), axis=-1) - swing).max())
+
+    assert twist(local) < 1e-3 < 1.0 < twist(kinematics.inverse_kinematics(positions, SMPL22))
+
+
+def test_along_time_a_bone_that_vanishes_for_a_frame_points_again_afterwards() -> None:
+    walk = np.random.default_rng(7).normal(size=(5, 22, 3)).astype(np.float32)
+    walk[2, 20] = walk[2, 18]
+    local = kinematics.inverse_kinematics_in_time(walk, SMPL22).astype(np.float64)
+    world = kinematics.global_rotations(local, SMPL22)[:, 18]
+    pointed = kinematics.quaternion_rotate(world, SMPL22.offsets[20].astype(np.float64))
+    bone = (walk[:, 20] - walk[:, 18]).astype(np.float64)
+    cosine = np.sum(pointed * bone, axis=-1)[[0, 1, 3, 4]] / np.linalg.norm(bone[[0, 1, 3, 4]], axis=-1)
+    assert np.allclose(cosine, np.linalg.norm(SMPL22.offsets[20]), atol=1e-5)
+
+
 def test_bone_lengths_are_kept() -> None:
     rng = np.random.default_rng(4)
     rotations = random_quaternions(rng, 5, SMPL22.num_joints).astype(np.float32)
