@@ -13,7 +13,7 @@ from motionkit.kinematics import (
     quaternion_to_rotation_vector,
     rotation_vector_to_quaternion,
 )
-from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, told_fps
+from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, check_skeleton, told_fps
 from motionkit.skeleton import Skeleton
 
 
@@ -82,7 +82,8 @@ class AnchoredField:
 
 
 def anchored(field: MotionField, observation: Observation) -> AnchoredField:
-    """A field led through observed frames inside its domain; raises `ValueError` for those outside."""
+    """A field led through observed frames; raises `ValueError` for those outside its domain and for other joints."""
+    check_skeleton(field, observation)
     made, given = field.query(observation.times_seconds), observation.poses
     if made.local_rotations is None or given.local_rotations is None:
         moves = given.joint_positions.astype(np.float64) - made.joint_positions

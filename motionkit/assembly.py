@@ -107,8 +107,11 @@ class AssembledField:
             poses = self.pieces[number].query(times_seconds[asked])
             if result is None:
                 result = poses.room_for(len(times_seconds))
-            elif (poses.local_rotations is None) != (result.local_rotations is None):
-                raise ValueError(f"piece {number} and those before it must all have rotations, or none of them")
+            elif not poses.is_like(result):
+                raise ValueError(
+                    f"piece {number} gives {poses!r}, those before it {result!r}: all pieces or none "
+                    "have rotations, all or none a root translation"
+                )
             joins = joining[asked]
             if joins.any():
                 rows = asked[joins]
@@ -130,16 +133,15 @@ def assemble(pieces: Sequence[Piece], fade_seconds: float | None = None) -> Asse
     """
     if not pieces:
         raise ValueError("there is nothing to assemble: give one piece at least")
-    if fade_seconds is not None and fade_seconds <= 0:
+    if fade_seconds is not None and not fade_seconds > 0:
         raise ValueError(f"a fade must take some time, not {fade_seconds:g} s")
     starts = np.array([piece.start_seconds for piece in pieces])
     ends = np.array([piece.end_seconds for piece in pieces])
     for number, (before, after) in enumerate(pairwise(pieces)):
         names = f"pieces {number} ([{before.start_seconds:.3f}, {before.end_seconds:.3f}] s) and {number + 1} "
         names += f"([{after.start_seconds:.3f}, {after.end_seconds:.3f}] s)"
-        if before.field.skeleton != after.field.skeleton:
-            raise ValueError(f"{names} have different skeletons")
-        if after.start_seconds <= before.start_seconds or after.end_seconds <= before.end_seconds:
+        _check_skeletons(before.field, after.field, names)
+        if not (after.start_seconds > before.start_seconds and after.end_seconds > before.end_seconds):
             raise ValueError(f"{names} are out of order: each must start and end after the one before it")
         if before.end_seconds - after.start_seconds < SHORTEST_OVERLAP_SECONDS:
             raise ValueError(f"{names} must overlap by {SHORTEST_OVERLAP_SECONDS:g} s or more, for the cross-fade")
@@ -157,15 +159,25 @@ def chain(fields: Sequence[MotionField], overlap_seconds: float) -> AssembledFie
     """Separate motions one after the other: each is turned and moved so that it goes on where the last one ends.
 
     The turn about +Y and the step on the floor are those that best lay its first `overlap_seconds` over the last ones
-    of the motion before it (least squares over all joints); heights are kept. Raises what `assemble` raises.
+    of the motion before it (least squares over all joints); heights are kept. Raises `ValueError` unless every motion
+    lasts longer than the overlap, and what `assemble` raises.
     """
+    for number, field in enumerate(fields):
+        lasts = field.end_seconds - field.start_seconds
+        if len(fields) > 1 and not SHORTEST_OVERLAP_SECONDS <= overlap_seconds < lasts:
+            raise ValueError(
+                f"an overlap lies between {SHORTEST_OVERLAP_SECONDS:g} s and the length of every motion, not "
+                f"{overlap_seconds:g} s where motion {number} lasts {lasts:g} s"
+            )
+        if number:
+            _check_skeletons(fields[number - 1], field, f"motions {number - 1} and {number}")
     pieces: list[Piece] = []
     for field in fields:
         if not pieces:
             pieces.append(Piece(field, 0.0))
             continue
         last, start = pieces[-1], pieces[-1].end_seconds - overlap_seconds
-        since = np.linspace(0.0, min(overlap_seconds, field.end_seconds - field.start_seconds), _TIMES_TO_FIT)
+        since = np.linspace(0.0, overlap_seconds, _TIMES_TO_FIT)
         yaw, origin = _laid_over(
             field.query(field.start_seconds + since).joint_positions,
             last.query(np.clip(start + since, last.start_seconds, last.end_seconds)).joint_positions,
@@ -187,6 +199,11 @@ def even_starts(span_seconds: float, longest_seconds: float, overlap_seconds: fl
         return np.zeros(1)
     count = int(np.ceil((span_seconds - overlap_seconds) / (longest_seconds - overlap_seconds) - 1e-9))
     return np.linspace(0.0, span_seconds - longest_seconds, max(2, count))
+
+
+def _check_skeletons(before: MotionField, after: MotionField, names: str) -> None:
+    if before.skeleton != after.skeleton:
+        raise ValueError(f"{names} have different skeletons: {before.skeleton!r} and {after.skeleton!r}")
 
 
 def _laid_over(

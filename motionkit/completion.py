@@ -7,7 +7,15 @@ from jaxtyping import Bool, Float64, Int
 
 from motionkit.interpolation.fields import INTERPOLATORS
 from motionkit.motion import Motion
-from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, to_motion, told_fps
+from motionkit.motionfield import (
+    MotionEncoder,
+    MotionField,
+    Observation,
+    Poses,
+    check_skeleton,
+    to_motion,
+    told_fps,
+)
 from motionkit.timegrid import TimeGrid, num_frames_within
 
 SLERP: MotionEncoder = INTERPOLATORS["slerp"]
@@ -49,7 +57,7 @@ def extrapolate(
 
 def reconstruct(motion: Motion, encoder: MotionEncoder, fps: Fraction | None = None) -> Motion:
     """What an encoder makes of a whole motion, sampled at the motion's framerate or another; nothing is put back."""
-    made = to_motion(encoder.encode(Observation.of(motion)), fps or motion.fps)
+    made = to_motion(encoder.encode(Observation.of(motion)), motion.fps if fps is None else fps)
     return made.annotated_like(motion).logged(f"reconstruct ({encoder.name})")
 
 
@@ -69,8 +77,8 @@ def complete(
     remedy. The grid is that of the motion's first frame. Raises `ValueError` for negative seconds or where no frame is
     observed.
     """
-    fps = fps or motion.fps
-    if before_seconds < 0 or after_seconds < 0:
+    fps = motion.fps if fps is None else fps
+    if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
         raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
     observation = Observation.of(motion, observed)
     grid = _grid(motion, fps, before_seconds, after_seconds)
@@ -88,7 +96,11 @@ def complete(
 
 
 def observed_errors(field: MotionField, observation: Observation) -> Float64[np.ndarray, "frames joints"]:
-    """How far a field's joints lie from the observed ones at the observed times, metres."""
+    """How far a field's joints lie from the observed ones at the observed times, metres.
+
+    Raises `ValueError` for observed times outside the field's domain and for another skeleton.
+    """
+    check_skeleton(field, observation)
     made = field.query(observation.times_seconds).joint_positions.astype(np.float64)
     return np.asarray(np.linalg.norm(made - observation.poses.joint_positions, axis=-1))
 

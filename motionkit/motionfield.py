@@ -20,11 +20,21 @@ from motionkit.timegrid import TimeGrid, num_frames_within
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Poses at some instants: positions in metres, and rotations (w, x, y, z) where the field has true ones."""
+    """Poses at some instants: positions in metres, and rotations (w, x, y, z) where the field has true ones.
+
+    Raises `ValueError` for shapes that disagree.
+    """
 
     joint_positions: Float32[np.ndarray, "times joints 3"]
     local_rotations: Float32[np.ndarray, "times joints 4"] | None = None
     root_translation: Float32[np.ndarray, "times 3"] | None = None
+
+    def __post_init__(self) -> None:
+        times, joints = self.joint_positions.shape[:2]
+        if self.local_rotations is not None and self.local_rotations.shape != (times, joints, 4):
+            raise ValueError(f"local_rotations are {self.local_rotations.shape}, expected {(times, joints, 4)}")
+        if self.root_translation is not None and self.root_translation.shape != (times, 3):
+            raise ValueError(f"root_translation is {self.root_translation.shape}, expected {(times, 3)}")
 
     @classmethod
     def of(cls, motion: Motion) -> "Poses":
@@ -39,6 +49,12 @@ class Poses:
             None if rotations is None else rotations[rows],
             None if translation is None else translation[rows],
         )
+
+    def is_like(self, other: "Poses") -> bool:
+        """Whether both have rotations, or neither has; and so for the root's translation."""
+        return (self.local_rotations is None) == (other.local_rotations is None) and (
+            self.root_translation is None
+        ) == (other.root_translation is None)
 
     def room_for(self, count: int) -> "Poses":
         """Poses of the same kind, `count` of them, to be `put` in."""
@@ -67,12 +83,18 @@ class Poses:
             provenance=provenance or Provenance(),
         )
 
+    def __repr__(self) -> str:
+        times, joints = self.joint_positions.shape[:2]
+        has = [name for name in ("local_rotations", "root_translation") if getattr(self, name) is not None]
+        return f"Poses({times} of {joints} joints, {', '.join(has) or 'positions only'})"
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:
     """What is known of a motion: poses at strictly increasing times (float64 seconds), evenly spaced or not.
 
-    Raises `ValueError` for no pose, for shapes that disagree, and for times that are not finite or do not increase.
+    Raises `ValueError` for no pose, for shapes that disagree, for times that do not increase, and for what is not a
+    finite number.
     """
 
     times_seconds: Float64[np.ndarray, "frames"]
@@ -97,10 +119,26 @@ class Observation:
                 f"times must increase, but {after:.6f} s (row {row + 1}) follows {before:.6f} s: sort them and keep "
                 "one pose of each instant"
             )
+        for name in ("joint_positions", "local_rotations", "root_translation"):
+            numbers = getattr(self.poses, name)
+            if numbers is not None and not np.isfinite(numbers).all():
+                row = int(np.argmin(np.isfinite(numbers).reshape(len(self), -1).all(axis=1)))
+                raise ValueError(
+                    f"{name} of pose {row} ({self.times_seconds[row]:.4f} s) hold a number that is not finite: leave "
+                    "poses out that were not seen, a field closes the gap"
+                )
 
     @classmethod
     def of(cls, motion: Motion, observed: Bool[np.ndarray, "frames"] | None = None) -> "Observation":
-        """A motion's frames, or those of them that are `observed`."""
+        """A motion's frames, or those of them that are `observed`.
+
+        Raises `ValueError` for a mask that is not one bool for each frame, and what the constructor raises.
+        """
+        if observed is not None and (observed.dtype != np.bool_ or observed.shape != (motion.num_frames,)):
+            raise ValueError(
+                f"observed is a mask of {motion.num_frames} bools, one for each frame, not {observed.dtype} "
+                f"{observed.shape}"
+            )
         rows = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
         return cls(motion.timegrid.seconds()[rows], Poses.of(motion).rows(rows), motion.skeleton)
 
@@ -127,6 +165,9 @@ class Observation:
 
     def __len__(self) -> int:
         return len(self.times_seconds)
+
+    def __repr__(self) -> str:
+        return f"Observation([{self.start_seconds:.4f}, {self.end_seconds:.4f}] s, {self.poses!r}, {self.skeleton!r})"
 
 
 @runtime_checkable
@@ -192,6 +233,15 @@ def check_times(field: MotionField, times_seconds: Float64[np.ndarray, "times"])
         )
 
 
+def check_skeleton(field: MotionField, observation: Observation) -> None:
+    """Raise `ValueError` where a field and an observation do not have the same joints."""
+    if field.skeleton.joint_names != observation.skeleton.joint_names:
+        raise ValueError(
+            f"the field is of skeleton {field.skeleton.name!r} ({field.skeleton.num_joints} joints), the observation "
+            f"of {observation.skeleton.name!r} ({observation.skeleton.num_joints}): their joints must be the same"
+        )
+
+
 def told_fps(field: MotionField, fps: Fraction) -> MotionField:
     """The field itself, or where it depends on the framerate that it is sampled at, the one for `fps`."""
     return field.at_fps(fps) if isinstance(field, FramerateConditioned) else field
@@ -230,8 +280,10 @@ def joint_velocities(
     """Velocities of all joints in m/s: the slope at each time of the parabola through three poses one step apart.
 
     The three lie around the time, or inside the domain where it is near an end. Poses are float32, so a step of 1 ms
-    resolves about 0.1 mm/s.
+    resolves about 0.1 mm/s. Raises `ValueError` for times outside the domain and for a step of no length.
     """
+    if step_seconds <= 0:
+        raise ValueError(f"velocities need a step of some length, not {step_seconds:g} s")
     check_times(field, times_seconds)
     step = min(step_seconds, (field.end_seconds - field.start_seconds) / 2)
     if step <= 0:

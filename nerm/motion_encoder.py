@@ -46,11 +46,11 @@ class NermEncoder:
         Raises `ValueError` for another skeleton than the 22-joint layout, and where a window holds no observed pose
         (a gap, or a reach beyond the ends, about as long as l_max).
         """
-        if observation.skeleton.num_joints != SMPL22.num_joints:
+        # By name, not by number: LaFAN1's skeleton has 22 joints too, others in another order.
+        if observation.skeleton.joint_names != SMPL22.joint_names:
             raise ValueError(
-                f"NeRM knows the {SMPL22.num_joints} joints of {SMPL22.name!r}, not the "
-                f"{observation.skeleton.num_joints} of {observation.skeleton.name!r}: map the motion first "
-                "(motionkit.skeleton_map.map_joints)"
+                f"NeRM knows the {SMPL22.num_joints} joints of {SMPL22.name!r}, not those of "
+                f"{observation.skeleton!r}: map the motion first (motionkit.skeleton_map.map_joints)"
             )
         start = observation.start_seconds - before_seconds
         span = observation.end_seconds + after_seconds - start

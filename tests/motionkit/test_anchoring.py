@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from turning_body import random_motion
 
-from motionkit.anchoring import Anchored
+from motionkit.anchoring import Anchored, anchored
 from motionkit.completion import complete, observed_errors
 from motionkit.interpolation.fields import INTERPOLATORS, InterpolatedField, Method
 from motionkit.motionfield import MotionEncoder, Observation
+from motionkit.skeleton import KIT21
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,12 @@ def test_given_frames_join_without_a_jump_at_higher_framerates() -> None:
     assert np.array_equal(led[::8], motion.joint_positions)
     largest = [np.abs(np.diff(positions, 2, axis=0)).max() for positions in (loose, led)]
     assert largest[1] < 0.2 * largest[0]
+
+
+def test_a_field_is_led_through_frames_of_its_own_joints_only() -> None:
+    field = INTERPOLATORS["slerp"].encode(Observation.of(random_motion(2)))
+    with pytest.raises(ValueError, match=r"'smpl22' \(22 joints\), the observation of 'kit21' \(21\)"):
+        anchored(field, Observation.of(random_motion(2, skeleton=KIT21)))
 
 
 def test_one_observed_frame_moves_the_whole_field() -> None:

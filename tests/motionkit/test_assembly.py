@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from turning_body import random_motion
 
 from motionkit.assembly import AssembledField, Piece, assemble, chain, even_starts
-from motionkit.interpolation.fields import InterpolatedField, Method, interpolate
+from motionkit.interpolation.fields import INTERPOLATORS, InterpolatedField, Method, interpolate
 from motionkit.kinematics import forward_kinematics
-from motionkit.motionfield import MotionField, Poses, joint_velocities, motion_chunks, to_motion
-from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.motionfield import MotionField, Observation, Poses, joint_velocities, motion_chunks, to_motion
+from motionkit.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.synthetic import draw_body, perform
 
 
@@ -175,8 +175,25 @@ def test_what_cannot_be_assembled_is_named() -> None:
         assemble([Piece(first, 0.0), Piece(other, 1.0)])
     with pytest.raises(ValueError, match="take some time"):
         assemble([Piece(first, 0.0), Piece(second, 1.0)], 0.0)
-    with pytest.raises(ValueError, match="all have rotations"):
-        mixed = assemble([Piece(first, 0.0), Piece(wandering(1, "cubic"), 1.0)])
-        to_motion(mixed, Fraction(30))
+    motion = random_motion(1, num_frames=40, fps=Fraction(20))
+    for poses in (Poses(motion.joint_positions), Poses(motion.joint_positions, motion.local_rotations)):
+        other = INTERPOLATORS["slerp"].encode(Observation(motion.timegrid.seconds(), poses, SMPL22))
+        with pytest.raises(ValueError, match="all pieces or none have rotations, all or none a root translation"):
+            to_motion(assemble([Piece(first, 0.0), Piece(other, 1.0)]), Fraction(30))
+    with pytest.raises(ValueError, match="take some time, not nan"):
+        assemble([Piece(first, 0.0), Piece(second, 1.0)], np.nan)
+    with pytest.raises(ValueError, match="out of order"):
+        assemble([Piece(first, 0.0), Piece(second, np.nan)])
     with pytest.raises(ValueError, match="lie outside the motion"):
         assemble([Piece(first, 0.0)]).query(np.array([-1.0]))
+
+
+def test_what_cannot_be_chained_is_named() -> None:
+    first = wandering(0)
+    for overlap in (-0.1, 0.0, 5.0, np.nan):
+        with pytest.raises(ValueError, match=r"not \S+ s where motion 0 lasts 1\.95 s"):
+            chain([first, first], overlap)
+    with pytest.raises(ValueError, match="motions 0 and 1 have different skeletons"):
+        chain([first, interpolate(random_motion(0, num_frames=40, skeleton=KIT21))], 0.2)
+    with pytest.raises(ValueError, match="nothing to assemble"):
+        chain([], 0.2)

@@ -12,6 +12,7 @@ from turning_body import random_motion
 from motionkit.completion import complete, extrapolate, inbetween, observed_errors, reconstruct, upsample
 from motionkit.interpolation.fields import INTERPOLATORS, Method, interpolate
 from motionkit.motionfield import Observation, to_motion
+from motionkit.skeleton import KIT21
 from motionkit.timegrid import TimeGrid
 
 METHODS: list[Method] = list(INTERPOLATORS)
@@ -93,8 +94,9 @@ def test_extrapolation_adds_whole_frames() -> None:
     assert np.allclose(longer.joint_positions[0], motion.joint_positions[0] - step, atol=1e-5)
     still = extrapolate(motion, after_seconds=1.0, encoder=INTERPOLATORS["hold"])
     assert still.num_frames == 40 and np.array_equal(still.joint_positions[-1], motion.joint_positions[-1])
-    with pytest.raises(ValueError, match="0 or more, not -1"):
-        extrapolate(motion, before_seconds=-1.0)
+    for seconds in (-1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match=f"0 or more, not {seconds:g}"):
+            extrapolate(motion, before_seconds=seconds)
 
 
 def test_reconstruction_puts_nothing_back() -> None:
@@ -103,6 +105,8 @@ def test_reconstruction_puts_nothing_back() -> None:
     assert made.num_frames == 58 and made.provenance.operations == ("reconstruct (cubic)",)
     assert np.allclose(made.joint_positions[::3], motion.joint_positions, atol=1e-6)
     field = interpolate(motion)
+    with pytest.raises(ValueError, match="their joints must be the same"):
+        observed_errors(field, Observation.of(random_motion(7, skeleton=KIT21)))
     assert observed_errors(field, Observation.of(motion)).max() < 1e-6
     every_other = Observation.of(motion, np.arange(20) % 2 == 0)
     coarse = INTERPOLATORS["hold"].encode(every_other, after_seconds=1 / 30)

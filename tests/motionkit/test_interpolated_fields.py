@@ -171,6 +171,21 @@ def test_observations_are_checked() -> None:
             Observation(np.array(times), poses, SMPL22)
     with pytest.raises(ValueError, match="nothing is observed"):
         Observation.of(motion, np.zeros(3, dtype=np.bool_))
+    with pytest.raises(ValueError, match=r"a mask of 3 bools, one for each frame, not bool \(4,\)"):
+        Observation.of(motion, np.ones(4, dtype=np.bool_))
+    assert motion.local_rotations is not None
+    with pytest.raises(ValueError, match=r"local_rotations are \(2, 22, 4\), expected \(3, 22, 4\)"):
+        Poses(motion.joint_positions, motion.local_rotations[:2])
+    unseen = motion.joint_positions.copy()
+    unseen[1, 4, 2] = np.nan
+    with pytest.raises(ValueError, match=r"joint_positions of pose 1 \(1\.2833 s\) hold a number that is not finite"):
+        Observation(motion.timegrid.seconds(), Poses(unseen, motion.local_rotations), SMPL22)
+    assert repr(Observation.of(motion)).startswith("Observation([1.2500, 1.3167] s, Poses(3 of 22 joints, local_rot")
+
+
+def test_velocities_need_a_step() -> None:
+    with pytest.raises(ValueError, match="some length, not 0 s"):
+        joint_velocities(interpolate(random_motion(8)), np.array([1.3]), step_seconds=0.0)
 
 
 def polynomial_motion(degree: int, fps: int = 10) -> tuple[Motion, "np.ndarray"]:
