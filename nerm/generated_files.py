@@ -20,7 +20,7 @@ from motionkit.formats.gltf.motion import write_gltf
 from motionkit.formats.pose_folders.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER, FolderWriter
 from motionkit.generation import GenerationRequest
 from motionkit.motion import Caption, Motion
-from motionkit.motionfield import FramerateConditioned, MotionField
+from motionkit.motionfield import MotionField, told_fps
 from motionkit.skeleton import Skeleton
 from motionkit.timegrid import TimeGrid
 
@@ -67,11 +67,14 @@ def sample_field(
     fps: Fraction,
     times_seconds: Float64[np.ndarray, "times"] | None = None,
 ) -> GeneratedSample:
-    """Sample a generated field: at `times_seconds`, or the frames k / fps of the half-open interval it lasts."""
+    """Sample a generated field: at `times_seconds`, or the frames k / fps of the half-open interval it lasts.
+
+    Four seconds asked for at 20 fps are a file of 80 frames that lasts four seconds; `to_motion` would give the frame
+    at the closed end too, as the instants do that a capture was observed at.
+    """
     duration = field.end_seconds - field.start_seconds
     if times_seconds is None:
-        if isinstance(field, FramerateConditioned):
-            field = field.at_fps(fps)
+        field = told_fps(field, fps)
         num_frames = max(1, int(np.ceil(duration * float(fps) - 1e-6)))
         seconds = TimeGrid(fps, num_frames, field.start_seconds).seconds()
     else:
