@@ -14,7 +14,7 @@ from typing import Literal
 
 from motionkit.timegrid import parse_fps
 from motionkit.training.config import Precision
-from nerm.denoiser_config import DenoiserConfig, TransformerConfig
+from nerm.denoiser_config import DenoiserConfig, DiffusionConfig, TransformerConfig
 
 TimeEncoding = Literal["none", "raw", "fourier", "codebook"]
 LatentLayout = Literal["global", "local"]
@@ -215,7 +215,7 @@ def base() -> NermConfig:
     )
     denoiser = dataclasses.replace(
         nano().denoiser,
-        network=TransformerConfig(num_layers=9, width=512, num_heads=8, ffn_width=2048, dropout=0.1, latent_tokens=4),
+        network=TransformerConfig(num_layers=9, width=512, num_heads=8, ffn_width=2048, dropout=0.1, latent_tokens=16),
         batch=256,
         steps=80_000,
         rate=3e-4,
@@ -241,8 +241,16 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
     return FieldConfig(
         stride_seconds=stride_seconds,
         latent_layout="local",
+        latent_dimension=768,
+        knots=(32, 16),
+        knot_numbers=(16, 13),
+        path_knots=16,
+        knot_kernel="lanczos",
+        knot_radius=3.0,
+        knot_modes=3,
+        initial_log_variance=-8.0,
         initialisation="ridge",
-        ridge=0.1,
+        ridge=0.02,
         num_queries=64,
         hidden=256,
         activation="silu",
@@ -260,33 +268,19 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
         lowest_fps=20.0,
         rate=8e-3,
         attention_rate=1e-3,
-        latent_rate=1e-1,
+        latent_rate=1e-2,
         weight_decay=0.0,
         schedule="cosine",
         precision="auto",
     )
 
 
-def _banked_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
-    """`_local_field` with banks of knots and a path of the body (docs/results/nerm-field-trials.md)."""
-    return dataclasses.replace(
-        _local_field(steps=steps, stride_seconds=stride_seconds),
-        latent_dimension=768,
-        knots=(32, 16),
-        knot_numbers=(16, 13),
-        path_knots=16,
-        knot_kernel="lanczos",
-        knot_radius=3.0,
-        knot_modes=3,
-        initial_log_variance=-8.0,
-        ridge=0.02,
-        latent_rate=1e-2,
-    )
-
-
 def _knot_denoiser(*, steps: int) -> DenoiserConfig:
     return DenoiserConfig(
-        network=TransformerConfig(num_layers=5, width=192, ffn_width=512, dropout=0.0, latent_tokens=4),
+        network=TransformerConfig(num_layers=5, width=192, ffn_width=512, dropout=0.0, latent_tokens=8),
+        diffusion=DiffusionConfig(prediction="velocity", loss="velocity"),
+        path="steps",
+        latent_scale="component",
         guidance_scale=1.5,
         batch=64,
         steps=steps,
