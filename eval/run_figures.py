@@ -254,7 +254,7 @@ def label(fps: Fraction) -> str:
 
 def _sha256(run: Path, stage: str) -> str:
     """The hash of a stage's model; raises `RunError` where the stage is not trained."""
-    from nerm.text_encoders import file_sha256
+    from nerm.encoder_folder import file_sha256
 
     folder = RunFolder(run).stage(stage)
     folder.read_summary()

@@ -71,10 +71,10 @@ class TransformerConfig:
 class DenoiserConfig:
     """The stage `denoiser`.
 
-    `text_encoder` is what `nerm.text_encoders.load_text_encoder` takes, or "none" to train without texts. A share
-    `condition_drop` of the batch is trained unconditionally; of the windows that have a caption and an action,
-    `action_share` are trained on the action. Exactly one of `steps` and `epochs` says how long; `guidance_scale` is r
-    of Eq. 6 at inference.
+    `text_encoder` is what `nerm.text_encoders.load_text_encoder` takes, or "none" to train without texts;
+    `text_dimension` the size its embeddings must have (None: any). A share `condition_drop` of the batch is trained
+    unconditionally; of the windows that have a caption and an action, `action_share` are trained on the action. Exactly
+    one of `steps` and `epochs` says how long; `guidance_scale` is r of Eq. 6 at inference.
 
     Where the field reads z as knots, `path` says whether the diffusion sees the body's path as places or as the steps
     between them, and `latent_scale` whether each number of z is standardised by itself or each component by its values
@@ -86,6 +86,7 @@ class DenoiserConfig:
     path: PathNumbers = "places"
     latent_scale: LatentScale = "number"
     text_encoder: str = "minilm"
+    text_dimension: int | None = None
     condition_drop: float = 0.1
     action_share: float = 0.25
     guidance_scale: float = 7.5

@@ -12,11 +12,12 @@ from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
 from nerm.denoiser_config import DenoiserConfig
 from nerm.denoiser_training import DenoiserTraining
+from nerm.encoder_folder import file_sha256
 from nerm.field_corpus import corpus_of
 from nerm.field_model import load_field
 from nerm.local_latents import local_latents
 from nerm.recipes import NermConfig
-from nerm.text_encoders import TextEncoder, file_sha256, load_text_encoder
+from nerm.text_encoders import TextEncoder, load_text_encoder
 from nerm.trained_denoiser import STAGE_NAME, save_denoiser
 
 
@@ -81,7 +82,9 @@ def check_denoiser(context: StageContext, config: NermConfig) -> None:
 
 
 def _encoder(settings: DenoiserConfig) -> TextEncoder | None:
-    return None if settings.text_encoder == "none" else load_text_encoder(settings.text_encoder)
+    if settings.text_encoder == "none":
+        return None
+    return load_text_encoder(settings.text_encoder, settings.text_dimension)
 
 
 def _without_captions(who: str, settings: DenoiserConfig) -> UsageError:

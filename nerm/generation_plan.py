@@ -13,10 +13,10 @@ from motionkit.generation import ChecksRequests, GenerationRequest, GenerativeMo
 from motionkit.motionfield import MotionField
 from motionkit.timegrid import format_fps
 from motionkit.training.run import versions
+from nerm.encoder_folder import file_sha256
 from nerm.generated_files import OUTPUTS, GeneratedSample, OutputFormat, motion_name, sample_field
 from nerm.generated_folder import FORMAT
 from nerm.prompts import Prompt
-from nerm.text_encoders import file_sha256
 
 # Motions whose latents are drawn in one batch; their poses are decoded and written one by one.
 MOTIONS_AT_ONCE = 64

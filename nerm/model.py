@@ -18,8 +18,9 @@ from motionkit.skeleton import Skeleton
 from motionkit.training.device import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from nerm.conditions import Conditions, unit_rows
+from nerm.encoder_folder import file_sha256
 from nerm.field_model import load_field
-from nerm.text_encoders import TextEncoder, file_sha256, load_text_encoder
+from nerm.text_encoders import TextEncoder, load_text_encoder
 from nerm.trained_denoiser import TrainedDenoiser, load_denoiser
 
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"

@@ -189,7 +189,7 @@ class NermConfig:
 
 def paper() -> NermConfig:
     """The paper's figures (§3, B.1, D), with what ../docs/deviations.md says where it is silent."""
-    return NermConfig(denoiser=DenoiserConfig(text_encoder="clip"))
+    return NermConfig(denoiser=DenoiserConfig(text_encoder="clip", text_dimension=768))
 
 
 def nano() -> NermConfig:

