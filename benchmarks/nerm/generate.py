@@ -1,0 +1,223 @@
+"""What generating costs: 9.8 s at 20 and at 120 fps, and the decoder beside the machine's matrix products.
+
+    python benchmarks/nerm/generate.py [--recipe nano] [--run runs/nano] [--motions 1] [--json]
+
+Generation is what `NermModel` does for unconditional motions: diffusion, coordinate branch, decoding to joint positions
+(files are left out). Weights are those of a run, or random ones of a recipe's sizes (what it costs does not depend on
+their values). The field's grids are forgotten before each repeat, so that the coordinate branch is paid for each time.
+
+The peak is measured: torch.mm at the decoder's own shapes, [poses × hidden] · [hidden × hidden], one after another. The
+decoder's rate counts the multiplications and additions of its matrix products alone, over all the time it takes.
+
+CPU seconds, one thread; the best of the repeats. `--memory` decodes 9.8 s at 10,000 fps in a process of its own.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from motionkit.clips import Windows
+from motionkit.generation import GenerationRequest
+from nerm.conditions import ConditionLayout
+from nerm.denoiser import Denoiser
+from nerm.field import FieldNetwork
+from nerm.field_model import TrainedField
+from nerm.framerate_shift import framerate_shift
+from nerm.latent_corpus import LatentStatistics
+from nerm.latent_reach import first_read
+from nerm.model import NermModel, load
+from nerm.recipes import RECIPES
+from nerm.scaling import VectorScaling
+from nerm.trained_denoiser import TrainedDenoiser
+
+SECONDS = 9.8
+RATES = (Fraction(20), Fraction(120))
+NUM_NUMBERS = 66
+
+
+def random_model(recipe: str) -> NermModel:
+    """A model of a recipe's sizes with random weights."""
+    config = RECIPES[recipe]()
+    torch.manual_seed(0)
+    codes = torch.randn(config.codebook.num_codes, config.codebook.code_dimension)
+    network = FieldNetwork(config.field, NUM_NUMBERS, codes).eval().requires_grad_(False)
+    one = np.ones(1, dtype=np.int64)
+    windows = Windows(
+        config.field.max_duration_seconds,
+        sequence_index=0 * one,
+        start_row=0 * one,
+        start_frame=0 * one,
+        num_frames=1176 * one,
+        fps_numerator=one * 120,
+        fps_denominator=one,
+        yaw=np.zeros(1, np.float32),
+        origin=np.zeros((1, 2), np.float32),
+        mirrored=np.zeros(1, bool),
+    )
+    size = config.field.latent_dimension
+    field = TrainedField(
+        network=network,
+        scaling=VectorScaling(torch.zeros(NUM_NUMBERS), torch.ones(NUM_NUMBERS)),
+        components=None,
+        posterior_mean=torch.randn(1, size),
+        posterior_log_variance=torch.zeros(1, size),
+        windows=windows,
+        store_fingerprint="",
+    )
+    layout = ConditionLayout(768, ())
+    denoiser = TrainedDenoiser(
+        config=config.denoiser,
+        denoiser=Denoiser(config.denoiser.network, first_read(config.field), layout).eval().requires_grad_(False),
+        statistics=LatentStatistics(torch.zeros(size), torch.ones(size)),
+        layout=layout,
+        durations=torch.tensor([SECONDS / config.field.max_duration_seconds]),
+        text_encoder="",
+        text_fingerprint="",
+        field_sha256="",
+    )
+    return NermModel(field, denoiser)
+
+
+def cpu_seconds(work: Callable[[], object], repeats: int) -> float:
+    """The quickest of some repeats, after one that doesn't count."""
+    work()
+    found = []
+    for _ in range(repeats):
+        started = time.process_time()
+        work()
+        found.append(time.process_time() - started)
+    return min(found)
+
+
+def field_of(model: NermModel) -> TrainedField:
+    """The trained field behind a model."""
+    assert isinstance(model.field, TrainedField)
+    return model.field
+
+
+def generation_costs(model: NermModel, motions: int, repeats: int) -> dict[str, object]:
+    """CPU seconds of `motions` motions at each framerate, the share of the diffusion, and the ratio of the two."""
+    requests = [GenerationRequest(SECONDS)] * motions
+
+    def generate(fps: Fraction) -> None:
+        field_of(model)._grids.clear()
+        times = np.arange(round(SECONDS * float(fps))) / float(fps)
+        for field in model.generate(requests, seed=0):
+            field.at_fps(fps).query(times)
+
+    costs = {str(fps): cpu_seconds(lambda fps=fps: generate(fps), repeats) for fps in RATES}
+    diffusion = cpu_seconds(lambda: model.generate(requests, seed=0), repeats)
+    return {"cpu_seconds": costs, "of_which_diffusion": diffusion, "ratio": costs["120"] / costs["20"]}
+
+
+def decoding_rate(model: NermModel, repeats: int) -> dict[str, object]:
+    """The decoder's matrix products a second at 120 fps, of torch.mm's at the same shapes."""
+    field = field_of(model)
+    config, fps = field.config, RATES[-1]
+    times = np.arange(round(SECONDS * float(fps))) / float(fps)
+    latent = field.posterior_mean[:1]
+    encoded = field.encode_times(times[None], fps)
+    hidden = torch.randn(len(times), config.hidden)
+    weights = [torch.randn(config.hidden, config.hidden) for _ in range(config.layers - 1)]
+    inner = 2 * len(times) * config.hidden**2 * (config.layers - 1)
+    with FlopCounterMode(display=False) as counter:
+        field.decode_vectors(latent, encoded, fps)
+    flops = counter.get_total_flops()
+
+    def products() -> None:
+        for weight in weights:
+            torch.mm(hidden, weight.T)
+
+    with torch.inference_mode():
+        peak = inner / cpu_seconds(products, repeats)
+        network = flops / cpu_seconds(lambda: field.decode_vectors(latent, encoded, fps), repeats)
+        positions = flops / cpu_seconds(lambda: field.decode(latent, times, fps), repeats)
+    return {
+        "poses": len(times),
+        "floor_gflops": peak / 1e9,
+        "decoder_gflops": network / 1e9,
+        "to_joint_positions_gflops": positions / 1e9,
+        "share_of_floor": network / peak,
+        "share_of_floor_to_joint_positions": positions / peak,
+    }
+
+
+def decode_very_fast(recipe: str, run: str, fps: int) -> dict[str, object]:
+    """9.8 s at a framerate: how much the resident memory's peak rises over a decoding at 120 fps, in MB."""
+    model = load(Path(run)) if run else random_model(recipe)
+    [motion] = model.generate([GenerationRequest(SECONDS)], seed=0)
+    motion.at_fps(Fraction(120)).query(np.arange(1176) / 120)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    positions = motion.at_fps(Fraction(fps)).query(np.arange(round(SECONDS * fps)) / fps).joint_positions
+    rise = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    return {"fps": fps, "poses": len(positions), "peak_rises_mb": rise, "answer_mb": positions.nbytes / 2**20}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--recipe", default="nano", choices=sorted(RECIPES))
+    parser.add_argument("--run", default="", help="a trained run; without it random weights of the recipe")
+    parser.add_argument("--motions", type=int, default=1)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--memory", type=int, default=0, metavar="FPS", help="only decode at this framerate")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    if arguments.memory:
+        print(json.dumps(decode_very_fast(arguments.recipe, arguments.run, arguments.memory)))
+        return
+    model = load(Path(arguments.run)) if arguments.run else random_model(arguments.recipe)
+    costs = generation_costs(model, arguments.motions, arguments.repeats)
+    rates = decoding_rate(model, arguments.repeats)
+    [first] = model.generate([GenerationRequest(SECONDS)], seed=0)
+    call = [sys.executable, __file__, "--recipe", arguments.recipe, "--run", arguments.run, "--memory"]
+    memory = [
+        json.loads(subprocess.run([*call, fps], capture_output=True, text=True, check=True).stdout)
+        for fps in ("1000", "10000")
+    ]
+    report = {
+        "weights": arguments.run or f"random, sizes of {arguments.recipe}",
+        "motions": arguments.motions,
+        **costs,
+        "decoding": rates,
+        "memory": memory,
+    }
+    if arguments.run:
+        report["framerate_shift"] = framerate_shift([first]).plain()
+    if arguments.json:
+        print(json.dumps(report, indent=2))
+        return
+    _print(report)
+
+
+def _print(report: dict) -> None:
+    costs, rates = report["cpu_seconds"], report["decoding"]
+    print(f"{report['weights']}; {report['motions']} motion(s) of {SECONDS} s, one thread")
+    for fps, seconds in costs.items():
+        print(f"  at {fps:>3} fps           {1000 * seconds:8.1f} ms CPU")
+    print(f"  of which diffusion   {1000 * report['of_which_diffusion']:8.1f} ms")
+    print(f"  120 fps over 20 fps  {report['ratio']:8.2f}")
+    print(f"decoding {rates['poses']} poses; floor: torch.mm at the same shapes")
+    print(f"  floor                {rates['floor_gflops']:8.1f} GFLOP/s")
+    print(f"  decoder              {rates['decoder_gflops']:8.1f} GFLOP/s  {rates['share_of_floor']:6.1%}")
+    share = rates["share_of_floor_to_joint_positions"]
+    print(f"  to joint positions   {rates['to_joint_positions_gflops']:8.1f} GFLOP/s  {share:6.1%}")
+    for found in report["memory"]:
+        print(
+            f"decoding at {found['fps']:>6} fps: peak rises by {found['peak_rises_mb']:.0f} MB for an answer of "
+            f"{found['answer_mb']:.0f} MB"
+        )
+
+
+if __name__ == "__main__":
+    main()
