@@ -33,8 +33,9 @@ from nerm.denoiser import Denoiser
 from nerm.field import FieldNetwork
 from nerm.field_model import TrainedField
 from nerm.framerate_shift import framerate_shift
-from nerm.latent_corpus import LatentStatistics
 from nerm.latent_reach import first_read
+from nerm.latent_space import LatentSpace
+from nerm.local_latents import local_latents
 from nerm.model import NermModel, load
 from nerm.recipes import RECIPES
 from nerm.scaling import VectorScaling
@@ -74,11 +75,12 @@ def random_model(recipe: str) -> NermModel:
         windows=windows,
         store_fingerprint="",
     )
-    layout = ConditionLayout(768, ())
+    layout, banks = ConditionLayout(768, ()), local_latents(config.field)
+    reach = first_read(size, banks)
     denoiser = TrainedDenoiser(
         config=config.denoiser,
-        denoiser=Denoiser(config.denoiser.network, first_read(config.field), layout).eval().requires_grad_(False),
-        statistics=LatentStatistics(torch.zeros(size), torch.ones(size)),
+        denoiser=Denoiser(config.denoiser.network, reach, layout).eval().requires_grad_(False),
+        space=LatentSpace(banks, config.denoiser.path, torch.zeros(size), torch.ones(size)),
         layout=layout,
         durations=torch.tensor([SECONDS / config.field.max_duration_seconds]),
         text_encoder="",
