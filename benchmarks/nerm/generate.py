@@ -9,14 +9,13 @@ their values). The field's grids are forgotten before each repeat, so that the c
 The peak is measured: torch.mm at the decoder's own shapes, [poses × hidden] · [hidden × hidden], one after another. The
 decoder's rate counts the multiplications and additions of its matrix products alone, over all the time it takes.
 
-CPU seconds, one thread; the best of the repeats. `--memory` decodes 9.8 s at 10,000 fps in a process of its own.
+CPU seconds, one thread; the best of the repeats. `--memory FPS` decodes 9.8 s at that framerate instead and
+says how far the process's peak of resident memory rises.
 """
 
 import argparse
 import json
 import resource
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from fractions import Fraction
@@ -32,7 +31,6 @@ from nerm.conditions import ConditionLayout
 from nerm.denoiser import Denoiser
 from nerm.field import FieldNetwork
 from nerm.field_model import TrainedField
-from nerm.framerate_shift import framerate_shift
 from nerm.latent_reach import first_read
 from nerm.latent_space import LatentSpace
 from nerm.local_latents import local_latents
@@ -181,21 +179,12 @@ def main() -> None:
     model = load(Path(arguments.run)) if arguments.run else random_model(arguments.recipe)
     costs = generation_costs(model, arguments.motions, arguments.repeats)
     rates = decoding_rate(model, arguments.repeats)
-    [first] = model.generate([GenerationRequest(SECONDS)], seed=0)
-    call = [sys.executable, __file__, "--recipe", arguments.recipe, "--run", arguments.run, "--memory"]
-    memory = [
-        json.loads(subprocess.run([*call, fps], capture_output=True, text=True, check=True).stdout)
-        for fps in ("1000", "10000")
-    ]
     report = {
         "weights": arguments.run or f"random, sizes of {arguments.recipe}",
         "motions": arguments.motions,
         **costs,
         "decoding": rates,
-        "memory": memory,
     }
-    if arguments.run:
-        report["framerate_shift"] = framerate_shift([first]).plain()
     if arguments.json:
         print(json.dumps(report, indent=2))
         return
@@ -214,11 +203,6 @@ def _print(report: dict) -> None:
     print(f"  decoder              {rates['decoder_gflops']:8.1f} GFLOP/s  {rates['share_of_floor']:6.1%}")
     share = rates["share_of_floor_to_joint_positions"]
     print(f"  to joint positions   {rates['to_joint_positions_gflops']:8.1f} GFLOP/s  {share:6.1%}")
-    for found in report["memory"]:
-        print(
-            f"decoding at {found['fps']:>6} fps: peak rises by {found['peak_rises_mb']:.0f} MB for an answer of "
-            f"{found['answer_mb']:.0f} MB"
-        )
 
 
 if __name__ == "__main__":
