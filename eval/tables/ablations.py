@@ -179,12 +179,13 @@ def _mean_cell(cells: Sequence[Cell]) -> Cell:
 
 def _row(ablation: Ablation, row: _Trained, cells: Mapping[str, Cell], stage: str, request: TableRequest) -> Row:
     assert request.run is not None
-    if not [run for run in row.runs if RunFolder(run).stage(stage).is_complete]:
+    num_seeds = sum(RunFolder(run).stage(stage).is_complete for run in row.runs)
+    if not num_seeds:
         what = "not trained" if stage == "field" else f"its {stage} is not trained"
         return Row(
             row.entry.label, "ours", {}, f"{what}: {command_for(ablation.table, request.run.name, row.entry.variant)}"
         )
-    several = f"mean of {len(row.runs)} seeds" if len(row.runs) > 1 else ""
+    several = f"mean of {num_seeds} seeds" if num_seeds > 1 else ""
     return Row(row.entry.label, "ours", cells, several)
 
 
