@@ -17,7 +17,8 @@ import numpy.typing as npt
 from jaxtyping import Float32, Float64, Int64
 
 from eval.evaluators.feature_set import FeatureSet
-from eval.metrics.frechet import fid_infinity, fit_gaussian, frechet_distance
+from eval.metrics.frechet import fid_infinity, frechet_distance
+from eval.metrics.gaussian import fit_gaussian
 from eval.metrics.interval import Estimate, estimate
 from eval.metrics.kernel import kid
 from eval.metrics.manifold import prdc

@@ -1,1 +1,1 @@
-"""Metrics as pure float64 functions."""
+"""Metrics as pure float64 functions, and streams of them whose state is sums."""

@@ -1,54 +1,13 @@
 """Fréchet distance between Gaussians fitted to features (FID), and its extrapolation to infinitely many samples."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float, Float64
+from jaxtyping import Float
 
-
-@dataclass(frozen=True, eq=False)
-class Gaussian:
-    """Mean, N − 1 covariance and number of samples of a feature set, float64."""
-
-    mean: Float64[np.ndarray, "features"]
-    covariance: Float64[np.ndarray, "features features"]
-    num_samples: int
-
-    def __post_init__(self) -> None:
-        if self.covariance.shape != (self.mean.size, self.mean.size):
-            raise ValueError(f"covariance is {self.covariance.shape}, but the mean has {self.mean.size} numbers")
-        if self.num_samples < 2:
-            raise ValueError(f"a covariance needs at least 2 samples, not {self.num_samples}")
-        if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
-            raise ValueError("mean or covariance holds NaN or infinity; a distance from it would mean nothing")
-
-    @cached_property
-    def factor(self) -> Float64[np.ndarray, "features features"]:
-        """L with L·Lᵀ = covariance, from its eigenvalues; those that rounding made negative count as zero."""
-        eigenvalues, eigenvectors = np.linalg.eigh(self.covariance)
-        return np.asarray(eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0)), dtype=np.float64)
-
-
-def fit_gaussian(features: Float[np.ndarray, "samples features"]) -> Gaussian:
-    """Fit a Gaussian in float64. Raises `ValueError` for NaN, infinity or fewer than 2 samples."""
-    values = checked_features(features, "features", minimum=2)
-    mean = values.mean(axis=0)
-    centred = values - mean
-    return Gaussian(mean, centred.T @ centred / (len(values) - 1), len(values))
-
-
-def merge_gaussians(parts: Sequence[Gaussian]) -> Gaussian:
-    """The Gaussian of the union of disjoint sample sets, from their Gaussians alone (Chan, Golub & LeVeque 1983)."""
-    total = sum(part.num_samples for part in parts)
-    mean = sum((part.mean * part.num_samples for part in parts), np.zeros_like(parts[0].mean)) / total
-    scatter = np.zeros_like(parts[0].covariance)
-    for part in parts:
-        shift = part.mean - mean
-        scatter += part.covariance * (part.num_samples - 1) + part.num_samples * np.outer(shift, shift)
-    return Gaussian(mean, scatter / (total - 1), total)
+from eval.metrics.gaussian import FeatureSums, Gaussian, feature_sums, fit_gaussian
 
 
 def frechet_distance(a: Gaussian, b: Gaussian) -> float:
@@ -111,27 +70,9 @@ def fid_infinity(
 
 def _prefix_gaussians(features: Float[np.ndarray, "samples features"], sizes: npt.NDArray[np.int64]) -> list[Gaussian]:
     """Gaussians of the first `sizes[i]` rows; every row is visited once."""
-    values = checked_features(features, "features", minimum=2)
     result: list[Gaussian] = []
-    start = 0
-    for stop in sizes.tolist():
-        part = fit_gaussian(values[start:stop])
-        result.append(part if not result else merge_gaussians((result[-1], part)))
-        start = stop
+    total = FeatureSums()
+    for start, stop in pairwise((0, *sizes.tolist())):
+        total = total.merged(feature_sums(features[start:stop]))
+        result.append(total.gaussian)
     return result
-
-
-def checked_features(
-    features: Float[np.ndarray, "samples features"], name: str, minimum: int
-) -> Float64[np.ndarray, "samples features"]:
-    """Features as float64; raises `ValueError` for fewer than `minimum` samples, NaN or infinity."""
-    if len(features) < minimum:
-        raise ValueError(f"{name}: at least {minimum} samples are needed, there are {len(features)}")
-    values = np.asarray(features, dtype=np.float64)
-    finite = np.isfinite(values).all(axis=1)
-    if not finite.all():
-        raise ValueError(
-            f"{name}: {int((~finite).sum())} of {len(values)} rows hold NaN or infinity, the first is row "
-            f"{int(np.argmin(finite))}"
-        )
-    return values

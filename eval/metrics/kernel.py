@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Float64
 
-from eval.metrics.frechet import checked_features
+from eval.metrics.checks import checked_features
 
 BLOCK_ROWS = 512
 

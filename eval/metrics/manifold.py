@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64
 
-from eval.metrics.frechet import checked_features
+from eval.metrics.checks import checked_features
 
 BLOCK_ROWS = 512
 
@@ -26,10 +26,12 @@ def prdc(
     """Precision and recall (Kynkäänniemi et al. 2019), density and coverage (Naeem et al. 2020), not symmetric.
 
     A point's ball reaches to its k-th neighbour in its own set, itself not counted; a point on the boundary is outside.
-    Raises `ValueError` for NaN or sets of no more than k samples.
+    Raises `ValueError` for NaN, sets of no more than k samples, or a real set whose rows are all the same.
     """
     x = checked_features(real, "real", minimum=num_neighbours + 1)
     y = checked_features(generated, "generated", minimum=num_neighbours + 1)
+    if (x == x[0]).all():
+        raise ValueError("real: all rows are the same, so no sample has a neighbourhood to fall into")
     real_radii = _squared_radii(x, num_neighbours)
     generated_radii = _squared_radii(y, num_neighbours)
     balls_holding = np.zeros(len(y))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float64
+from scipy.spatial.distance import cdist
 
 REFERENCE_POOL = 32
 
@@ -19,6 +20,13 @@ class RPrecision:
     top: Float64[np.ndarray, "ranks"]
     matching_distance: float
     num_queries: int
+
+    def merged(self, other: "RPrecision") -> "RPrecision":
+        """What both batches of pools give together; every query has the same weight."""
+        total = self.num_queries + other.num_queries
+        share, rest = self.num_queries / total, other.num_queries / total
+        distance = share * self.matching_distance + rest * other.matching_distance
+        return RPrecision(share * self.top + rest * other.top, distance, total)
 
 
 def r_precision(
@@ -42,8 +50,7 @@ def r_precision(
     if not (np.isfinite(queries).all() and np.isfinite(candidates).all()):
         raise ValueError("R-Precision needs finite embeddings")
     order = rng.permutation(len(queries))[: len(queries) // pool * pool].reshape(-1, pool)
-    asked, offered = queries[order].astype(np.float64), candidates[order].astype(np.float64)
-    distances = np.linalg.norm(asked[:, :, None] - offered[:, None], axis=-1)
+    distances = np.stack([cdist(queries[members], candidates[members]) for members in order])
     own = np.diagonal(distances, axis1=1, axis2=2)
     nearer = (distances < own[..., None]).sum(axis=-1)
     tied = (distances == own[..., None]).sum(axis=-1)

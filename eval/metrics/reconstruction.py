@@ -5,14 +5,16 @@ has none.
 """
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float
+
+from eval.metrics.checks import checked_difference
 
 
 def mpjpe_global(
     predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"]
 ) -> float:
     """Mean distance between predicted and true joints in metres, the body's path included."""
-    difference = _difference(predicted, target)
+    difference = checked_difference(predicted, target)
     return float(np.linalg.norm(difference, axis=-1).mean())
 
 
@@ -23,7 +25,7 @@ def mpjpe_root_aligned(
 
     This is what motion-latent-diffusion and the NeRM paper's Table 4 call MPJPE.
     """
-    difference = _difference(predicted, target)
+    difference = checked_difference(predicted, target)
     difference -= difference[:, root : root + 1].copy()
     return float(np.linalg.norm(difference, axis=-1).mean())
 
@@ -32,7 +34,7 @@ def mpjpe_procrustes(
     predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"]
 ) -> float:
     """Mean distance in metres after the best rotation, translation and scale of every frame (PA-MPJPE; Gower 1975)."""
-    _difference(predicted, target)
+    checked_difference(predicted, target)
     x, y = predicted.astype(np.float64), target.astype(np.float64)
     x -= x.mean(axis=1, keepdims=True)
     y -= y.mean(axis=1, keepdims=True)
@@ -51,7 +53,7 @@ def mre(predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray
     The NeRM paper defines MRE as the Euclidean distance between two pose vectors, but its 0.041 beside an MPJPE of
     0.016 cannot be that norm; `mean_vector_distance` is the literal definition.
     """
-    difference = _difference(predicted, target)
+    difference = checked_difference(predicted, target)
     return float(np.sqrt(np.mean(difference * difference)))
 
 
@@ -59,17 +61,4 @@ def mean_vector_distance(
     predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray, "frames numbers"]
 ) -> float:
     """Mean Euclidean distance between pose vectors: MRE as the paper words it (L2 norm, raw units)."""
-    return float(np.linalg.norm(_difference(predicted, target), axis=-1).mean())
-
-
-def _difference(
-    predicted: Float[np.ndarray, "*shape"], target: Float[np.ndarray, "*shape"]
-) -> Float64[np.ndarray, "*shape"]:
-    if predicted.shape != target.shape:
-        raise ValueError(f"predicted is {predicted.shape}, target is {target.shape}; they must agree")
-    if not predicted.size:
-        raise ValueError("there are no frames to compare")
-    difference: Float64[np.ndarray, "*shape"] = predicted.astype(np.float64) - target
-    if not np.isfinite(difference).all():
-        raise ValueError("predicted or target holds NaN or infinity")
-    return difference
+    return float(np.linalg.norm(checked_difference(predicted, target), axis=-1).mean())

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpmath import matrix, mp
 
-from eval.metrics.frechet import Gaussian, fid, fid_infinity, fit_gaussian, frechet_distance, merge_gaussians
+from eval.metrics.frechet import fid, fid_infinity, frechet_distance
+from eval.metrics.gaussian import FeatureSums, Gaussian, feature_sums, fit_gaussian
 
 
 def two_sets(seed: int, num_samples: int = 300, num_features: int = 12) -> tuple[np.ndarray, np.ndarray]:
@@ -91,15 +92,50 @@ def test_properties(seed: int, scale: float) -> None:
     assert fid(x @ rotation, y @ rotation) == pytest.approx(distance, rel=1e-8)
 
 
-@pytest.mark.parametrize("cuts", [(7,), (2, 50), (100, 101 + 2, 250)])
-def test_merged_batches_equal_the_whole(cuts: tuple[int, ...]) -> None:
-    x, _ = two_sets(3)
-    x += 1000.0
-    merged = merge_gaussians([fit_gaussian(part) for part in np.split(x, cuts)])
-    whole = fit_gaussian(x)
-    np.testing.assert_allclose(merged.mean, whole.mean, rtol=1e-13)
-    np.testing.assert_allclose(merged.covariance, whole.covariance, rtol=1e-9)
-    assert merged.num_samples == whole.num_samples
+@pytest.mark.parametrize("cuts", [(1,), (2, 50), (100, 101, 102, 250)])
+def test_batches_and_ranks_give_the_distance_of_the_whole(cuts: tuple[int, ...]) -> None:
+    x, y = (features + 1000.0 for features in two_sets(3))
+    sums = []
+    for features in (x, y):
+        ranks = [FeatureSums(), FeatureSums()]
+        for number, batch in enumerate(np.split(features, cuts)):
+            ranks[number % 2] = ranks[number % 2].merged(feature_sums(batch))
+        sums.append(ranks[1].merged(ranks[0]))
+    np.testing.assert_allclose(sums[0].gaussian.mean, x.mean(axis=0), rtol=1e-13)
+    np.testing.assert_allclose(sums[0].gaussian.covariance, np.cov(x, rowvar=False), rtol=1e-9, atol=1e-12)
+    assert sums[0].gaussian.num_samples == len(x)
+    assert frechet_distance(sums[0].gaussian, sums[1].gaussian) == pytest.approx(fid(x, y), rel=1e-10)
+
+
+def test_sums_that_are_no_gaussian() -> None:
+    with pytest.raises(ValueError, match="at least 2 samples, not 0"):
+        _ = FeatureSums().gaussian
+    with pytest.raises(ValueError, match="at least 2 samples, not 1"):
+        _ = feature_sums(np.ones((1, 3))).merged(FeatureSums()).gaussian
+    with pytest.raises(ValueError, match="3 and of 4 features"):
+        feature_sums(np.ones((2, 3))).merged(feature_sums(np.ones((2, 4))))
+
+
+def by_eigenvalues_of_the_product(x: np.ndarray, y: np.ndarray) -> float:
+    """The other published way (torch-fidelity): the trace of the root from the product's eigenvalues."""
+    a, b = np.cov(x, rowvar=False), np.cov(y, rowvar=False)
+    cross = np.sqrt(np.linalg.eigvals(a @ b).astype(complex)).real.sum()
+    return float(((x.mean(0) - y.mean(0)) ** 2).sum() + np.trace(a) + np.trace(b) - 2 * cross)
+
+
+@pytest.mark.parametrize(("num_samples", "num_features"), [(100, 3), (500, 64)])
+def test_agrees_with_the_eigenvalues_of_the_product(num_samples: int, num_features: int) -> None:
+    x, y = two_sets(11, num_samples, num_features)
+    assert fid(x, y) == pytest.approx(by_eigenvalues_of_the_product(x, y), rel=1e-8)
+
+
+def test_identical_sets_and_constant_features() -> None:
+    x, y = two_sets(12)
+    assert fid(x, x) == pytest.approx(0.0, abs=1e-9 * np.trace(np.cov(x, rowvar=False)))
+    x[:, 4], y[:, 4] = 5.0, 7.0
+    others = np.delete(np.arange(12), 4)
+    assert fid(x, y) == pytest.approx(fid(x[:, others], y[:, others]) + 4.0, rel=1e-10)
+    assert fid(np.ones((9, 3)), np.ones((9, 3)) + 1) == pytest.approx(3.0, rel=1e-14)
 
 
 def test_float32_features_are_accumulated_in_float64() -> None:

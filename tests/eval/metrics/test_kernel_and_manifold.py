@@ -86,3 +86,17 @@ def test_refusals() -> None:
             metric(x, bad)
     with pytest.raises(ValueError, match="at least 6 samples"):
         prdc(x[:5], x)
+
+
+def test_identical_sets_and_constant_features() -> None:
+    x = np.random.default_rng(3).normal(size=(200, 4))
+    same = prdc(x, x)
+    assert (same.precision, same.recall, same.coverage) == (1.0, 1.0, 1.0)
+    # The U-statistic of a set with itself leaves out the diagonal on two of three sides: slightly below zero.
+    assert -0.2 < kid(x, x) < 0.0
+    constant = np.ones((20, 3))
+    assert kid(constant, constant) == pytest.approx(0.0, abs=1e-12)
+    with pytest.raises(ValueError, match="real: all rows are the same"):
+        prdc(constant, x[:20, :3])
+    collapsed = prdc(x, np.tile(x[:1], (20, 1)))
+    assert (collapsed.precision, collapsed.recall) == (1.0, 0.0)

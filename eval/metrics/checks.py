@@ -1,0 +1,41 @@
+"""What every metric refuses: too few samples, NaN, infinity, shapes that do not agree."""
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+
+def checked_features(
+    features: Float[np.ndarray, "samples features"], name: str, minimum: int
+) -> Float64[np.ndarray, "samples features"]:
+    """Features as float64; raises `ValueError` for fewer than `minimum` samples, NaN or infinity."""
+    if len(features) < minimum:
+        raise ValueError(f"{name}: at least {minimum} samples are needed, there are {len(features)}")
+    values = np.asarray(features, dtype=np.float64)
+    finite = np.isfinite(values).all(axis=1)
+    if not finite.all():
+        raise ValueError(
+            f"{name}: {int((~finite).sum())} of {len(values)} rows hold NaN or infinity, the first is row "
+            f"{int(np.argmin(finite))}"
+        )
+    return values
+
+
+def checked_difference(
+    predicted: Float[np.ndarray, "*predicted"], target: Float[np.ndarray, "*target"]
+) -> Float64[np.ndarray, "*predicted"]:
+    """predicted − target in float64; raises `ValueError` for unequal shapes, nothing to compare, NaN or infinity."""
+    if predicted.shape != target.shape:
+        raise ValueError(f"predicted is {predicted.shape}, target is {target.shape}; they must agree")
+    if not predicted.size:
+        raise ValueError("there are no frames to compare")
+    difference: Float64[np.ndarray, "*predicted"] = predicted.astype(np.float64) - target
+    if not np.isfinite(difference).all():
+        raise ValueError("predicted or target holds NaN or infinity")
+    return difference
+
+
+def checked_fps(fps: float) -> float:
+    """A framerate; raises `ValueError` where it is not positive and finite."""
+    if not 0 < fps < np.inf:
+        raise ValueError(f"fps must be positive and finite, not {fps}")
+    return float(fps)

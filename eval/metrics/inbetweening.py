@@ -1,0 +1,43 @@
+"""L2P and L2Q: in-betweening errors of whole poses, as the LaFAN1 benchmark defines them.
+
+Both are norms over all numbers of a pose, averaged over frames and clips; neither is "per joint".
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from eval.metrics.checks import checked_difference
+
+
+def l2p(
+    predicted: Float[np.ndarray, "clips frames joints 3"],
+    target: Float[np.ndarray, "clips frames joints 3"],
+    std: Float[np.ndarray, "joints 3"],
+) -> float:
+    """Mean over frames of √Σ((p̂ − p)/σ)² over all joints' global coordinates; no unit.
+
+    `std` is that of the *training* windows' global positions, for each coordinate. Source: Harvey et al. 2020
+    (ubisoft-laforge-animation-dataset).
+    """
+    if not (std > 0).all():
+        raise ValueError("a standard deviation of the training positions is not positive")
+    difference = checked_difference(predicted, target) / std
+    return float(np.sqrt(np.square(difference).sum(axis=(-2, -1))).mean())
+
+
+def l2q(
+    predicted: Float[np.ndarray, "clips frames joints 4"], target: Float[np.ndarray, "clips frames joints 4"]
+) -> float:
+    """Mean over frames of √Σ(q̂ − q)² over all joints' global quaternions, each with the sign nearer to the true one.
+
+    q and −q are one rotation: without aligned signs the figure depends on how quaternions were made. Raises
+    `ValueError` for quaternions that are not of unit length. Source: Harvey et al. 2020; signs as in
+    delta-interpolator (Oreshkin et al. 2022).
+    """
+    difference = checked_difference(predicted, target)
+    for name, quaternions in (("predicted", predicted), ("target", target)):
+        if not np.allclose(np.linalg.norm(quaternions, axis=-1), 1.0, atol=1e-3):
+            raise ValueError(f"{name}: quaternions must have unit length")
+    opposite = predicted.astype(np.float64) + target
+    squared = np.minimum(np.square(difference).sum(axis=-1), np.square(opposite).sum(axis=-1))
+    return float(np.sqrt(squared.sum(axis=-1)).mean())

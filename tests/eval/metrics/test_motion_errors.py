@@ -1,0 +1,160 @@
+"""Derivative errors, foot skating, contacts and bone lengths: analytic motion, loops over frames, refusals."""
+
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from eval.metrics.bone_lengths import bone_length_error, bone_length_variation
+from eval.metrics.contact import contact_consistency
+from eval.metrics.derivatives import acceleration_error, jerk_error, velocity_error
+from eval.metrics.foot_skating import skating_ratio, skating_speed
+from motionkit.features.native import vectors
+
+HUMANML3D_CONTACTS = slice(259, 263)
+ERRORS = (velocity_error, acceleration_error, jerk_error)
+CHAIN = (-1, 0, 1)
+
+
+def seconds(fps: float, duration: float = 2.0) -> np.ndarray:
+    return np.arange(int(duration * fps) + 1) / fps
+
+
+@pytest.mark.parametrize("fps", [20.0, 60.0, 120.0])
+def test_a_cubic_has_its_own_derivatives_at_every_framerate(fps: float) -> None:
+    time = seconds(fps)
+    target = np.zeros((len(time), 2, 3))
+    predicted = target.copy()
+    predicted[:, 0, 1] = 0.5 * time**3
+    # Two joints, one of them right. Finite differences of a cubic: the third is exact, the others tend to the mean.
+    assert jerk_error(predicted, target, fps) == pytest.approx(3.0 / 2, rel=1e-6)
+    assert velocity_error(predicted, target, fps) == pytest.approx(0.5 * 2.0**3 / 2.0 / 2, rel=1e-9)
+    predicted[:, 0, 1] = 0.5 * time**2
+    assert acceleration_error(predicted, target, fps) == pytest.approx(1.0 / 2, rel=1e-8)
+
+
+def test_derivative_errors_agree_with_loops_over_both_motions() -> None:
+    rng = np.random.default_rng(0)
+    predicted, target = rng.normal(size=(2, 9, 4, 3))
+
+    def derivative(motion: np.ndarray, order: int) -> list[np.ndarray]:
+        values = list(motion)
+        for _ in range(order):
+            values = [(after - before) * 25.0 for before, after in pairwise(values)]
+        return values
+
+    for order, error in enumerate(ERRORS, start=1):
+        pairs = zip(derivative(predicted, order), derivative(target, order), strict=True)
+        expected = np.mean([np.sqrt(((a[j] - b[j]) ** 2).sum()) for a, b in pairs for j in range(4)])
+        assert error(predicted, target, 25.0) == pytest.approx(expected, rel=1e-12)
+
+
+def test_derivative_errors_ignore_where_a_motion_stands() -> None:
+    motion = np.random.default_rng(1).normal(size=(10, 3, 3))
+    for error in ERRORS:
+        assert error(motion + 7.0, motion, 30.0) == pytest.approx(0.0, abs=1e-8)
+
+
+def sliding_feet(fps: float, height: float, speed: float) -> np.ndarray:
+    feet = np.zeros((len(seconds(fps)), 4, 3))
+    feet[..., 1] = height
+    feet[:, 0, 0] = 0.6 * speed * seconds(fps)
+    feet[:, 0, 2] = 0.8 * speed * seconds(fps)
+    return feet
+
+
+@pytest.mark.parametrize("fps", [20.0, 120.0])
+def test_one_foot_joint_of_four_that_slides(fps: float) -> None:
+    # On the floor every sliding joint counts in full; at half of its height H by 2 − √2.
+    assert skating_speed(sliding_feet(fps, 0.0, 1.0), fps) == pytest.approx(0.25)
+    assert skating_speed(sliding_feet(fps, 0.04, 1.0), fps) == pytest.approx(0.25 * (2 - 2**0.5))
+    assert skating_speed(sliding_feet(fps, 0.08, 1.0), fps) == pytest.approx(0.0)
+    assert skating_speed(sliding_feet(fps, -0.5, 1.0), fps) == pytest.approx(0.25)
+    assert skating_speed(sliding_feet(fps, 0.54, 1.0), fps, floor=0.5) == pytest.approx(0.25 * (2 - 2**0.5))
+    assert skating_ratio(sliding_feet(fps, 0.04, 0.51), fps) == 1.0
+    assert skating_ratio(sliding_feet(fps, 0.04, 0.49), fps) == 0.0
+    assert skating_ratio(sliding_feet(fps, 0.06, 0.51), fps) == 0.0
+    assert skating_ratio(sliding_feet(fps, 0.56, 0.51), fps, floor=0.52) == 1.0
+
+
+def test_skating_agrees_with_loops() -> None:
+    rng = np.random.default_rng(2)
+    feet = rng.uniform(0, 0.1, size=(30, 2, 3))
+    total, skating = 0.0, 0
+    for now, after in pairwise(feet):
+        speeds = [float(np.hypot(b[0] - a[0], b[2] - a[2])) * 10 for a, b in zip(now, after, strict=True)]
+        total += sum(v * (2 - 2 ** min(max(a[1] / h, 0), 1)) for v, a, h in zip(speeds, now, (0.08, 0.04), strict=True))
+        skating += any(a[1] < 0.05 and b[1] < 0.05 and v > 0.5 for v, a, b in zip(speeds, now, after, strict=True))
+    assert 0 < skating < 29
+    assert skating_speed(feet, 10.0, (0.08, 0.04)) == pytest.approx(total / 58, rel=1e-12)
+    assert skating_ratio(feet, 10.0) == skating / 29
+
+
+def test_contact_labels_against_what_feet_do() -> None:
+    feet = sliding_feet(20.0, 0.0, 1.0)
+    honest = np.ones(feet.shape[:2])
+    honest[:, 0] = 0.0
+    assert contact_consistency(honest, feet, 20.0) == 1.0
+    assert contact_consistency(1.0 - honest, feet, 20.0) == 0.0
+    assert contact_consistency(np.ones_like(honest), feet, 20.0) == 0.75
+    assert contact_consistency(np.ones_like(honest), feet, 20.0, contact_speed=1.1) == 1.0
+
+
+def test_native_vectors_are_consistent_with_their_own_joints() -> None:
+    time = seconds(60.0)[:, None, None]
+    rng = np.random.default_rng(3)
+    phase, rate = rng.uniform(0, 6, (22, 3)), rng.uniform(1, 9, (22, 3))
+    positions = (0.3 * np.sin(rate * time + phase)).astype(np.float32)
+    contacts = vectors(positions, "smpl22", Fraction(60))[:, HUMANML3D_CONTACTS]
+    feet = positions[: len(contacts), [7, 10, 8, 11]]
+    assert 0.05 < contacts.mean() < 0.95
+    # Their velocities are central differences, so labels may differ where a foot crosses the threshold.
+    assert contact_consistency(contacts, feet, 60.0) > 0.97
+    assert contact_consistency(contacts[:, ::-1].copy(), feet, 60.0) < 0.9
+
+
+def test_rigid_bones_and_one_that_stretches() -> None:
+    positions = np.zeros((40, 3, 3))
+    positions[:, 1] = [0.0, 0.5, 0.0]
+    angle = seconds(20.0)[:40]
+    positions[:, 2] = positions[:, 1] + 0.25 * np.stack((np.sin(angle), np.cos(angle), 0 * angle), axis=1)
+    assert bone_length_variation(positions, CHAIN) == pytest.approx(0.0, abs=1e-12)
+    stretched = positions.copy()
+    stretched[::2, 1:, 1] += 0.1
+    # The first bone is 0.6 and 0.5 in turns: standard deviation 0.05 around 0.55; the second one goes along.
+    assert bone_length_variation(stretched, CHAIN) == pytest.approx(0.05 / 0.55 / 2)
+    assert bone_length_error(stretched, positions, CHAIN) == pytest.approx(0.1 / 2 / 2)
+
+
+def test_bones_without_length_do_not_count() -> None:
+    positions = np.zeros((5, 3, 3))
+    positions[:, 2, 0] = 1.0
+    assert bone_length_variation(positions, (-1, 0, 0)) == 0.0
+    with pytest.raises(ValueError, match="no bone"):
+        bone_length_variation(positions[:, :2], (-1, 0))
+
+
+def test_refusals() -> None:
+    motion = np.zeros((3, 2, 3))
+    broken = motion.copy()
+    broken[1, 0, 0] = np.nan
+    with pytest.raises(ValueError, match="at least 4 frames, not 3"):
+        jerk_error(motion, motion, 20.0)
+    for error in ERRORS:
+        with pytest.raises(ValueError, match="NaN"):
+            error(broken, motion, 20.0)
+        with pytest.raises(ValueError, match="fps must be positive"):
+            error(np.zeros((4, 1, 3)), np.zeros((4, 1, 3)), 0.0)
+    with pytest.raises(ValueError, match="the first is row 1"):
+        skating_ratio(broken, 20.0)
+    with pytest.raises(ValueError, match="2 foot joints and heights"):
+        skating_speed(motion, 20.0)
+    with pytest.raises(ValueError, match="the same frames and foot joints"):
+        contact_consistency(np.zeros((3, 1)), motion, 20.0)
+    with pytest.raises(ValueError, match="the first is row 1"):
+        contact_consistency(np.zeros((3, 2)), broken, 20.0)
+    with pytest.raises(ValueError, match="2 joints and 3 parents"):
+        bone_length_variation(motion, CHAIN)
+    with pytest.raises(ValueError, match="the first is row 1"):
+        bone_length_error(broken, motion, (-1, 0))
