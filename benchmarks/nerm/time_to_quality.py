@@ -130,6 +130,9 @@ def draw(curves: dict[str, list[Point]], path: Path) -> None:
         )
     axes.axhline(TARGET_MM, color="0.6", linewidth=0.8, linestyle="--")
     axes.set(xscale="log", yscale="log", xlabel="CPU seconds of training, one thread", ylabel="aligned MPJPE, mm")
+    axes.set_xlim(left=1.0)
+    axes.set_yticks([10, 20, 25, 50, 100, 200], labels=["10", "20", "25", "50", "100", "200"])
+    axes.minorticks_off()
     axes.legend()
     figure.savefig(path, dpi=120)
 
