@@ -29,7 +29,7 @@ from motionkit.training.randomness import step_generator
 from nerm.field_model import TrainedField
 from nerm.field_training import FieldTraining
 from nerm.field_windows import training_windows
-from nerm.recipes import FieldConfig, _banked_field, paper
+from nerm.recipes import FieldConfig, nano, paper
 from nerm.reconstruction import comparable, reconstructions, separate_windows
 
 TARGET_MM = 25.0
@@ -51,7 +51,7 @@ class Point:
 def settings(ours_steps: int) -> dict[str, FieldConfig]:
     """Both sides' settings."""
     return {
-        "ours": replace(_banked_field(steps=ours_steps), time_encoding="fourier"),
+        "ours": replace(nano().field, steps=ours_steps, time_encoding="fourier"),
         "the paper's, scaled": replace(
             paper().field, stride_seconds=2.0, hidden=256, batch=128, time_encoding="fourier"
         ),
