@@ -4,6 +4,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# How fast an example runs is the machine's affair, and never a reason to fail.
+settings.register_profile("motionkit", deadline=None)
+settings.load_profile("motionkit")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -118,7 +118,7 @@ def test_low_pass_gain_on_sine_waves(frequency: float, gain: float) -> None:
 
 
 @given(cutoff=st.floats(1.0, 40.0), num_frames=st.integers(1, 40), seed=st.integers(0, 2**16))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_low_pass_leaves_uniform_motion_alone(cutoff: float, num_frames: int, seed: int) -> None:
     start, velocity = np.random.default_rng(seed).normal(size=(2, 4, 3))
     uniform = start + velocity * np.arange(num_frames)[:, None, None] / 100

@@ -46,7 +46,7 @@ def seams(field: AssembledField) -> np.ndarray:
     return np.concatenate((field.fade_start, field.fade_end, inner))
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(
     st.integers(0, 1000),
     st.lists(st.floats(0.3, 1.5), min_size=1, max_size=4),

@@ -65,7 +65,7 @@ def test_a_source_is_what_the_store_s_cache_offers(source: MemorySource) -> None
     assert isinstance(source, PositionSource)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     frames=st.lists(st.integers(2, 900), min_size=1, max_size=4),
     rate=st.sampled_from([Fraction(20), Fraction(30000, 1001), Fraction(120), Fraction(250)]),
@@ -198,7 +198,7 @@ def test_windows_are_visited_by_their_duration(source: MemorySource) -> None:
     assert visits.tolist() == np.maximum(1, np.round(windows.duration_seconds / 2.0)).tolist()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(count=st.integers(1, 50), batch=st.integers(1, 70), seed=st.integers(0, 5))
 def test_batches_go_through_all_rows_before_any_comes_back(count: int, batch: int, seed: int) -> None:
     num_batches = -(-3 * count // batch)

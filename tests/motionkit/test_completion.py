@@ -33,7 +33,7 @@ def test_upsampling_keeps_frames_captions_and_logs(method: Method) -> None:
         upsample(motion, Fraction(20), INTERPOLATORS[method])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.integers(1, 30),
     st.sampled_from([Fraction(24), Fraction(30), Fraction(30000, 1001)]),

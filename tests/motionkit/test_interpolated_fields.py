@@ -72,7 +72,7 @@ def test_interpolators_are_encoders_of_motion_fields(method: Method) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 1000))
 def test_the_order_and_the_company_of_times_do_not_matter(method: Method, seed: int) -> None:
     field = INTERPOLATORS[method].encode(uneven(random_motion(seed), seed), before_seconds=0.2, after_seconds=0.3)

@@ -53,7 +53,7 @@ def test_upwards_is_band_limited_and_keeps_given_frames() -> None:
     assert np.abs(fast - expected)[90:-90].max() < 3e-4
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(1, 60), st.fractions(5, 120, max_denominator=1001), st.fractions(5, 120, max_denominator=1001))
 def test_constants_and_ends_survive_any_pair_of_rates(frames: int, fps_from: Fraction, fps_to: Fraction) -> None:
     still = np.full((frames, 2, 3), 3.5)

@@ -121,7 +121,7 @@ def test_the_same_generator_gives_the_same_motion() -> None:
     assert not np.allclose(first.query(times).joint_positions, other.query(times).joint_positions, atol=0.05)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @example(1_053_060_475, ["walk", "throw"])
 @given(st.integers(0, 2**32 - 1), st.lists(st.sampled_from(list(ACTIONS)), min_size=1, max_size=3))
 def test_sequences_of_actions(seed: int, actions: list[str]) -> None:

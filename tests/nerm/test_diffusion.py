@@ -84,7 +84,7 @@ def test_add_noise_agrees_with_diffusers():
 
 
 @given(step=st.integers(0, 999), seed=st.integers(0, 1000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_predicted_latents_undo_add_noise(step, seed):
     generator = torch.Generator().manual_seed(seed)
     latents = torch.randn(4, 6, generator=generator, dtype=torch.float64)
@@ -146,7 +146,7 @@ def test_ddpm_agrees_with_diffusers(config):
 
 
 @given(step=st.integers(0, 999), config=st.sampled_from(PROCESSES))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_what_is_predicted_leads_back_to_the_noise(step, config):
     generator = torch.Generator().manual_seed(step)
     latents = torch.randn(4, 6, generator=generator, dtype=torch.float64)

@@ -31,7 +31,7 @@ def random_places(seed: int, knots: int = 6) -> torch.Tensor:
 
 
 @given(seed=st.integers(0, 1000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_places_of_undoes_steps_of(seed):
     places = random_places(seed)
     torch.testing.assert_close(places_of(steps_of(places)), places, rtol=1e-9, atol=1e-9)
@@ -39,7 +39,7 @@ def test_places_of_undoes_steps_of(seed):
 
 
 @given(seed=st.integers(0, 1000), yaw=st.floats(-3, 3), x=st.floats(-9, 9))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_steps_do_not_depend_on_where_a_path_is_and_how_it_lies(seed, yaw, x):
     places = random_places(seed)
     cosine, sine = math.cos(yaw), math.sin(yaw)

@@ -43,7 +43,7 @@ def as_input(clips: np.ndarray, fps: float) -> np.ndarray:
 
 
 @given(yaw=st.floats(-3.1, 3.1), x=st.floats(-50, 50), z=st.floats(-50, 50), fps=st.sampled_from([20.0, 60.0, 120.0]))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_input_ignores_where_and_which_way(yaw: float, x: float, z: float, fps: float) -> None:
     clips = walking(24, fps)[None].astype(np.float64)
     moved = translate(turn(clips, yaw), np.array([[x, z]]))

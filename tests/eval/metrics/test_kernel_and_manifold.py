@@ -35,7 +35,7 @@ def prdc_by_pairs(x: np.ndarray, y: np.ndarray, k: int) -> tuple[float, float, f
     return float(precision), float(recall), float(density), float(coverage)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32), n=st.integers(7, 15), m=st.integers(7, 15), shift=st.floats(0, 2))
 def test_agree_with_brute_force(seed: int, n: int, m: int, shift: float) -> None:
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from eval.metrics.nearest import nearest_rows
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32), rows=st.integers(1, 40), size=st.integers(1, 50), offset=st.floats(-3, 3))
 def test_agrees_with_a_search_over_all_pairs(seed: int, rows: int, size: int, offset: float) -> None:
     rng = np.random.default_rng(seed)

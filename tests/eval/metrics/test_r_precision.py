@@ -19,7 +19,7 @@ def naive(queries: np.ndarray, candidates: np.ndarray, order: np.ndarray, pool: 
 
 
 @given(pairs=st.integers(8, 40), pool=st.integers(2, 8), seed=st.integers(0, 1000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_agrees_with_the_definition(pairs: int, pool: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     queries = rng.normal(size=(pairs, 4))

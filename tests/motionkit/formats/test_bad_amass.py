@@ -230,7 +230,7 @@ def damage(draw: st.DrawFn) -> bytes:
     return content
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=damage())
 def test_only_explained_errors_come_out(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a_poses.npz"
@@ -240,7 +240,7 @@ def test_only_explained_errors_come_out(tmp_path: Path, content: bytes) -> None:
     npz_archive.peek_keys(path)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.data())
 def test_damaged_pickles_give_a_constant_or_none(data: st.DataObject) -> None:
     content = pickled(data.draw(st.sampled_from(["male", 120.0])), data.draw(st.integers(2, 5)))

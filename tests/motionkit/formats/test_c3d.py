@@ -274,7 +274,7 @@ def test_bad_rates_are_refused(tmp_path: Path, rate: float) -> None:
     assert read_c3d(path, ReadOptions(fps=Fraction(100))).fps == 100
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data(), processor=st.sampled_from([84, 85, 86]), scale=st.sampled_from([-1.0, 0.05]))
 def test_damage_is_always_explained(
     data: st.DataObject, processor: int, scale: float, tmp_path_factory: pytest.TempPathFactory

@@ -171,7 +171,7 @@ def test_other_text_files_are_left_alone(tmp_path: Path) -> None:
 SNIPPETS = st.sampled_from([b"[", b"]", b"{", b",", b'"', b"null", b"NaN", b"1e999", b"-", b"\xff", b"\0", b"9" * 5000])
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_damage_is_always_explained(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.getbasetemp() / "damaged.txt"

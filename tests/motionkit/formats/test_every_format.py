@@ -54,7 +54,7 @@ def test_the_undamaged_source_is_read(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", SOURCES)
-@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=EXAMPLES, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), stated=st.booleans())
 def test_only_explained_errors_come_out(tmp_path_factory, name, data, stated):
     """What is read is finite and on a clock, so that it can be measured; all else is told with the file's name."""

@@ -27,7 +27,7 @@ def visible(column: np.ndarray, max_gap: int) -> np.ndarray:
     return shown
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     missing=arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 5)), elements=st.booleans()),
     max_gap=st.integers(0, 3),

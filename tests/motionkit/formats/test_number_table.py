@@ -1,7 +1,7 @@
 from pathlib import Path
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.formats import number_table
@@ -16,7 +16,6 @@ SEPARATORS = st.sampled_from([" ", "  ", "\t", " \t"])
 LINE_ENDS = st.sampled_from(["\n", " \n", "\r\n", "\n\n", "\n ", " \n\t"])
 
 
-@settings(deadline=None)
 @given(st.data(), st.integers(1, 6), st.integers(1, 5))
 def test_any_regular_table_is_read_as_python_reads_it(data: st.DataObject, rows: int, columns: int) -> None:
     words = [[data.draw(NUMBERS) for _ in range(columns)] for _ in range(rows)]

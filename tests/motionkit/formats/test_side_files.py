@@ -84,7 +84,7 @@ def test_hostile_files_beside_motions_are_explained(tmp_path, side, content, opt
 
 
 @pytest.mark.parametrize("side", BESIDE)
-@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_damaged_files_beside_motions_are_explained(tmp_path_factory, side, data):
     folder = tmp_path_factory.mktemp("side", numbered=True)
@@ -93,7 +93,7 @@ def test_damaged_files_beside_motions_are_explained(tmp_path_factory, side, data
 
 
 @pytest.mark.parametrize(("content", "reader"), [(RULES, read_rules), (MAP, read_skeleton_map)], ids=["rules", "map"])
-@settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=80, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_tables_of_the_user_are_explained(tmp_path, content, reader: Callable[[Path], object], data):
     path = tmp_path / "table.toml"

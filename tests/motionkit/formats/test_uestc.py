@@ -131,7 +131,7 @@ def test_bad_files_are_refused(tmp_path: Path, name: str, arrays: dict[str, np.n
     assert caught.value.reason == reason
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(data=st.data())
 def test_damage_is_always_explained(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     buffer = io.BytesIO()

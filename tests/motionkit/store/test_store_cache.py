@@ -47,7 +47,7 @@ def test_the_cache_holds_the_frames_of_the_store(small_store):
         np.testing.assert_array_equal(built.sequence_positions(n), map_joints(store.read(n), "smpl22"))
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_clips_are_the_frames_they_claim_to_be(small_store, data):
     built = cache.open_cache(Store.open(small_store))

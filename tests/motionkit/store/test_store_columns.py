@@ -42,7 +42,7 @@ EVERY_KIND = pa.schema(
 
 
 @given(rows_of(EVERY_KIND))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_tables_are_pyarrows(rows: list[dict[str, Any]]) -> None:
     table = table_of(rows, EVERY_KIND)
     table.validate(full=True)
@@ -53,7 +53,7 @@ def test_tables_are_pyarrows(rows: list[dict[str, Any]]) -> None:
 
 
 @given(st.lists(st.none() | st.lists(st.floats(width=32), max_size=4), max_size=20))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_lists_of_floats_are_pyarrows(values: list[list[float] | None]) -> None:
     flat = np.array([element for value in values for element in value or ()], np.float32)
     array = float_lists(flat, [None if value is None else len(value) for value in values], FLOAT_LIST)

@@ -41,7 +41,7 @@ frame_counts = st.lists(
 )
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(counts=frame_counts, cut=st.integers(0, 12), rates=st.data())
 def test_any_lengths_come_back(counts, cut, rates, make_motion, monkeypatch):
     """Whatever the lengths, however they fall on segments, row groups, parts and appends."""

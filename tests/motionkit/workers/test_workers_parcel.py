@@ -13,7 +13,7 @@ BYTES = arrays.arrays(np.uint8, st.integers(0, 70))
 
 
 @given(st.lists(st.tuples(st.text(max_size=3), FLOATS | BYTES), max_size=4), st.integers(0, 400) | st.none())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_value_comes_back_whatever_the_size_of_the_memory(value: list[object], size: int | None) -> None:
     memory = None if size is None else memoryview(bytearray(size))
     there = unpack(pack(value, memory), memory)

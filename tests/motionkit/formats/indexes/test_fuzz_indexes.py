@@ -10,7 +10,7 @@ from motionkit.errors import FormatError
 from motionkit.formats.indexes.catalogue import read_index
 
 HEADER = b"source_path,start_frame,end_frame,new_name\n"
-MANY = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+MANY = settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 cells = st.one_of(
     st.text(max_size=12),
