@@ -197,7 +197,7 @@ def nano() -> NermConfig:
     codebook = CodebookConfig(
         width=128, code_dimension=128, num_codes=256, steps=600, batch=48, rate=1e-3, rate_drop_at=480
     )
-    return NermConfig(codebook=codebook, field=_local_field(steps=5000), denoiser=_knot_denoiser(steps=2500))
+    return NermConfig(codebook=codebook, field=_local_field(steps=8000), denoiser=_knot_denoiser(steps=2500))
 
 
 def base() -> NermConfig:

@@ -141,7 +141,8 @@ class TestFixedFramerate:
     def test_every_pose_is_taken_at_that_framerate(self) -> None:
         training = _training(_settings("nano", "field.fixed_fps=20"))
         for step in (0, 5, 11):
-            batch = training._draw(step, step_generator(3, "field", step))
+            windows = torch.arange(len(training.poses.windows))
+            batch = training._draw(step, windows, windows, step_generator(3, "field", step))
             ticks = (batch.coordinates + 1.0) * 2.0 * 20.0
             torch.testing.assert_close(ticks, ticks.round(), atol=1e-9, rtol=0)
             assert batch.fps.unique().tolist() == [20.0]
