@@ -144,6 +144,7 @@ def with_unknown_setting(scene: Path) -> None:
 
 TRAIN = "train --runs runs --store"
 NEW = "--run new"
+NO_PATH = "--set field.path_knots=0 --set field.latent_dimension=720"
 GENERATE = "generate --runs runs --out made"
 CASES = (
     Case(
@@ -174,7 +175,7 @@ CASES = (
     ),
     Case(
         "no rotations",
-        f"{TRAIN} good --stage field {NEW} --set field.pose_vectors=rotations",
+        f"{TRAIN} good --stage field {NEW} --set field.pose_vectors=rotations {NO_PATH}",
         2,
         ("needs sequences with the joint rotations of SMPL's 22 joints", "good has none", "field.pose_vectors=field"),
     ),

@@ -205,6 +205,9 @@ TINY = (
     "field.num_poses=16",
     "field.precision=float32",
     "field.mirrored=true",
+    # A path of the body is one of positions.
+    "field.path_knots=0",
+    "field.latent_dimension=720",
 )
 
 
