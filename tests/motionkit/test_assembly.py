@@ -65,16 +65,20 @@ def test_velocity_is_continuous_at_every_join(
         origin = (float(rng.normal()), float(rng.normal()))
         pieces.append(Piece(other, start, float(rng.uniform(-3, 3)), origin))
     field = assemble(pieces, fade)
-    times, step = seams(field), 2e-3
+    times, step = seams(field), 5e-4
 
-    def jump(step: float) -> float:
+    def jumps(step: float) -> tuple[float, float]:
         offsets = np.concatenate([times + count * step for count in (-2, -1, 1, 2)])
         before, left, right, after = np.split(field.query(offsets).joint_positions.astype(np.float64), 4)
-        assert np.abs(right - left).max() < 120 * step  # no jump in place: 60 m/s would be one
-        return float(np.abs((after - right) - (left - before)).max() / step)
+        velocity = np.abs((after - right) - (left - before)).max() / step
+        return float(np.abs(right - left).max()), float(velocity)
 
-    # Acceleration is finite: the difference of velocities vanishes with the step (a kink of 1 m/s would stay).
-    assert jump(step / 4) < 0.4 * jump(step) + 0.1
+    place, velocity = jumps(step)
+    nearer_place, nearer_velocity = jumps(step / 4)
+    # Velocity is finite, and so is acceleration: what changes over a step vanishes with it. Random rotations may spin
+    # a limb at 100 m/s, so a speed alone tells no jump (a jump of 1 mm or a kink of 1 m/s would stay).
+    assert nearer_place < 0.4 * place + 5e-4
+    assert nearer_velocity < 0.4 * velocity + 0.1
 
 
 @pytest.mark.parametrize("rotations", [True, False])
