@@ -65,7 +65,8 @@ class AssembledField:
 
     The weight of the next piece is 6u⁵ − 15u⁴ + 10u³ of the fade's fraction u, which begins and ends with no slope and
     no curvature: where the pieces have continuous velocity (acceleration), so has the whole. Poses with rotations mix
-    these on great arcs and their bones and roots linearly, others mix joint positions linearly.
+    these on great arcs (joints that differ by less than half a turn) and their bones and roots linearly, others mix
+    joint positions linearly.
     """
 
     pieces: tuple[Piece, ...]

@@ -6,9 +6,11 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# How fast an example runs is the machine's affair, and never a reason to fail.
-settings.register_profile("motionkit", deadline=None)
-settings.load_profile("motionkit")
+# How fast an example runs is the machine's affair, and never a reason to fail. The same examples every time, so that
+# what failed fails again; HYPOTHESIS_PROFILE=explore draws new ones.
+settings.register_profile("motionkit", deadline=None, derandomize=True)
+settings.register_profile("explore", deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "motionkit"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
