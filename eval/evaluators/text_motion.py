@@ -1,0 +1,42 @@
+"""What R-Precision, MultiModal Dist and the FID of whole motions need of an evaluator of text and motion."""
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float64
+
+from eval.samples import SampleSet
+from motionkit.motion import Caption
+
+
+@runtime_checkable
+class TextMotionEvaluator(Protocol):
+    """Embeds whole motions and sentences in one space; distances there are Euclidean.
+
+    A motion's row depends on that motion alone: not on its batch, not on its place in it.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of everything that the numbers depend on: definition, weights, statistics, settings."""
+        ...
+
+    @property
+    def fps(self) -> Fraction | None:
+        """The only framerate at which motions may be given; None where any may."""
+        ...
+
+    def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
+        """One row per sequence, in the order of the set. Raises `MotionkitError` for another framerate."""
+        ...
+
+    def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
+        """One row per caption, in order. Raises `MotionkitError` where one cannot be read."""
+        ...
