@@ -1,0 +1,82 @@
+"""`motionkit split`: which sequences of a store are for training and which are held out."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from motionkit.console import print_json, stdout
+from motionkit.errors import UsageError
+from motionkit.settings import default_path
+
+if TYPE_CHECKING:
+    from motionkit.store.splits import SplitReport
+
+
+def split(
+    shares: Annotated[
+        str, typer.Option(help="What part of the motion, in seconds, each split gets: test=1 puts all of it there.")
+    ] = "train=0.8,val=0.05,test=0.15",
+    by: Annotated[
+        str,
+        typer.Option(
+            metavar="SQL",
+            help="What stays together: performer (source and subject), source, source_path, or any expression "
+            "over the table of sequences; sequence_id to hold out takes of known performers.",
+        ),
+    ] = "performer",
+    where: Annotated[
+        str | None,
+        typer.Option(metavar="SQL", help="Only sequences for which this holds; the others stay where they are."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Who is held out follows from it.")] = 0,
+    store: Annotated[Path | None, typer.Option(help="Store to change.", show_default="./store")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and leave the store.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Split a store into train, val and test so that nobody who is held out is seen in training.
+
+    Splits that the sources came with are replaced. A store is another one afterwards (its fingerprint changes): runs
+    that were trained from it stay with the old one, so split before training, or split a copy ('motionkit merge').
+    """
+    from motionkit.store.splits import split as split_store
+
+    wanted = parse_shares(shares)
+    report = split_store(store or default_path("store"), wanted, by=by, where=where, seed=seed, dry_run=dry_run)
+    if as_json:
+        print_json({**asdict(report), "store": str(report.store), "seed": seed, "dry_run": dry_run})
+    else:
+        _print(report, dry_run)
+
+
+def parse_shares(text: str) -> dict[str, float]:
+    """`train=0.8,test=0.2` as numbers by split; raises `UsageError` for what is none."""
+    found: dict[str, float] = {}
+    for part in text.split(","):
+        name, equals, number = (piece.strip() for piece in part.partition("="))
+        try:
+            share = float(number)
+        except ValueError:
+            share = float("nan")
+        if not equals or share != share:
+            raise UsageError(f"--shares takes SPLIT=NUMBER,… (train=0.8,val=0.05,test=0.15), not {text!r}")
+        if name in found:
+            raise UsageError(f"--shares names {name!r} twice: {text!r}")
+        found[name] = share
+    return found
+
+
+def _print(report: "SplitReport", dry_run: bool) -> None:
+    stdout.print(f"{'split':8}{'share':>8}{'asked':>8}{'hours':>10}{'groups':>10}{'sequences':>12}", markup=False)
+    for each in report.splits:
+        hours = each.duration_seconds / 3600
+        stdout.print(
+            f"{each.split:8}{each.share:8.3f}{each.asked_share:8.3f}{hours:10.2f}{each.num_groups:10,}"
+            f"{each.num_sequences:12,}",
+            markup=False,
+        )
+    doing = "would change" if dry_run else "changed"
+    stdout.print(
+        f"{doing} the split of {report.num_changed:,} sequences of {report.store}, by {report.by}", markup=False
+    )
