@@ -1,11 +1,12 @@
 """What the text metrics cost: FID of 512 numbers from 10,000 samples, and a table's row of 20 replications.
 
-    python benchmarks/eval/text_metrics.py [--motions 4640] [--replications 20] [--json]
+    python benchmarks/eval/text_metrics.py [--motions 4640] [--protocol native] [--json]
 
-A row is everything that the text-to-motion protocol reports, from embeddings that are there already: R-Precision 1-3 in
-both directions, MM-Dist, FID, Diversity and MultiModality (100 texts x 30 generations), replicated with new generated
-embeddings each time. Embeddings are random: no figure but the time means anything. CPU seconds of this process, with
-all its threads, and seconds by the clock. The peer is FID by scipy.linalg.sqrtm, as published evaluators have it.
+A row is everything that a protocol reports, from embeddings that are there already: R-Precision 1-3 in both directions,
+MM-Dist, FID, Diversity and MultiModality (100 texts x 30 generations), replicated with new generated embeddings each
+time; FID_infinity and KID once, where the protocol has them. Embeddings are random: no figure but the time means
+anything. CPU seconds of this process, with all its threads, and seconds by the clock. The peer is FID by
+scipy.linalg.sqrtm, as published evaluators have it.
 """
 
 import argparse
@@ -16,11 +17,9 @@ from collections.abc import Callable
 import numpy as np
 import scipy.linalg
 
-from eval.metrics.diversity import diversity
-from eval.metrics.frechet import fid, frechet_distance
-from eval.metrics.gaussian import fit_gaussian
-from eval.metrics.multimodality import multimodality
-from eval.metrics.r_precision import r_precision
+from eval.metrics.frechet import fid
+from eval.protocols.text_motion import TextMotionProtocol, find_text_motion_protocol
+from eval.scoring.text_motion import TextMotionPairs, score_text_motion
 
 FEATURES = 512
 FID_SAMPLES = 10_000
@@ -32,24 +31,16 @@ def fid_by_square_root(x: np.ndarray, y: np.ndarray) -> float:
     return float(((x.mean(0) - y.mean(0)) ** 2).sum() + np.trace(a + b - 2 * root))
 
 
-def row(num_motions: int, replications: int, rng: np.random.Generator) -> Callable[[], None]:
+def row(num_motions: int, protocol: TextMotionProtocol, rng: np.random.Generator) -> Callable[[], object]:
     """All replications of a row, on embeddings drawn beforehand."""
     texts = rng.normal(size=(num_motions, FEATURES)).astype(np.float32)
-    motions = [texts + rng.normal(size=texts.shape).astype(np.float32) for _ in range(replications)]
-    several = rng.normal(size=(100, 30, FEATURES)).astype(np.float32)
-    real = rng.normal(size=texts.shape).astype(np.float32)
 
-    def work() -> None:
-        real_gaussian = fit_gaussian(real)
-        for number, generated in enumerate(motions):
-            draw = np.random.default_rng(number)
-            r_precision(texts, generated, rng=draw)
-            r_precision(generated, texts, rng=draw)
-            frechet_distance(real_gaussian, fit_gaussian(generated))
-            diversity(generated, rng=draw)
-            multimodality(several, rng=draw)
+    def pairs() -> TextMotionPairs:
+        return TextMotionPairs(texts, texts + rng.normal(size=texts.shape).astype(np.float32))
 
-    return work
+    real, draws = pairs(), [pairs() for _ in range(protocol.replications)]
+    repeated = rng.normal(size=(100, 30, FEATURES)).astype(np.float32)
+    return lambda: score_text_motion(real, draws, protocol, 0, repeated=repeated)
 
 
 def seconds(work: Callable[[], object]) -> dict[str, float]:
@@ -61,9 +52,10 @@ def seconds(work: Callable[[], object]) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--motions", type=int, default=4640)
-    parser.add_argument("--replications", type=int, default=20)
+    parser.add_argument("--protocol", default="native")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
+    protocol = find_text_motion_protocol(arguments.protocol)
     rng = np.random.default_rng(0)
     mixing = rng.normal(size=(FEATURES, FEATURES)) / np.sqrt(FEATURES)
     x, y = rng.normal(size=(2, FID_SAMPLES, FEATURES)) @ mixing
@@ -71,8 +63,8 @@ def main() -> None:
     figures = {
         f"FID, {FID_SAMPLES} x {FEATURES}": seconds(lambda: fid(x, y)),
         "the same by scipy.linalg.sqrtm": seconds(lambda: fid_by_square_root(x, y)),
-        f"text metrics, {arguments.motions} motions, {arguments.replications} replications": seconds(
-            row(arguments.motions, arguments.replications, rng)
+        f"protocol {protocol.name}, {arguments.motions} motions, {protocol.replications} replications": seconds(
+            row(arguments.motions, protocol, rng)
         ),
     }
     if arguments.json:

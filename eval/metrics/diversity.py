@@ -46,5 +46,5 @@ def _check(features: Float[np.ndarray, "samples features"]) -> None:
 def _mean_distance(
     features: Float[np.ndarray, "samples features"], first: npt.NDArray[np.int64], second: npt.NDArray[np.int64]
 ) -> float:
-    wide = features.astype(np.float64)
-    return float(np.linalg.norm(wide[first] - wide[second], axis=1).mean())
+    differences = features[first].astype(np.float64) - features[second]
+    return float(np.linalg.norm(differences, axis=1).mean())

@@ -23,3 +23,8 @@ def estimate(values: Sequence[float]) -> Estimate:
     if not np.isfinite(array).all():
         raise ValueError(f"a replication is not finite: {array.tolist()}")
     return Estimate(float(array.mean()), float(1.96 * array.std() / np.sqrt(array.size)), array.size)
+
+
+def variance_spread(values: Sequence[float]) -> float:
+    """1.96 · variance (ddof 0) over replications: what ACTOR prints after "±". It is no interval of anything."""
+    return float(1.96 * np.var(np.asarray(values, dtype=np.float64)))

@@ -1,9 +1,16 @@
 """MultiModality: how far apart motions of the same text (or action) are."""
 
+from collections.abc import Callable
+
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, Int, Int64
+
+from eval.metrics.checks import checked_features
 
 NUM_PAIRS = 10
+
+CLASS_PAIRS = 20
+"""Pairs of every class in the action protocols."""
 
 
 def multimodality(
@@ -42,6 +49,66 @@ def multimodality_shared_pairs(
         raise ValueError(f"{num_pairs} pairs need at least {num_pairs} generations of each text, not {generations}")
     first, second = (rng.permutation(generations)[:num_pairs] for _ in range(2))
     return float(np.linalg.norm(values[:, first] - values[:, second], axis=-1).mean())
+
+
+def multimodality_by_class(
+    features: Float[np.ndarray, "samples features"],
+    labels: Int[np.ndarray, "labels"],
+    *,
+    rng: np.random.Generator,
+    num_pairs: int = CLASS_PAIRS,
+) -> float:
+    """Mean distance of random pairs of two different motions of one class, as many pairs of every class there is.
+
+    Raises `ValueError` for a class with a single motion, NaN or infinity. Defined here: the action protocols' own
+    pairs may be a motion with itself (`multimodality_by_class_with_replacement`).
+    """
+
+    def draw(members: int) -> tuple[Int64[np.ndarray, "pairs"], Int64[np.ndarray, "pairs"]]:
+        first = rng.integers(members, size=num_pairs)
+        # A step of 1 … members − 1 around the circle never comes back to where it began.
+        return first, (first + rng.integers(1, members, size=num_pairs)) % members
+
+    return _by_class(features, labels, draw, least=2)
+
+
+def multimodality_by_class_with_replacement(
+    features: Float[np.ndarray, "samples features"],
+    labels: Int[np.ndarray, "labels"],
+    *,
+    rng: np.random.Generator,
+    num_pairs: int = CLASS_PAIRS,
+) -> float:
+    """Mean distance of random pairs of one class, both sides drawn with replacement, as many pairs of every class.
+
+    A motion may be paired with itself. The reference draws pairs from the whole set until every class has its share,
+    which is the same distribution. Raises `ValueError` for NaN or infinity. Source: action-to-motion.
+    """
+
+    def draw(members: int) -> tuple[Int64[np.ndarray, "pairs"], Int64[np.ndarray, "pairs"]]:
+        return rng.integers(members, size=num_pairs), rng.integers(members, size=num_pairs)
+
+    return _by_class(features, labels, draw, least=1)
+
+
+def _by_class(
+    features: Float[np.ndarray, "samples features"],
+    labels: Int[np.ndarray, "labels"],
+    draw: Callable[[int], tuple[Int64[np.ndarray, "pairs"], Int64[np.ndarray, "pairs"]]],
+    *,
+    least: int,
+) -> float:
+    values = checked_features(features, "features", minimum=1)
+    if labels.shape != (len(values),):
+        raise ValueError(f"there are {len(values)} motions and {len(labels)} labels")
+    means = []
+    for label in np.unique(labels).tolist():
+        members = values[labels == label]
+        if len(members) < least:
+            raise ValueError(f"class {label} has a single motion: it has no distance to another one of its class")
+        first, second = draw(len(members))
+        means.append(np.linalg.norm(members[first] - members[second], axis=1).mean())
+    return float(np.mean(means))
 
 
 def _checked(

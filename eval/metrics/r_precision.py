@@ -1,16 +1,17 @@
 """R-Precision: how often a sentence's own motion is among the nearest in a pool (text-to-motion, final_evaluations.py).
 
 The reference protocol ranks, for each text, the motions of its pool; the NeRM paper words it the other way round, for
-each motion its texts. Both are this function with its arguments exchanged; a table says which it used.
+each motion its texts. Both come from one matrix of distances a pool; a table says which it used.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, Int64
 from scipy.spatial.distance import cdist
 
 REFERENCE_POOL = 32
+RANKS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,13 +30,21 @@ class RPrecision:
         return RPrecision(share * self.top + rest * other.top, distance, total)
 
 
+@dataclass(frozen=True, eq=False)
+class BothWays:
+    """R-Precision of the same pools in both directions; the matching distance is the same in either."""
+
+    text_asks: RPrecision
+    motion_asks: RPrecision
+
+
 def r_precision(
     queries: Float[np.ndarray, "pairs numbers"],
     candidates: Float[np.ndarray, "pairs numbers"],
     *,
     rng: np.random.Generator,
     pool: int = REFERENCE_POOL,
-    ranks: int = 3,
+    ranks: int = RANKS,
 ) -> RPrecision:
     """Shuffle the pairs, cut them into pools, and rank each query's own candidate by Euclidean distance in its pool.
 
@@ -45,14 +54,48 @@ def r_precision(
     √(a² + b² − 2ab) in float32 gives NaN for equal vectors); `matching_distance` is MM-Dist over the same pairs.
     Raises `ValueError` for fewer pairs than a pool or rows that are not finite.
     """
-    if len(queries) < pool:
-        raise ValueError(f"R-Precision in pools of {pool} needs at least {pool} pairs, there are {len(queries)}")
+    return ranked(pool_distances(queries, candidates, rng.permutation(len(queries)), pool), ranks)
+
+
+def r_precision_both_ways(
+    texts: Float[np.ndarray, "pairs numbers"],
+    motions: Float[np.ndarray, "pairs numbers"],
+    *,
+    rng: np.random.Generator,
+    pool: int = REFERENCE_POOL,
+    ranks: int = RANKS,
+) -> BothWays:
+    """`r_precision` of texts that ask for motions and of motions that ask for texts, from the same pools."""
+    return ranked_both_ways(pool_distances(texts, motions, rng.permutation(len(texts)), pool), ranks)
+
+
+def pool_distances(
+    queries: Float[np.ndarray, "pairs numbers"],
+    candidates: Float[np.ndarray, "pairs numbers"],
+    order: Int64[np.ndarray, "chosen"],
+    pool: int = REFERENCE_POOL,
+) -> Float64[np.ndarray, "pools pool pool"]:
+    """Euclidean distances inside pools that are cut from the pairs in `order`; [i, j, j] is a pair's own distance.
+
+    Raises `ValueError` for fewer pairs than a pool or rows that are not finite.
+    """
+    if len(order) < pool:
+        raise ValueError(f"R-Precision in pools of {pool} needs at least {pool} pairs, there are {len(order)}")
     if not (np.isfinite(queries).all() and np.isfinite(candidates).all()):
         raise ValueError("R-Precision needs finite embeddings")
-    order = rng.permutation(len(queries))[: len(queries) // pool * pool].reshape(-1, pool)
-    distances = np.stack([cdist(queries[members], candidates[members]) for members in order])
+    pools = order[: len(order) // pool * pool].reshape(-1, pool)
+    return np.stack([cdist(queries[members], candidates[members]) for members in pools])
+
+
+def ranked(distances: Float64[np.ndarray, "pools pool pool"], ranks: int = RANKS) -> RPrecision:
+    """R-Precision of pools' distances, a query a row."""
     own = np.diagonal(distances, axis1=1, axis2=2)
     nearer = (distances < own[..., None]).sum(axis=-1)
     tied = (distances == own[..., None]).sum(axis=-1)
     top = np.array([np.clip((rank - nearer) / tied, 0.0, 1.0).mean() for rank in range(1, ranks + 1)])
-    return RPrecision(top, float(own.mean()), order.size)
+    return RPrecision(top, float(own.mean()), own.size)
+
+
+def ranked_both_ways(distances: Float64[np.ndarray, "pools texts motions"], ranks: int = RANKS) -> BothWays:
+    """R-Precision of pools' distances, a text a row and a motion a column, in both directions."""
+    return BothWays(ranked(distances, ranks), ranked(distances.swapaxes(1, 2), ranks))

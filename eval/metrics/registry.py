@@ -108,6 +108,19 @@ def _true_power(_: Array, target: npt.NDArray[np.floating]) -> float:
 
 METRICS: tuple[Metric, ...] = (
     Metric("fid", "FID", "", False, 1, "Heusel et al. 2017", "real, generated", frechet.fid),
+    *(
+        Metric(
+            f"fid_{name}",
+            f"FID ({title})",
+            "",
+            False,
+            1,
+            "ACTOR (Petrovich et al. 2021)",
+            "real, generated",
+            frechet.fid,
+        )
+        for name, title in (("train", "training set"), ("test", "test set"))
+    ),
     Metric("fid_infinity", "FID∞", "", False, 1, "Chong & Forsyth 2020", "real, generated", frechet.fid_infinity),
     Metric("kid", "KID", "", False, 1, "Bińkowski et al. 2018", "real, generated", kernel.kid),
     Metric("precision", "Precision", "", True, 1, "Kynkäänniemi et al. 2019", "real, generated", manifold.prdc),
@@ -116,14 +129,18 @@ METRICS: tuple[Metric, ...] = (
     Metric("coverage", "Coverage", "", True, 1, "Naeem et al. 2020", "real, generated", manifold.prdc),
     *(
         Metric(
-            f"r_precision_top{rank}",
-            f"R-Precision, top {rank}",
+            f"r_precision_top{rank}{direction}",
+            f"R-Precision, top {rank}{title}",
             "",
             True,
             1,
-            "text-to-motion (Guo et al. 2022)",
+            source,
             "queries, candidates",
             r_precision.r_precision,
+        )
+        for direction, title, source in (
+            ("", "", "text-to-motion (Guo et al. 2022): a text asks for its motion"),
+            ("_motion_asks", " (a motion asks)", "NeRM, appendix: a motion asks for its text"),
         )
         for rank in (1, 2, 3)
     ),
@@ -168,6 +185,23 @@ METRICS: tuple[Metric, ...] = (
         "text-to-motion (Guo et al. 2022)",
         "one set",
         multimodality.multimodality_shared_pairs,
+    ),
+    *(
+        Metric(name, title, "", None, 1, source, "one set", function)
+        for name, title, source, function in (
+            (
+                "multimodality_by_class",
+                "MultiModality (by action)",
+                "motionkit: pairs of two different motions",
+                multimodality.multimodality_by_class,
+            ),
+            (
+                "multimodality_by_class_with_replacement",
+                "MultiModality (by action, with replacement)",
+                "action-to-motion (Guo et al. 2020)",
+                multimodality.multimodality_by_class_with_replacement,
+            ),
+        )
     ),
     Metric(
         "accuracy",

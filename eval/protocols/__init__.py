@@ -1,0 +1,1 @@
+"""Protocols: how published evaluations draw, pair and repeat, as data."""

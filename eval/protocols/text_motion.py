@@ -1,0 +1,125 @@
+"""Protocols of text-to-motion: what each published evaluation draws, pairs, drops and repeats.
+
+Their sources were read, not run; what an evaluator sees (crops, lengths, captions) is not part of a protocol here.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from eval.protocols.compat import FLOAT32_DISTANCES, NAN_IS_BEST, PADDING_LEAK
+from motionkit.errors import UsageError
+
+
+@dataclass(frozen=True)
+class MultiModalityRule:
+    """How MultiModality draws: `num_texts` None is every text; `pairs` "distinct" is Eq. 8 of the NeRM paper.
+
+    "shared" takes the same index pairs for every text, and a motion may be paired with itself (text-to-motion).
+    """
+
+    num_texts: int | None = 100
+    num_generations: int = 30
+    num_pairs: int = 10
+    pairs: Literal["distinct", "shared"] = "shared"
+    replications: int = 20
+
+    @property
+    def metric(self) -> str:
+        """Its name in `eval.metrics.registry`."""
+        return "multimodality" if self.pairs == "distinct" else "multimodality_shared_pairs"
+
+
+@dataclass(frozen=True)
+class TextMotionProtocol:
+    """One way to turn embeddings of texts and motions into a table's numbers.
+
+    `pool`: motions that a text chooses among, cut from a random order of all of them. (Published code calls a pool a
+    batch of its shuffled loader; the distribution is the same.) `remainder`: what the motions of the last, incomplete
+    pool are left out of. `num_motions`: how many generated motions count, None for all. `reference`: FID against the
+    real motions of the same texts ("paired") or against another random order of the real set with its own remainder
+    ("redraw"). `asks`: the direction whose R-Precision the source quotes; both are computed. `known_bugs`: names in
+    `eval.protocols.compat` that its published code has. Raises `ValueError` for numbers that make no sense.
+    """
+
+    name: str
+    title: str
+    source: str
+    version: int = 1
+    pool: int = 32
+    remainder: Literal["R-Precision", "every metric"] = "every metric"
+    num_motions: int | None = None
+    reference: Literal["paired", "redraw"] = "paired"
+    asks: Literal["text", "motion"] = "text"
+    replications: int = 20
+    diversity_pairs: int = 300
+    multimodality: MultiModalityRule = field(default_factory=MultiModalityRule)
+    details: tuple[str, ...] = ()
+    known_bugs: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.pool < 2 or self.replications < 1 or self.diversity_pairs < 1:
+            raise ValueError(f"protocol {self.name!r}: a pool needs 2 motions, a mean 1 replication and 1 pair")
+        if self.num_motions is not None and self.num_motions < self.pool:
+            raise ValueError(f"protocol {self.name!r}: {self.num_motions} motions do not fill a pool of {self.pool}")
+
+
+OWN_LENGTHS = "Its models choose the length of a motion; here a motion is as long as the sample is."
+
+NATIVE = TextMotionProtocol(
+    name="native",
+    title="motionkit",
+    source="docs/metrics.md",
+    remainder="R-Precision",
+    multimodality=MultiModalityRule(pairs="distinct"),
+    details=("fid_infinity", "kid"),
+)
+T2M = TextMotionProtocol(
+    name="t2m",
+    title="text-to-motion",
+    source="Guo et al. 2022, final_evaluations.py",
+    reference="redraw",
+    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
+)
+MDM = TextMotionProtocol(
+    name="mdm",
+    title="MDM",
+    source="Tevet et al. 2023, eval/eval_humanml.py",
+    num_motions=1024,
+    reference="redraw",
+    multimodality=MultiModalityRule(num_texts=128, replications=5),
+    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
+    remarks=("MDM generates 1,024 motions: its FID does not compare with that of 4,640.",),
+)
+MLD = TextMotionProtocol(
+    name="mld",
+    title="MLD",
+    source="Chen et al. 2023, mld/models/metrics/tm2t.py and mm.py",
+    remainder="R-Precision",
+    known_bugs=(NAN_IS_BEST.name, PADDING_LEAK.name),
+)
+T2M_GPT = TextMotionProtocol(
+    name="t2m-gpt",
+    title="T2M-GPT",
+    source="Zhang et al. 2023, utils/eval_trans.py",
+    multimodality=MultiModalityRule(num_texts=None),
+    known_bugs=(FLOAT32_DISTANCES.name,),
+    remarks=(OWN_LENGTHS,),
+)
+MOMASK = TextMotionProtocol(
+    name="momask",
+    title="MoMask, MARDM",
+    source="Guo et al. 2024, utils/eval_t2m.py",
+    multimodality=MultiModalityRule(num_texts=96),
+    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
+)
+TEXT_MOTION_PROTOCOLS = (NATIVE, T2M, MDM, MLD, T2M_GPT, MOMASK)
+
+
+def find_text_motion_protocol(name: str) -> TextMotionProtocol:
+    """A protocol by name. Raises `UsageError` with the names there are."""
+    for protocol in TEXT_MOTION_PROTOCOLS:
+        if protocol.name == name:
+            return protocol
+    known = ", ".join(protocol.name for protocol in TEXT_MOTION_PROTOCOLS)
+    raise UsageError(f"there is no text-to-motion protocol {name!r}: {known}")

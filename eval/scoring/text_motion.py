@@ -1,0 +1,227 @@
+"""Text-to-motion's numbers from embeddings of texts, of real and of generated motions."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from eval.metrics.diversity import diversity
+from eval.metrics.frechet import fid_infinity, frechet_distance
+from eval.metrics.gaussian import Gaussian, fit_gaussian
+from eval.metrics.kernel import kid
+from eval.metrics.multimodality import multimodality, multimodality_shared_pairs
+from eval.metrics.r_precision import pool_distances, ranked_both_ways
+from eval.protocols.compat import KnownBug, chosen_bugs
+from eval.protocols.text_motion import TextMotionProtocol
+from eval.scoring.published_distances import ranked_as_published
+from eval.scoring.scores import Scores, Tally
+
+GENERATED, REAL, DIVERSITY, MULTIMODALITY = range(4)
+"""Streams of random numbers of one replication: what one metric draws does not move another's."""
+
+Order = Int64[np.ndarray, "chosen"]
+
+
+@dataclass(frozen=True, eq=False)
+class TextMotionPairs:
+    """Embeddings of texts and of the motions that belong to them, row by row, in one space.
+
+    Raises `ValueError` for unequal numbers or widths, or none.
+    """
+
+    texts: Float[np.ndarray, "texts numbers"]
+    motions: Float[np.ndarray, "motions features"]
+
+    def __post_init__(self) -> None:
+        if self.texts.shape != self.motions.shape or not len(self.texts):
+            raise ValueError(
+                f"embeddings of texts are {self.texts.shape}, of motions {self.motions.shape}: "
+                "one of either for each pair"
+            )
+
+
+def score_text_motion(
+    real: TextMotionPairs,
+    draws: Sequence[TextMotionPairs],
+    protocol: TextMotionProtocol,
+    seed: int,
+    *,
+    repeated: Float[np.ndarray, "texts generations features"] | None = None,
+    compat: Sequence[str] = (),
+    on_replication: Callable[[], None] = lambda: None,
+) -> Scores:
+    """R-Precision in both directions, MM-Dist, FID, Diversity and MultiModality of generated motions under a protocol.
+
+    `draws` are independent generations of the whole set; replication r takes draw r modulo their number, so with fewer
+    draws than replications the interval holds less than the protocol means, and a remark says so. `repeated` holds
+    several motions of one text for MultiModality, which is left out without it. With the protocol's reference "paired",
+    row i of a draw was generated for the text of row i of `real`. To score real motion itself give `[real]`: its FID
+    is then 0 ("paired") or what the dropped remainders leave ("redraw"). `compat` names known bugs to switch on.
+
+    Raises `ValueError` for pairs that do not fit together or are not finite, fewer than a pool of them, and
+    `UsageError` for a bug that the protocol does not have.
+    """
+    if not draws:
+        raise ValueError("there is no set of motions to score")
+    bugs = chosen_bugs(protocol.name, protocol.known_bugs, compat)
+    for draw in draws:
+        _check(real, draw, protocol)
+    tally, fids = Tally(), _Fids(real, draws, protocol)
+    for replication in range(protocol.replications):
+        which = replication % len(draws)
+        draw = draws[which]
+        order = np.random.default_rng((seed, replication, GENERATED)).permutation(len(draw.motions))
+        order = order[: _counted(len(order), protocol)]
+        _add_precision(draw, order, protocol, bugs, tally)
+        tally.add("fid", fids.value(which, order, seed, replication))
+        rng = np.random.default_rng((seed, replication, DIVERSITY))
+        tally.add("diversity", diversity(draw.motions[order], rng, protocol.diversity_pairs))
+        if repeated is not None and replication < protocol.multimodality.replications:
+            _add_multimodality(repeated, protocol, np.random.default_rng((seed, replication, MULTIMODALITY)), tally)
+        on_replication()
+    _add_details(real, draws[0], protocol, seed, tally)
+    tally.remark_on_draws(len(draws), protocol.replications)
+    sizes = {"real": fids.num_real, "generated": _counted(len(draws[0].motions), protocol), "draws": len(draws)}
+    _remark_on_sizes(sizes, real.motions.shape[1], protocol, tally)
+    if repeated is not None:
+        sizes |= {"multimodality texts": len(repeated), "multimodality generations": repeated.shape[1]}
+    return tally.scores(protocol.name, sizes, protocol.remarks)
+
+
+def _check(real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionProtocol) -> None:
+    if draw.motions.shape[1] != real.motions.shape[1]:
+        raise ValueError(
+            f"embeddings of real motions have {real.motions.shape[1]} numbers, "
+            f"of generated ones {draw.motions.shape[1]}"
+        )
+    if protocol.reference == "paired" and len(draw.motions) != len(real.motions):
+        raise ValueError(
+            f"protocol {protocol.name!r} compares with the real motions of the same texts, but there are "
+            f"{len(draw.motions)} generated and {len(real.motions)} real motions: give those that belong together, or "
+            "choose a protocol with an independent reference (t2m, mdm)"
+        )
+
+
+def _counted(number: int, protocol: TextMotionProtocol) -> int:
+    """How many of the generated motions count."""
+    return _kept(number if protocol.num_motions is None else min(number, protocol.num_motions), protocol)
+
+
+def _kept(number: int, protocol: TextMotionProtocol) -> int:
+    return number if protocol.remainder == "R-Precision" else number // protocol.pool * protocol.pool
+
+
+def _add_precision(
+    draw: TextMotionPairs, order: Order, protocol: TextMotionProtocol, bugs: tuple[KnownBug, ...], tally: Tally
+) -> None:
+    names = [bug.name for bug in bugs if bug.part == "scores"]
+    if names:
+        found = ranked_as_published(draw.texts, draw.motions, order, protocol.pool, names[-1])
+    else:
+        found = ranked_both_ways(pool_distances(draw.texts, draw.motions, order, protocol.pool))
+    for suffix, direction in (("", found.text_asks), ("_motion_asks", found.motion_asks)):
+        for rank, share in enumerate(direction.top.tolist(), start=1):
+            tally.add(f"r_precision_top{rank}{suffix}", share)
+    if np.isfinite(found.text_asks.matching_distance):
+        tally.add("mm_dist", found.text_asks.matching_distance)
+    else:
+        tally.remark("MM-Dist is NaN in some replications, which are left out of it (--compat float32-distances)")
+
+
+class _Fids:
+    """FID of each replication; what does not change from one to the next is fitted once."""
+
+    def __init__(self, real: TextMotionPairs, draws: Sequence[TextMotionPairs], protocol: TextMotionProtocol) -> None:
+        self._real, self._draws, self._protocol = real.motions, draws, protocol
+        self._everything: Gaussian | None = None
+        self._of_draws: dict[int, float] = {}
+        self.num_real = 0
+
+    def value(self, which: int, order: Order, seed: int, replication: int) -> float:
+        """FID of the chosen motions of one draw against the protocol's reference."""
+        motions = self._draws[which].motions
+        paired, whole = self._protocol.reference == "paired", len(order) == len(motions)
+        if paired and whole:
+            self.num_real = len(self._real)
+            if which not in self._of_draws:
+                self._of_draws[which] = frechet_distance(self._all_real(), fit_gaussian(motions))
+            return self._of_draws[which]
+        return frechet_distance(
+            self._reference(order if paired else None, seed, replication), fit_gaussian(motions[order])
+        )
+
+    def _reference(self, order: Order | None, seed: int, replication: int) -> Gaussian:
+        kept = _kept(len(self._real), self._protocol)
+        if order is None and kept == len(self._real):
+            self.num_real = kept
+            return self._all_real()
+        if order is None:
+            order = np.random.default_rng((seed, replication, REAL)).permutation(len(self._real))[:kept]
+        self.num_real = len(order)
+        return fit_gaussian(self._real[order])
+
+    def _all_real(self) -> Gaussian:
+        if self._everything is None:
+            self._everything = fit_gaussian(self._real)
+        return self._everything
+
+
+def _add_multimodality(
+    repeated: Float[np.ndarray, "texts generations features"],
+    protocol: TextMotionProtocol,
+    rng: np.random.Generator,
+    tally: Tally,
+) -> None:
+    rule = protocol.multimodality
+    texts, generations = repeated.shape[:2]
+    needed = 2 * rule.num_pairs if rule.pairs == "distinct" else rule.num_pairs
+    if generations < needed:
+        tally.remark(
+            f"MultiModality is left out: {rule.num_pairs} pairs need {needed} motions of each text, "
+            f"there are {generations}"
+        )
+        return
+    if generations != rule.num_generations or (rule.num_texts is not None and texts < rule.num_texts):
+        asked = "every text" if rule.num_texts is None else f"{rule.num_texts} texts"
+        tally.remark(
+            f"protocol {protocol.name!r} asks {rule.num_generations} motions of {asked} for MultiModality; here are "
+            f"{generations} motions of {texts} texts"
+        )
+    chosen = repeated
+    if rule.num_texts is not None and texts > rule.num_texts:
+        chosen = repeated[rng.choice(texts, size=rule.num_texts, replace=False)]
+    chosen = chosen[:, : rule.num_generations]
+    function = multimodality if rule.pairs == "distinct" else multimodality_shared_pairs
+    tally.add(rule.metric, function(chosen, rng=rng, num_pairs=rule.num_pairs))
+
+
+def _add_details(
+    real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionProtocol, seed: int, tally: Tally
+) -> None:
+    """FID_∞ and KID of the first draw, once: they cost more than all the rest, and neither draws pools or pairs."""
+    if real is draw:
+        return
+    if "fid_infinity" in protocol.details:
+        try:
+            rng = np.random.default_rng(seed)
+            tally.add("fid_infinity", fid_infinity(real.motions, draw.motions, rng).limit)
+        except ValueError as error:
+            tally.remark(f"FID∞ is left out: {error}")
+    if "kid" in protocol.details:
+        tally.add("kid", kid(real.motions, draw.motions))
+
+
+def _remark_on_sizes(sizes: dict[str, int], features: int, protocol: TextMotionProtocol, tally: Tally) -> None:
+    if protocol.num_motions is not None and sizes["generated"] < protocol.num_motions:
+        tally.remark(
+            f"protocol {protocol.name!r} counts {protocol.num_motions:,} generated motions, here are "
+            f"{sizes['generated']:,}: FIDs of different N do not compare"
+        )
+    least = min(sizes["real"], sizes["generated"])
+    if least <= features:
+        tally.remark(
+            f"N = {least} for {features} features: FID is that of two degenerate Gaussians and says little; read KID"
+        )
+    if sizes["generated"] < protocol.diversity_pairs:
+        tally.remark(f"Diversity pairs {sizes['generated']} motions, not {protocol.diversity_pairs}")
