@@ -271,6 +271,8 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
         latent_rate=1e-2,
         weight_decay=0.0,
         schedule="cosine",
+        # At full rate the first steps undo the start from the linear model, which the next hundred have to win back.
+        rate_warmup_fraction=0.05,
         precision="auto",
     )
 
