@@ -171,7 +171,7 @@ def draw_picture(folder: DemoFolder, real: list[Motion], generated: list[Motion]
         strips.append(strip_of(truth, f"corpus: “{caption}”", seconds=PICTURED_SECONDS))
         strips.append(strip_of(made, f"NeRM, asked for “{caption}”", seconds=PICTURED_SECONDS))
     result = read_result(folder.results / "nerm-table2.json")
-    return save(curves_and_strips_figure(panels_of(result), strips), folder.picture)
+    return save(curves_and_strips_figure(panels_of(result, "clip-FID (lower is better)"), strips), folder.picture)
 
 
 def _prepare(folder: DemoFolder) -> None:

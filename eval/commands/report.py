@@ -49,9 +49,15 @@ def report(
 
 
 def _pictures(results: "list[Result]", folder: Path) -> list[Path]:
-    """Draw every result that has columns of framerates as FOLDER/TASK.png; returns what was written."""
+    """Draw every result with columns of framerates, or of seconds and a quality, as FOLDER/TASK.png; what was drawn."""
+    from eval.report.cost_curves import cost_curve_of, cost_figure
     from eval.report.figures import curves_figure, save
     from eval.report.table_curves import panels_of
 
-    drawn = [(result, panels_of(result, "lower is better")) for result in results]
-    return [save(curves_figure(panels), folder / f"{result.task}.png") for result, panels in drawn if panels]
+    drawn = []
+    for result in results:
+        panels, cost = panels_of(result), cost_curve_of(result)
+        figure = curves_figure(panels) if panels else cost_figure(cost) if cost else None
+        if figure is not None:
+            drawn.append(save(figure, folder / f"{result.task}.png"))
+    return drawn

@@ -8,13 +8,14 @@ from eval.report.results import Block, Result, Row
 FRAMERATE = r"\d+(\.\d+)? fps"
 
 
-def panels_of(result: Result, y_label: str = "clip-FID (lower is better)") -> tuple[Panel, ...]:
+def panels_of(result: Result, y_label: str = "lower is better") -> tuple[Panel, ...]:
     """One panel per block, for numbers of different blocks can't be compared; ours first, the paper's after them.
 
-    Blocks with a column that is no framerate ("120 fps") are left out.
+    `y_label` is that of the blocks in which lower is better; others have none. Blocks with a column that is no
+    framerate ("120 fps") are left out.
     """
     ordered = sorted(filter(_is_by_framerate, result.blocks), key=_is_from_paper)
-    panels = (Panel(block.title, y_label, _curves(block)) for block in ordered)
+    panels = (Panel(block.title, y_label if block.lower_is_better else "", _curves(block)) for block in ordered)
     return tuple(panel for panel in panels if panel.curves)
 
 
