@@ -9,6 +9,7 @@ import numpy as np
 
 from eval.clip_fid import REAL, Protocol, draw_clips, gather_clips, place_clips
 from eval.evaluators.feature_set import FeatureSet
+from eval.evaluators.guo_files import GuoFiles
 from eval.evaluators.kinematic import BLOCKS, VERSION, KinematicDescriptor, fit_kinematic
 from eval.samples import SampleSet
 from motionkit.errors import MotionkitError, UsageError
@@ -41,15 +42,22 @@ class FeatureSource:
         return replace(asked, replications=self.max_replications)
 
 
-def feature_sources(run: Path | None, wanted: Sequence[str] | None, missing: list[str]) -> list[FeatureSource]:
+def feature_sources(
+    run: Path | None, wanted: Sequence[str] | None, missing: list[str], guo: GuoFiles | None = None
+) -> list[FeatureSource]:
     """All feature sets there are, or the `wanted` ones; what is not there is named in `missing`.
 
-    Raises `UsageError` for a name that is unknown.
+    Guo's evaluator is there where its files are named. Raises `UsageError` for a name that is unknown, and for `guo`
+    without files.
     """
     known: dict[str, Callable[[], FeatureSource]] = {
         "kinematic": kinematic_source,
         "native": partial(native_source, run),
     }
+    if guo is not None:
+        known["guo"] = partial(guo_source, guo)
+    elif wanted is not None and "guo" in wanted:
+        raise UsageError("--evaluator guo needs its weights: --weights finest.tar (docs/evaluators.md)")
     unknown = [name for name in wanted or () if name not in known]
     if unknown:
         raise UsageError(f"there is no feature set {unknown[0]!r}: {', '.join(known)}")
@@ -94,6 +102,30 @@ def native_source(run: Path | None) -> FeatureSource:
             f"Features of the run's evaluator, a network trained on this store; at most {NATIVE_REPLICATIONS} "
             "replications, for it costs several times the descriptor. Its numbers are its own: they compare with no "
             "other evaluator's."
+        ),
+        max_replications=NATIVE_REPLICATIONS,
+    )
+
+
+def guo_source(files: GuoFiles) -> FeatureSource:
+    """A published evaluator at its own framerate. Raises `MotionkitError` where its files are not what they must be."""
+    from eval.evaluators.guo import load_guo
+
+    evaluator = load_guo(files)
+
+    def at_its_framerate(train: SampleSet) -> FeatureSet:
+        evaluator.check_fps(train.fps, train.name)
+        return evaluator
+
+    return FeatureSource(
+        name="guo",
+        title=f"clip-FID on the {evaluator.name} evaluator of {evaluator.kind.dataset}",
+        fit=at_its_framerate,
+        note=(
+            f"At {float(evaluator.fps):g} fps alone, at most {NATIVE_REPLICATIONS} replications. This evaluator was "
+            "trained to match motions with sentences: it scores upsampled and smoothed motion much like clean motion. "
+            "Clips of m poses are m − 1 frames of pose vectors. These are not the FIDs of whole motions that papers "
+            "print."
         ),
         max_replications=NATIVE_REPLICATIONS,
     )

@@ -6,10 +6,9 @@ T2M-GPT takes mean.npy and std.npy from the folder `meta` of the evaluator's che
 the codes alone; whoever encodes motions needs these statistics too.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +16,7 @@ from jaxtyping import Float32
 
 from motionkit.features.layout import vector_layout
 from motionkit.features.statistics import Statistics, check_statistics
+from motionkit.training.foreign import fill_checked, foreign_tensors, read_foreign
 from motionkit.training.tensors import CheckpointError
 from nerm.codebook import DOWNSAMPLINGS, CodebookNetwork
 from nerm.recipes import CodebookConfig
@@ -49,7 +49,7 @@ def load_published(path: Path, statistics: Path | None = None, config: CodebookC
     too many, other shapes than `config`'s, numbers that aren't finite, a codebook that was never trained; and for
     statistics that are not the evaluator's.
     """
-    tensors = _read_tensors(path)
+    tensors = foreign_tensors(read_foreign(path), "net", path, "T2M-GPT's VQ-VAE")
     first = f"{PREFIX}encoder.model.0.weight"
     shape = tuple(tensors[first].shape) if first in tensors else ()
     if len(shape) != 3 or shape[1] not in JOINTS_BY_NUMBERS:
@@ -58,7 +58,8 @@ def load_published(path: Path, statistics: Path | None = None, config: CodebookC
             "(HumanML3D) or 251 (KIT)"
         )
     network = CodebookNetwork(config, shape[1]).eval().requires_grad_(False)
-    _fill(network, tensors, path)
+    fill_checked(dict(_own_tensors(network)), tensors, "net", path, "T2M-GPT's VQ-VAE")
+    network.quantiser.started.fill_(True)
     _check_codes(network.quantiser.codes, path)
     found = None if statistics is None else load_evaluator_statistics(statistics, JOINTS_BY_NUMBERS[shape[1]])
     return PublishedCodebook(network, shape[1], found)
@@ -108,43 +109,11 @@ def published_name(own: str) -> str:
     return f"{PREFIX}{half}.model.{2 + block}.{part}.{'model.' if is_stack else ''}{rest}"
 
 
-def _read_tensors(path: Path) -> Mapping[str, torch.Tensor]:
-    if not path.is_file():
-        raise CheckpointError(f"{path}: there is no such file")
-    try:
-        loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:
-        # torch reports damage, foreign files and forbidden objects by half a dozen classes.
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise CheckpointError(
-            f"{path}: not a checkpoint that can be read without running its pickle ({reason})"
-        ) from None
-    tensors = loaded.get("net") if isinstance(loaded, dict) else None
-    if not isinstance(tensors, dict) or not all(isinstance(tensor, torch.Tensor) for tensor in tensors.values()):
-        raise CheckpointError(f"{path}: not T2M-GPT's VQ-VAE, whose checkpoint has its tensors under the key 'net'")
-    return {str(name): tensor for name, tensor in tensors.items()}
-
-
 def _own_tensors(network: CodebookNetwork) -> Iterator[tuple[str, torch.Tensor]]:
     for half in ("encoder", "decoder"):
         for name, tensor in getattr(network, half).named_parameters(prefix=half):
             yield published_name(name), tensor
     yield CODES, network.quantiser.codes
-
-
-def _fill(network: CodebookNetwork, tensors: Mapping[str, torch.Tensor], path: Path) -> None:
-    own = dict(_own_tensors(network))
-    missing, unknown = sorted(own.keys() - tensors.keys()), sorted(tensors.keys() - own.keys())
-    if missing or unknown:
-        fault = f"lacks net/{missing[0]}" if missing else f"has net/{unknown[0]} besides"
-        raise CheckpointError(f"{path}: not T2M-GPT's VQ-VAE of {len(own)} tensors: it {fault}")
-    for name, tensor in own.items():
-        if tensor.shape != tensors[name].shape:
-            raise CheckpointError(f"{path}: net/{name} is {tuple(tensors[name].shape)}, expected {tuple(tensor.shape)}")
-        if not bool(torch.isfinite(tensors[name]).all()):
-            raise CheckpointError(f"{path}: net/{name} holds numbers that are not finite")
-        tensor.copy_(tensors[name])
-    network.quantiser.started.fill_(True)
 
 
 def _check_codes(codes: Float32[torch.Tensor, "codes dimension"], path: Path) -> None:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from eval.clip_fid import PoseRange, SecondsRange
+    from eval.evaluators.guo_files import GuoFiles
     from eval.tables.registry import TableRequest
 
 DEFAULT_RUN = "nano"
@@ -50,8 +51,21 @@ def evaluate(
         float | None, typer.Option("--low-pass", min=0.1, metavar="HZ", help="Smooth every set, real ones too, first.")
     ] = None,
     evaluator: Annotated[
-        str | None, typer.Option("--evaluator", "--features", help="Feature sets: kinematic,native; all there are.")
+        str | None,
+        typer.Option("--evaluator", "--features", help="Feature sets: kinematic,native,guo; all there are."),
     ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Guo's or MARDM's evaluator: text_mot_match/model/finest.tar.")
+    ] = None,
+    glove: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Its word vectors: our_vab_data.npy, _words.pkl, _idx.pkl.")
+    ] = None,
+    statistics: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Its mean.npy and std.npy; those beside the weights by default.")
+    ] = None,
+    padding: Annotated[
+        str, typer.Option(help="What it sees past a motion's end: masked, or zeros as in published tables.")
+    ] = "masked",
     motions: Annotated[int, typer.Option(min=2, help="Most motions that a model generates.")] = 1024,
     seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
@@ -73,6 +87,7 @@ def evaluate(
         protocol=Protocol(sizes=_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
         samples=_samples(samples or []),
         features=tuple(evaluator.split(",")) if evaluator else None,
+        guo=_guo_files(weights, glove, statistics, padding),
         low_pass_hz=low_pass,
         max_motions=motions,
         seed=seed,
@@ -98,6 +113,19 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
     else:
         print(text, end="")
     stderr.print(f"written: {path} and {path.with_suffix('.md').name}", markup=False)
+
+
+def _guo_files(weights: Path | None, glove: Path | None, statistics: Path | None, padding: str) -> "GuoFiles | None":
+    from eval.evaluators.guo_files import GuoFiles
+
+    if padding not in ("masked", "zeros"):
+        raise UsageError(f"--padding {padding}: give masked or zeros")
+    if weights is None:
+        unused = next((name for name, path in (("--glove", glove), ("--statistics", statistics)) if path), None)
+        if unused is not None:
+            raise UsageError(f"{unused} belongs to a published evaluator: name its weights with --weights finest.tar")
+        return None
+    return GuoFiles(weights, glove, statistics, "zeros" if padding == "zeros" else "masked")
 
 
 def _framerates(text: str | None) -> "tuple[Fraction, ...] | None":

@@ -4,13 +4,13 @@ from fractions import Fraction
 from functools import partial
 
 from eval.calibration import MAX_FLAT_RATIO, MIN_SPEARMAN, VERSION, Calibration, calibrate
-from eval.clip_fid import ClipError
 from eval.corruptions import families
 from eval.feature_sources import FeatureSource, feature_sources
-from eval.real import NoRealMotionError, RealMotion, real_motion
+from eval.real import RealMotion, real_motion
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.tables.registry import TableRequest
 from motionkit.console import progress
+from motionkit.errors import MotionkitError
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 120))
 
@@ -26,7 +26,7 @@ def build_calibration(request: TableRequest) -> Result:
     held_out = real_motion(store, request.split, request.where)
     train = real_motion(store, "train") if request.split != "all" else held_out
     missing: list[str] = []
-    sources = feature_sources(request.run, request.features, missing)
+    sources = feature_sources(request.run, request.features, missing, request.guo)
     calibrations = {source.name: _calibrate(source, request, held_out, train, missing) for source in sources}
     blocks: list[Block] = []
     for source in sources:
@@ -71,7 +71,7 @@ def _calibrate(
                 features = source.fit(train.at(fps))
                 advance = partial(display.advance, task)
                 results.append(calibrate(real, shifted, features, protocol, advance))
-            except (ClipError, NoRealMotionError) as error:
+            except MotionkitError as error:
                 missing.append(f"{source.name}, {fps} fps: {error}")
             display.remove_task(task)
     return results

@@ -10,6 +10,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from eval.clip_fid import Protocol
+from eval.evaluators.guo_files import GuoFiles
 from eval.report.results import Result
 from motionkit.errors import UsageError
 
@@ -19,8 +20,8 @@ class TableRequest:
     """What a table is built from: a store, a trained run where there is one, folders of other systems' samples.
 
     `fps` None means the table's own columns; `features` None means every feature set that is available; `split` names
-    the real sequences that are compared with, `where` those of them for which this SQL holds; `low_pass_hz`, where
-    given, smooths every set alike before clips are drawn.
+    the real sequences that are compared with, `where` those of them for which this SQL holds; `guo` names the files of
+    a published evaluator; `low_pass_hz`, where given, smooths every set alike before clips are drawn.
     """
 
     store: Path
@@ -32,6 +33,7 @@ class TableRequest:
     protocol: Protocol = field(default_factory=Protocol)
     samples: Mapping[str, Path] = field(default_factory=dict)
     features: tuple[str, ...] | None = None
+    guo: GuoFiles | None = None
     low_pass_hz: float | None = None
     max_motions: int = 1024
     seed: int = 0

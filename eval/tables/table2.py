@@ -115,7 +115,7 @@ def build_table2(request: TableRequest) -> Result:
         display.remove_task(task)
         blocks = tuple(
             _block(source, columns, request, notes, display, missing)
-            for source in feature_sources(request.run, request.features, missing)
+            for source in feature_sources(request.run, request.features, missing, request.guo)
         )
         display.add_task("nearest training motion", total=None, note="")
         nearest = _nearest_training(real, train, fields, folders, notes, missing)
@@ -255,7 +255,7 @@ def _block(
         try:
             check_lengths(column.real, protocol)
             features = source.fit(column.train)
-        except ClipError as error:
+        except MotionkitError as error:
             missing.append(f"{label}, {source.name}: {error}")
             continue
         fingerprints[label] = features.fingerprint

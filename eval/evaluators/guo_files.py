@@ -1,0 +1,19 @@
+"""Where the files of a published evaluator lie, and how motions are to be padded for it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+Padding = Literal["masked", "zeros", "frames"]
+"""What the last token sees past a motion's end: nothing (`masked`), standardised zeros up to frame 196 (`zeros`: the
+published protocol), or the frames that follow there, then zeros (`frames`: where generated ones were left in)."""
+
+
+@dataclass(frozen=True)
+class GuoFiles:
+    """What `eval.evaluators.guo.load_guo` loads: `statistics` None means those beside the weights."""
+
+    weights: Path
+    glove: Path | None = None
+    statistics: Path | None = None
+    padding: Padding = "masked"

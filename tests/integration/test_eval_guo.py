@@ -1,0 +1,97 @@
+"""`motionkit eval --evaluator guo` with files in the published layout, of narrow networks with random weights."""
+
+import json
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eval import feature_sources
+from eval.evaluators import guo
+from eval.evaluators.guo_networks import GuoWidths
+from motionkit.motion import Motion
+from motionkit.skeleton import SMPL22
+from motionkit.store.writer import StoreWriter
+from motionkit.timegrid import TimeGrid
+from tests.published_guo import PLAIN, write_archive, write_statistics
+
+SMALL = GuoWidths(movement=6, motion=5, text=4, shared=8)
+CLIPS = ("--clips", 64, "--replications", 1, "--sizes", "16:16")
+
+
+def swaying(seed: int, num_frames: int, fps: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    rest = np.zeros((22, 3))
+    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
+        rest[joint] = rest[parent] + SMPL22.offsets[joint]
+    time = np.arange(num_frames)[:, None, None] / fps
+    sway = 0.1 * np.sin(2 * np.pi * rng.uniform(0.3, 2, (22, 3)) * time + rng.uniform(0, 6, (22, 3)))
+    return (rest + sway + [0, 0.95, 0]).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("guo") / "store"
+    with StoreWriter.create(path) as writer:
+        for index in range(8):
+            grid = TimeGrid(Fraction(40), 160)
+            positions, split = swaying(index, 160, 40), ("train", "test")[index % 2]
+            writer.add(
+                Motion(joint_positions=positions, skeleton=SMPL22, timegrid=grid, split=split, sequence_id=f"m{index}")
+            )
+    return path
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_archive(tmp_path_factory.mktemp("published") / "t2m", SMALL)
+
+
+@pytest.fixture(autouse=True)
+def narrow_and_quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    loads = guo.load_guo
+    monkeypatch.setattr(guo, "load_guo", lambda files: loads(files, SMALL))
+    monkeypatch.setattr(feature_sources, "FIT_CLIPS", 256)
+
+
+def block(outcome: Any) -> dict[str, Any]:
+    found = [each for each in json.loads(outcome.stdout)["blocks"] if "guo" in each["title"]]
+    assert len(found) == 1
+    return dict(found[0])
+
+
+def test_a_column_at_20_fps_and_none_elsewhere(
+    motionkit: Callable[..., Any], store: Path, weights: Path, tmp_path: Path
+) -> None:
+    table = ("eval", "--table", 2, "--store", store, "--results", tmp_path, "--evaluator", "guo", "--weights", weights)
+    outcome = motionkit(*table, *CLIPS, "--fps", "20,40", "--json")
+    assert outcome.code == 0, outcome.stderr
+    found = block(outcome)
+    assert found["title"] == "clip-FID on the guo evaluator of HumanML3D"
+    for row in found["rows"]:
+        assert list(row["cells"]) == ["20 fps"] and row["cells"]["20 fps"]["value"] >= 0
+    assert {"real, independent draws (P1)", "real kept at 20 fps, SLERP"} <= {row["name"] for row in found["rows"]}
+    missing = json.loads(outcome.stdout)["missing"]
+    assert any("40 fps, guo" in line and "was trained at 20 fps" in line for line in missing)
+    padded = block(motionkit(*table, *CLIPS, "--fps", "20", "--padding", "zeros", "--json"))
+    assert padded["title"] == "clip-FID on the guo (padding: zeros) evaluator of HumanML3D"
+    assert padded["provenance"]["fingerprints"] != found["provenance"]["fingerprints"]
+
+
+def test_wrong_files_are_one_line(motionkit: Callable[..., Any], store: Path, weights: Path, tmp_path: Path) -> None:
+    table = ("eval", "--table", 2, "--store", store, "--results", tmp_path, "--fps", 20, *CLIPS)
+    for arguments, code, message in (
+        (("--evaluator", "guo"), 2, "--evaluator guo needs its weights: --weights finest.tar"),
+        (("--glove", tmp_path), 2, "--glove belongs to a published evaluator"),
+        (("--weights", weights, "--padding", "both"), 2, "--padding both: give masked or zeros"),
+    ):
+        outcome = motionkit(*table, *arguments)
+        assert outcome.code == code and message in " ".join(outcome.stderr.split())
+    plain = write_statistics(tmp_path / "plain", PLAIN)
+    outcome = motionkit(*table, "--evaluator", "kinematic,guo", "--weights", weights, "--statistics", plain)
+    assert (
+        outcome.code == 0 and "features 'guo'" in outcome.stdout and "these are published statistics" in outcome.stdout
+    )
