@@ -1,5 +1,6 @@
-"""Time stamps of frames → a uniform time grid, or an explained refusal."""
+"""Which framerate is used and what is said of it; time stamps of frames → a uniform grid, or an explained refusal."""
 
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -11,6 +12,31 @@ from motionkit.timegrid import TimeGrid, parse_fps
 
 # Milliseconds, rounded, are off by 0.06 of a frame at 120 fps; a frame that is missing is off by 1.
 UNEVEN_FRAMES = 0.1
+
+
+def fps_in_use(
+    given: Fraction | None, stated: Callable[[], Fraction], *, words: str = ""
+) -> tuple[Fraction, list[str]]:
+    """The framerate that is given, else the one that is stated; and what `replaced_fps` logs of it.
+
+    `stated` reads what the file states. A `FormatError` that it raises is one where nothing is given; else the file
+    says `words`, or none.
+    """
+    if given is None:
+        return stated(), []
+    try:
+        said: Fraction | str = stated()
+    except FormatError:
+        said = words
+    return given, replaced_fps(given, said)
+
+
+def replaced_fps(fps: Fraction, stated: Fraction | str | None, *, by: str = "", who: str = "the file") -> list[str]:
+    """The log line of a framerate that is used where `who` states another one or none; no line where both are the same.
+
+    `by` names what decided.
+    """
+    return [] if fps == stated else [f"framerate set to {fps}{by}; {who} says {stated or 'none'}"]
 
 
 def grid_of_seconds(seconds: Float64[np.ndarray, "frames"], path: Path, fps: Fraction | None = None) -> TimeGrid:

@@ -22,7 +22,7 @@ from jaxtyping import Float32, Float64
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.formats import clock, sourcefile
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.lengths import in_metres
 from motionkit.motion import Motion, Provenance
@@ -181,19 +181,24 @@ def _checked(table: Float64[np.ndarray, "frames numbers"], path: Path) -> Float6
 def _framerate(
     durations: Float64[np.ndarray, "intervals"], given: Fraction | None, path: Path
 ) -> tuple[Fraction, str, list[str]]:
-    # The framerate, what the file states, and the log. Durations are compared with the commonest one's.
-    values, group, counts = np.unique(np.round(durations, 7), return_inverse=True, return_counts=True)
+    # The framerate, what the file states, and the log.
+    values, counts = np.unique(np.round(durations, 7), return_counts=True)
     order = np.argsort(-counts, kind="stable")
     stated = ", ".join(f"{counts[i]} × {values[i]:g} s" for i in order[:3]) + (" …" if len(values) > 3 else "")
-    if given is not None:
-        return given, stated, [f"framerate set to {given}; the file says {stated or 'nothing'}"]
+    fps, log = clock.fps_in_use(given, lambda: _stated_fps(durations, stated, path), words=stated)
+    return fps, stated, log
+
+
+def _stated_fps(durations: Float64[np.ndarray, "intervals"], stated: str, path: Path) -> Fraction:
+    # Durations are compared with the commonest one's.
+    values, group, counts = np.unique(np.round(durations, 7), return_inverse=True, return_counts=True)
     if not len(values):
         raise FormatError(
             "a single frame, whose duration says nothing; give the framerate with --fps",
             path=path,
             reason="no-framerate",
         )
-    usual = float(np.median(durations[group == order[0]]))
+    usual = float(np.median(durations[group == np.argmax(counts)]))
     astray = np.flatnonzero(np.abs(durations - usual) > SNAP_TOLERANCE * abs(usual))
     if astray.size:
         raise FormatError(
@@ -204,7 +209,7 @@ def _framerate(
             frame=int(astray[0]),
         )
     try:
-        return parse_fps(float(1.0 / usual) if usual else float("inf")), stated, []
+        return parse_fps(float(1.0 / usual) if usual else float("inf"))
     except ValueError as error:
         raise FormatError(
             f"frames last {usual:g} s ({error}); correct it, or give --fps", path=path, reason="frame-time"

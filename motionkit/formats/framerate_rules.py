@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.errors import UsageError
+from motionkit.formats import clock
 from motionkit.motion import Motion
 from motionkit.timegrid import parse_fps
 
@@ -74,10 +75,9 @@ def corrected(motion: Motion, rules: tuple[FramerateRule, ...]) -> Motion:
     rule = next((rule for rule in rules if rule.stated in (None, motion.fps)), None)
     if rule is None or rule.fps == motion.fps:
         return motion
-    grid = replace(motion.timegrid, fps=rule.fps)
-    source = f", {rule.source}" if rule.source else ""
-    line = f"framerate set to {rule.fps} by rule ({rule.where}{source}); the file says {motion.fps}"
-    return replace(motion, timegrid=grid).logged(line)
+    by = f" by rule ({rule.where}{f', {rule.source}' if rule.source else ''})"
+    (line,) = clock.replaced_fps(rule.fps, motion.fps, by=by)
+    return replace(motion, timegrid=replace(motion.timegrid, fps=rule.fps)).logged(line)
 
 
 def _rule(table: Any, name: str, number: int) -> FramerateRule:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
+from motionkit.formats import clock
 from motionkit.formats.arrays import joints_npy, npy
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion
@@ -46,9 +47,7 @@ def read_humanact12(path: Path, options: ReadOptions | None = None) -> Motion:
     motion = joints_npy.read_joints_npy(path, replace(options, fps=fps))
     match = NAME.fullmatch(path.stem)
     code = int(match["action"]) if match else 0
-    operations = motion.provenance.operations
-    if fps != FPS:
-        operations = (*operations, f"framerate set to {fps}; the dataset says {FPS}")
+    operations = (*motion.provenance.operations, *clock.replaced_fps(fps, FPS, who="the data set"))
     return replace(
         motion,
         action=ACTIONS[code - 1] if 1 <= code <= len(ACTIONS) else "",

@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float32
 
 from motionkit.errors import FormatError
+from motionkit.formats import clock
 from motionkit.formats.arrays.npz_skeleton import checked_layout_map, unnamed_skeleton
 from motionkit.formats.arrays.plausible import checked_numbers, checked_rotations
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
@@ -139,12 +140,16 @@ def _motion(row: Mapping[str, Any], options: ReadOptions, path: Path) -> Motion:
     if num_joints < 1:
         raise FormatError(f"num_joints is {num_joints}, expected at least 1", path=path, reason="channel-count")
     positions = _frames(row, "joint_positions", (num_joints, 3), path)
-    stated = _stated_fps(row, path)
+    try:
+        stated = _stated_fps(row, path)
+    except FormatError:
+        if options.fps is None:
+            raise
+        stated = None
     fps = options.fps or stated
     if fps is None:
         message = "neither fps nor fps_numerator and fps_denominator; add a column, or use --fps"
         raise FormatError(message, path=path, reason="no-framerate")
-    operations = [f"framerate set to {fps}; the file says {stated}"] if stated not in (None, fps) else []
     rotations, root = (
         _frames(row, name, shape, path) if row.get(name) is not None else None
         for name, shape in (("local_rotations", (num_joints, 4)), ("root_translation", (3,)))
@@ -170,7 +175,7 @@ def _motion(row: Mapping[str, Any], options: ReadOptions, path: Path) -> Motion:
             source_sha256=_sha256(fps, positions, rotations, root),
             source_format="parquet",
             stated_fps=f"fps: {format_fps(stated)}" if said_fps is None and stated is not None else said_fps or "",
-            operations=(*(row.get("operations") or ()), *operations),
+            operations=(*(row.get("operations") or ()), *clock.replaced_fps(fps, stated)),
         ),
     )
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.errors import FormatError
-from motionkit.formats import body_frame, sourcefile
+from motionkit.formats import body_frame, clock, sourcefile
 from motionkit.formats.arrays import npy
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion, Provenance
@@ -56,7 +56,8 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
     data = sourcefile.read_bytes(path)
     positions = npy.read_npy(path, data, (None, None, 3))
     skeleton = _skeleton(positions.shape[1], manifest, path)
-    operations = []
+    # Without that file there is no place in which another framerate could be stated.
+    operations = clock.replaced_fps(fps, manifest.fps or fps, who=MANIFEST)
     if positions.shape[1] != skeleton.num_joints:
         operations.append(f"kept the first {skeleton.num_joints} of {positions.shape[1]} joints")
         positions = np.ascontiguousarray(positions[:, : skeleton.num_joints])

@@ -121,7 +121,12 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 def _clock(archive: NpzArchive, num_frames: int, options: ReadOptions) -> tuple[TimeGrid, str, list[str]]:
-    stated, words = _stated_fps(archive)
+    try:
+        stated, words = _stated_fps(archive)
+    except FormatError:
+        if options.fps is None:
+            raise
+        stated, words = None, ""
     seconds = None
     if "time_seconds" in archive:
         seconds = npz_archive.read_exact(archive, "time_seconds", (num_frames,))
@@ -136,10 +141,8 @@ def _clock(archive: NpzArchive, num_frames: int, options: ReadOptions) -> tuple[
             reason="no-framerate",
         )
     start = float(seconds[0]) if seconds is not None and np.isfinite(seconds[0]) else 0.0
-    replaced = stated is not None and stated != fps
-    operations = [f"framerate set to {fps}; the file says {stated}"] if replaced else []
     said = _text(archive, "stated_fps") if "stated_fps" in archive else words
-    return TimeGrid(fps, num_frames, start), said, operations
+    return TimeGrid(fps, num_frames, start), said, clock.replaced_fps(fps, stated)
 
 
 def _stated_fps(archive: NpzArchive) -> tuple[Fraction | None, str]:

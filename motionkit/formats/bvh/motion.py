@@ -17,7 +17,7 @@ from jaxtyping import Float64
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
-from motionkit.formats import body_frame, number_table, sourcefile
+from motionkit.formats import body_frame, clock, number_table, sourcefile
 from motionkit.formats.bvh import channels as bvh_channels
 from motionkit.formats.bvh.channels import ChannelPose
 from motionkit.formats.bvh.hierarchy import BvhHierarchy, parse_hierarchy
@@ -54,8 +54,9 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
     """
     options = options or ReadOptions()
     data = sourcefile.read_bytes(path)
-    file = _split(data, path)
-    fps, operations = _framerate(file, options, path)
+    # Lines of old Macintoshes end in a carriage return alone.
+    file = _split(data if b"\n" in data else data.replace(b"\r", b"\n"), path)
+    fps, operations = clock.fps_in_use(options.fps, lambda: _stated_fps(file, path))
     table = number_table.parse_table(
         file.body,
         num_rows=file.num_frames,
@@ -186,12 +187,10 @@ def _num_frames(stated: str, path: Path, body_line: int) -> int:
     return int(stated)
 
 
-def _framerate(file: _File, options: ReadOptions, path: Path) -> tuple[Fraction, list[str]]:
+def _stated_fps(file: _File, path: Path) -> Fraction:
     try:
-        stated = _fps_of(file.frame_time)
+        return _fps_of(file.frame_time)
     except (ValueError, OverflowError) as error:
-        if options.fps is not None:
-            return options.fps, [f"framerate set to {options.fps}; the file's Frame Time is unusable"]
         raise FormatError(
             f"'Frame Time: {file.frame_time[:40]}' is not a usable time between frames in seconds ({error}); "
             "correct it, or give the framerate",
@@ -199,9 +198,6 @@ def _framerate(file: _File, options: ReadOptions, path: Path) -> tuple[Fraction,
             reason="frame-time",
             line=file.frame_time_line,
         ) from None
-    if options.fps is None or options.fps == stated:
-        return stated, []
-    return options.fps, [f"framerate set to {options.fps}; the file says {stated}"]
 
 
 @lru_cache(maxsize=256)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
 from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.formats import clock, sourcefile
 from motionkit.formats.bvh import channels as bvh_channels
 from motionkit.formats.c3d import gaps as marker_gaps
 from motionkit.formats.c3d.container import C3dFile, parse_c3d
@@ -66,7 +66,7 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     file = parse_c3d(data, path)
     stated = file.numbers("POINT:RATE")
     rate = stated[0] if stated else file.header_rate
-    fps, log = _framerate(rate, options.fps, path)
+    fps, log = clock.fps_in_use(options.fps, lambda: _stated_fps(rate, path), words=f"{rate:g}")
     markers = _without_gaps(_labelled(file, path), fps, path)
     unit, why = _unit(file, options, path)
     up, axis_log = _up(file, markers, path)
@@ -95,11 +95,9 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     )
 
 
-def _framerate(rate: float, given: Fraction | None, path: Path) -> tuple[Fraction, list[str]]:
-    if given is not None:
-        return given, [f"framerate set to {given}; the file says {rate:g}"] if rate != given else []
+def _stated_fps(rate: float, path: Path) -> Fraction:
     try:
-        return parse_fps(float(rate)), []
+        return parse_fps(float(rate))
     except ValueError as error:
         raise FormatError(f"POINT:RATE {rate:g} ({error}); give --fps", path=path, reason="frame-time") from None
 

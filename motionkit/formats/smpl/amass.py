@@ -14,7 +14,7 @@ from jaxtyping import Float32
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
-from motionkit.formats import body_frame, sourcefile
+from motionkit.formats import body_frame, clock, sourcefile
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
 from motionkit.formats.items import ReadOptions, SourceItem
@@ -147,22 +147,22 @@ def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str
     key = next((key for key in FRAMERATE_KEYS if key in archive), None)
     value = None if key is None else npz_archive.read_scalar(archive, key)
     stated = "" if value is None else str(value)
+    fps, operations = clock.fps_in_use(options.fps, lambda: _stated_fps(value, key, archive.path))
+    return fps, stated, operations
+
+
+def _stated_fps(value: str | int | float | None, key: str | None, path: Path) -> Fraction:
     try:
         if value is None:
             raise ValueError("no number")
-        fps = parse_fps(value)
+        return parse_fps(value)
     except ValueError as error:
-        if options.fps is not None:
-            return options.fps, stated, [f"framerate set to {options.fps}; the file's own is unusable"]
         raise FormatError(
-            f"{key or ' and '.join(FRAMERATE_KEYS)}: {stated or 'nothing'}, no usable framerate ({error}); give it in "
-            "a rule (--fps-rules) or with --fps",
-            path=archive.path,
+            f"{key or ' and '.join(FRAMERATE_KEYS)}: {'nothing' if value is None else value}, no usable framerate "
+            f"({error}); give it in a rule (--fps-rules) or with --fps",
+            path=path,
             reason="no-framerate" if key is None else "framerate",
         ) from None
-    if options.fps is None or options.fps == fps:
-        return fps, stated, []
-    return options.fps, stated, [f"framerate set to {options.fps}; the file says {fps}"]
 
 
 def _family(archive: NpzArchive) -> str:

@@ -17,7 +17,7 @@ from jaxtyping import Float32
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.formats import clock, sourcefile
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
 from motionkit.formats.items import ReadOptions
@@ -109,7 +109,7 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
     rotations[:, 0] = kinematics.quaternion_multiply(turn, rotations[:, 0])
     root = kinematics.quaternion_rotate(turn, trans)
     fps = options.fps or FPS
-    operations += [f"framerate set to {fps}; the data set's is {FPS}"] if fps != FPS else []
+    operations += clock.replaced_fps(fps, FPS, who="the data set")
     return Motion(
         joint_positions=kinematics.forward_kinematics(rotations, root, body.skeleton),
         skeleton=body.skeleton,
