@@ -13,6 +13,7 @@ from typing import Literal
 from motionkit.errors import FormatError, StoreError
 from motionkit.formats.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, scan
+from motionkit.formats.smpl.body import substituted_body
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map
 from motionkit.skeleton_map import SkeletonMapError, joint_map
@@ -78,8 +79,8 @@ class IngestReport:
 class Listener:
     """Who is told what during an ingest.
 
-    `on_start` the number of sequences, `on_item` after each, `on_problem` what cost a sequence, `on_warning` what was
-    found out about a skeleton while reading.
+    `on_start` the number of sequences, `on_item` after each, `on_problem` what cost a sequence, `on_warning` what looks
+    odd and cost none.
     """
 
     on_start: Callable[[int], None] = lambda num_items: None
@@ -150,6 +151,8 @@ class _Run:
         found = scan(sources, self._options)
         committed = True
         try:
+            for warning in found.warnings:
+                self._warn(warning)
             for problem in found.problems:
                 self._fail(problem)
             if found.items:
@@ -172,7 +175,7 @@ class _Run:
             num_already_stored=self._num_already_stored,
             num_in_store=read_manifest(self._store).num_sequences if exists else 0,
             problems=tuple(self._problems),
-            warnings=(*found.warnings, *self._warnings),
+            warnings=tuple(self._warnings),
             datasets=self._datasets(found) if self._options.index else (),
         )
 
@@ -215,8 +218,7 @@ class _Run:
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
-        warning = doubt(item, motion)
-        if warning is not None:
+        for warning in doubts(item, motion):
             self._warn(warning)
         self._num_stored += 1
         self._num_frames += motion.num_frames
@@ -265,24 +267,30 @@ class _Run:
             raise _Stopped
 
 
-def doubt(item: SourceItem, motion: EncodedMotion) -> FormatError | None:
-    """A warning where a file is not as long as its index has it: `shortened`, or `duration` of a whole file."""
+def doubts(item: SourceItem, motion: EncodedMotion) -> Iterator[FormatError]:
+    """Warnings about a motion that is kept.
+
+    `neutral-body`: no model of the subject's gender; `shortened`, or `duration` of a whole file: a file is not as long
+    as its index has it.
+    """
+    substitute = substituted_body(motion.row["operations"])
+    if substitute:
+        yield FormatError(substitute, path=item.path, reason="neutral-body")
     if item.cut is None:
-        return None
+        return
     row = motion.row
     fps = Fraction(row["fps_numerator"], row["fps_denominator"])
     seconds = row["duration_seconds"]
     missing = missing_seconds(item.cut, item.path, motion.num_frames, fps, row["stated_fps"])
     if missing > 0.0:
         message = f"ends {missing:.3g} s before {item.sequence_id} does; {seconds:.3g} s of it are kept"
-        return FormatError(message, path=item.path, reason="shortened")
-    if unlike_stated_seconds(item.cut, motion.num_frames, fps):
+        yield FormatError(message, path=item.path, reason="shortened")
+    elif unlike_stated_seconds(item.cut, motion.num_frames, fps):
         message = (
             f"lasts {seconds:.4g} s at {float(fps):g} fps, which is not what the index says of {item.sequence_id}; "
         )
         message += "its captions' seconds won't fit: is the framerate wrong (--fps-rules)?"
-        return FormatError(message, path=item.path, reason="duration")
-    return None
+        yield FormatError(message, path=item.path, reason="duration")
 
 
 def batches(items: Sequence[SourceItem]) -> Iterator[list[SourceItem]]:

@@ -75,6 +75,20 @@ def test_body_models_and_rules_of_the_users_own(motionkit, amass, body_models, t
     assert Store.open(tmp_path / "other").read("AMASS/CMU/62/62_11_poses").skeleton.num_joints == 52
 
 
+def test_a_neutral_body_in_the_place_of_a_gendered_one_is_a_warning(motionkit, amass, body_models, tmp_path):
+    (body_models / "smplh" / "SMPLH_FEMALE.npz").rename(body_models / "smplh" / "SMPLH_NEUTRAL.npz")
+    write_motion(amass / "CMU" / "63" / "63_01_poses.npz", 156, mocap_framerate=120.0, gender="neutral")
+    write_motion(amass / "CMU" / "64" / "64_01_poses.npz", 156, mocap_framerate=120.0, gender="unknown")
+    options = ("--store", tmp_path / "store", "--body-models", body_models)
+    outcome = motionkit("ingest", amass, *options, "--json")
+    summary = json.loads(outcome.stdout)
+    assert outcome.code == 0 and summary["stored"] == 4 and summary["warnings"] == {"neutral-body": 1}
+    assert "62_11_poses.npz: has the neutral smplh body under a female subject's betas" in outcome.stderr
+    assert "SMPLH_FEMALE.npz" in outcome.stderr and "--overwrite" in outcome.stderr
+    plain = motionkit("ingest", amass, *options, "--overwrite")
+    assert "warnings: 1 (1 neutral-body)" in plain.stdout
+
+
 def test_wrong_options_are_usage_errors(motionkit, amass, tmp_path):
     missing = motionkit("ingest", amass, "--store", tmp_path / "store", "--body-models", tmp_path / "none")
     assert missing.code == 2 and "no such folder" in missing.stderr

@@ -1,5 +1,7 @@
 """The skeleton that a pose of the SMPL family moves: of the user's own body model, or of SMPL's mean shape."""
 
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +12,9 @@ from motionkit.formats.smpl.body_model import find_body_model
 from motionkit.formats.smpl.layouts import BODY, PoseLayout
 from motionkit.formats.smpl.mean_shape import mean_shape_skeleton
 from motionkit.skeleton import Skeleton
+
+# The log line of a body whose gender is not the subject's.
+SUBSTITUTE = re.compile(r"joints: (?P<family>\w+) neutral \(the file's gender: (?P<gender>male|female)\)")
 
 
 @dataclass(frozen=True)
@@ -43,3 +48,18 @@ def own_body(
     fallback = "" if model.gender == gender else f" (the file's gender: {gender or 'unknown'})"
     line = f"joints: {model.family} {model.gender}{fallback}, {used} betas"
     return Body(layout.skeleton(f"{model.family}-{model.gender}", rest), (line,))
+
+
+def substituted_body(operations: Iterable[str]) -> str:
+    """What to tell of a motion by its log where a neutral body stands in for a man's or a woman's; else empty.
+
+    Betas are of one gender's shape space: in the neutral model's they make another body.
+    """
+    found = next(filter(None, map(SUBSTITUTE.match, operations)), None)
+    if found is None:
+        return ""
+    family, gender = found["family"], found["gender"]
+    return (
+        f"has the neutral {family} body under a {gender} subject's betas, so bone lengths are not the subject's: put "
+        f"{family.upper()}_{gender.upper()}.npz into the folder of --body-models and ingest again with --overwrite"
+    )
