@@ -210,7 +210,9 @@ class _Teller:
         if self._num_told[problem.reason] <= self.NUM_SHOWN:
             stderr.print(_printable(f"{kind}{problem}"), markup=False)
         elif self._num_told[problem.reason] == self.NUM_SHOWN + 1:
-            stderr.print(f"more of the kind {problem.reason}: counted at the end, --json names them all", markup=False)
+            stderr.print(
+                f"{kind}more of the kind {problem.reason}: counted at the end, --json names them all", markup=False
+            )
 
 
 def _print_summary(report: "IngestReport") -> None:

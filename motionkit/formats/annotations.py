@@ -59,17 +59,12 @@ class AnnotationTable:
 
 
 def find_annotations(folder: Path) -> tuple[Path, ...]:
-    """The CSV files of a folder that have a `file` column and at least one other that is known."""
-    found = []
-    for path in sorted(folder.glob("*.csv")):
-        try:
-            with path.open(encoding="utf-8-sig", newline="") as file:
-                header = next(csv.reader(file), [])
-        except (OSError, UnicodeDecodeError, csv.Error):
-            continue
-        if "file" in header and COLUMNS & set(header):
-            found.append(path)
-    return tuple(found)
+    """The CSV files of a folder that have a `file` column and at least one other that is known.
+
+    Those that are so in another encoding or with other separators are among them: reading them says what is wrong.
+    """
+    headers = ((path, set(sourcefile.header_names(path))) for path in sorted(folder.glob("*.csv")))
+    return tuple(path for path, names in headers if "file" in names and COLUMNS & names)
 
 
 def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
@@ -84,7 +79,8 @@ def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
     problems: list[FormatError] = []
     try:
         if "file" not in (reader.fieldnames or ()):
-            raise FormatError("no column 'file', expected a header with it", path=path, reason="annotations", line=1)
+            message = "no column 'file', expected a header with it, columns separated by commas"
+            raise FormatError(message, path=path, reason="annotations", line=1)
         for row in reader:
             try:
                 target = _inside(row["file"], folder, path, reader.line_num)

@@ -35,12 +35,7 @@ OTHER_WIDTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
 
 def accepts(path: Path) -> bool:
     """Whether a CSV's first row has a clock and at least one joint; reads no further."""
-    try:
-        with path.open("rb") as file:
-            line = file.readline(HEADER_BYTES).decode("utf-8-sig", "replace").strip()
-    except OSError:
-        return False
-    names = [name.strip('" ') for name in line.replace(";", ",").replace("\t", ",").split(",")]
+    names = sourcefile.header_names(path)
     return (TIME in names or FRAME in names) and any(name.endswith("_x") for name in names)
 
 
@@ -166,23 +161,19 @@ def _clock(
             )
         return TimeGrid(options.fps, len(table)), "", []
     seconds = table[:, names.index(TIME)]
-    if options.fps is not None:
-        return _given_clock(seconds, options.fps, path)
-    grid = clock.grid_of_seconds(seconds, path)
-    return grid, f"{TIME}: {format_fps(grid.fps)}", []
+    if options.fps is None:
+        grid = clock.grid_of_seconds(seconds, path)
+        return grid, f"{TIME}: {format_fps(grid.fps)}", []
+    grid = TimeGrid(options.fps, len(seconds), float(seconds[0]))
+    stated = _fps_if_even(seconds, path)
+    return grid, "" if stated is None else f"{TIME}: {format_fps(stated)}", clock.replaced_fps(options.fps, stated)
 
 
-def _given_clock(seconds: Float64[np.ndarray, "frames"], fps: Fraction, path: Path) -> tuple[TimeGrid, str, list[str]]:
-    grid = TimeGrid(fps, len(seconds), float(seconds[0]))
+def _fps_if_even(seconds: Float64[np.ndarray, "frames"], path: Path) -> Fraction | None:
     try:
-        stated = clock.grid_of_seconds(seconds, path).fps
+        return clock.grid_of_seconds(seconds, path).fps
     except FormatError:
-        return grid, "", [f"framerate set to {fps}; the file's time stamps say none"]
-    return (
-        grid,
-        f"{TIME}: {format_fps(stated)}",
-        ([] if stated == fps else [f"framerate set to {fps}; the file says {stated}"]),
-    )
+        return None
 
 
 def _skeleton(joints: tuple[str, ...]) -> tuple[Skeleton | None, tuple[str, ...]]:

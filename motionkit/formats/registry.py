@@ -14,7 +14,7 @@ from motionkit.errors import FormatError, UsageError
 from motionkit.formats import annotations
 from motionkit.formats.annotations import Annotation, AnnotationTable
 from motionkit.formats.catalogue import FORMATS, Format
-from motionkit.formats.folders import walk
+from motionkit.formats.folders import dangling, walk
 from motionkit.formats.indexes import search
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.formats.reading import read
@@ -45,7 +45,7 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     given: list[AnnotationTable] = []
     for source in sources:
         if not source.exists():
-            raise UsageError(f"{source} does not exist")
+            raise UsageError(str(dangling(source) or f"{source} does not exist"))
         if not (source.is_file() or source.is_dir()):
             raise UsageError(f"{source} is neither a file nor a folder")
         table = annotations.read_annotations(options.captions, _root(source)) if options.captions else None
@@ -95,9 +95,9 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     beside: list[AnnotationTable] = []
     found: list[ScanResult] = []
     licences: dict[Path, str] = {}
-    unlisted: list[OSError] = []
+    lost: list[FormatError] = []
     one = [(root, [root / source.name])] if source.is_file() else None
-    for folder, files in one or walk(root, _is_claimed, unlisted.append):
+    for folder, files in one or walk(root, _is_claimed, lost.append):
         licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
         if given is None:
             tables_here, broken = _tables(folder)
@@ -111,7 +111,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     problems = [problem for result in found for problem in result.problems]
     warnings = [warning for result in found for warning in result.warnings]
     problems += [problem for table in beside for problem in table.problems]
-    problems += [_unlisted(error) for error in unlisted]
+    problems += lost
     # Of a single file the other rows of its folder's table are not missing; where nothing is read, all of them are.
     if source.is_dir() and items:
         known = {item.path for item in items}
@@ -122,11 +122,6 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     told = {warning.path for warning in warnings if warning.reason == "no-caption"}
     silent = [item for item in items if not item.captions and item.path not in told]
     return ScanResult(tuple(items), tuple(problems), (*warnings, *_motions_without_caption(silent, captioned)))
-
-
-def _unlisted(error: OSError) -> FormatError:
-    message = f"the folder cannot be listed ({error.strerror or error})"
-    return FormatError(message, path=error.filename or "", reason="unreadable")
 
 
 def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> list[FormatError]:

@@ -1,24 +1,34 @@
 """Reading a file once: its bytes, its hash, its text; and telling what a mislabelled file is."""
 
 import hashlib
+import re
+import stat
 from pathlib import Path
 
 from motionkit.errors import FormatError
+from motionkit.formats.folders import dangling
 
 MAX_BYTES = 4 << 30
+HEADER_BYTES = 1 << 20
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 def read_bytes(path: Path) -> bytes:
     """All bytes of a file; raises `FormatError` (`unreadable`, `empty`, `too-large`)."""
     try:
-        size = path.stat().st_size
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise FormatError("a folder, a pipe or a device, expected a file", path=path, reason="unreadable")
+        size = status.st_size
         if size > MAX_BYTES:
             raise FormatError(
                 f"{size} bytes, expected at most {MAX_BYTES}; split the file", path=path, reason="too-large"
             )
         data = path.read_bytes()
     except OSError as error:
-        raise FormatError(f"cannot be read ({error.strerror or error})", path=path, reason="unreadable") from None
+        raise dangling(path) or FormatError(
+            f"cannot be read ({error.strerror or error})", path=path, reason="unreadable"
+        ) from None
     if not data.strip(b" \t\r\n\0"):
         raise FormatError("the file is empty", path=path, reason="empty")
     return data
@@ -36,11 +46,24 @@ def decode(data: bytes, path: Path) -> str:
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise FormatError(
-            f"byte 0x{data[error.start]:02x} is not UTF-8; convert the file's names to UTF-8",
+            f"byte 0x{data[error.start]:02x} is not UTF-8; convert the file to UTF-8",
             path=path,
             reason="encoding",
             line=line,
         ) from None
+
+
+def header_names(path: Path) -> list[str]:
+    """The names in a table's first line, whatever encodes and separates them; none where there is no such line."""
+    try:
+        if not path.is_file():
+            return []
+        with path.open("rb") as file:
+            head = file.readline(HEADER_BYTES)
+    except OSError:
+        return []
+    text = head.decode("utf-16" if head.startswith(UTF_16) else "utf-8-sig", "replace")
+    return [name.strip('" \r\n\ufffd') for name in re.split(r"[,;\t]", text)]
 
 
 def describe_content(data: bytes) -> str:

@@ -1,5 +1,6 @@
 """What a worker does: read sequences and encode them for the store."""
 
+import os
 import socket
 from collections.abc import Sequence
 
@@ -23,7 +24,7 @@ def read_or_fault(item: SourceItem, options: ReadOptions) -> EncodedMotion | For
     try:
         return encode(read(item, options))
     except FormatError as problem:
-        return problem if item.path.exists() else _not_visible(item)
+        return problem if os.path.lexists(item.path) else _not_visible(item)
     except RefusedMotion as refused:
         return FormatError(str(refused), path=item.path, reason=refused.reason)
     except Exception as error:

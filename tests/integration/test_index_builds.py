@@ -126,6 +126,25 @@ def test_clips_at_their_native_framerates(motionkit, amass, humanml3d, tmp_path)
     assert motionkit("validate", "--store", tmp_path / "s").code == 0
 
 
+def test_splits_of_another_corpus_are_told_with_an_example_of_each_side(motionkit, amass, humanml3d, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "train.txt").write_text("00001\nM00001\n")
+    (other / "test.txt").write_text("000004\n")
+    (amass / "SFU").symlink_to("/nowhere/SFU")
+    outcome = motionkit(
+        "ingest", amass, "--index", humanml3d / "index.csv", "--splits", other, "--store", tmp_path / "s"
+    )
+    warned = [line for line in outcome.stderr.splitlines() if "train.txt" in line or "SFU" in line]
+    assert outcome.code == 0 and warned == [
+        f"warning: {amass}/SFU: is a link to /nowhere/SFU, which leads nowhere (No such file or directory): mend "
+        "the link or remove it",
+        f"warning: {other}/train.txt: none of its 2 names is in index.csv: it lists '00001', index.csv has '000000'; "
+        "so nothing is of the split train",
+    ]
+    assert set(Store.open(tmp_path / "s").sequences["split"]) == {"", "test"}
+
+
 def test_the_published_frames_instead(motionkit, amass, humanml3d, tmp_path):
     motionkit(
         "ingest", amass, "--index", humanml3d / "index.csv", "--compat", "humanml3d-20fps", "--store", tmp_path / "s",

@@ -16,9 +16,9 @@ from motionkit.formats.indexes.datasets import Key, dataset_of, file_key
 from motionkit.formats.indexes.entries import Entry, Index
 from motionkit.formats.items import IndexOptions, ScanResult, SourceItem
 from motionkit.formats.pose_folders import texts
+from motionkit.formats.pose_folders.splits import SPLITS, read_splits
 from motionkit.motion import Caption
 
-SPLITS = ("train", "val", "test")
 MIRROR = "M"
 
 # The motion that a file holds, or None for a file of no known format.
@@ -30,8 +30,8 @@ class Sidecars:
     """What is said about an index's sequences outside of it: a split for some names, and a folder of captions."""
 
     splits: Mapping[str, str]
-    splits_path: Path | None
     texts: Path | None
+    warnings: tuple[FormatError, ...] = ()
 
     def captions(self, name: str) -> tuple[Caption, ...] | None:
         """Captions of a sequence, None where there are none; raises `FormatError` for a text file that is none."""
@@ -46,7 +46,8 @@ def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf
     for folders that are none and options that make no sense, `FormatError` for an index that cannot be read.
     """
     indexes = [_chosen(read_index(path), options) for path in options.paths]
-    files = _find_files(sources, {entry.key for index in indexes for entry in index.entries})
+    lost: list[FormatError] = []
+    files = _find_files(sources, {entry.key for index in indexes for entry in index.entries}, lost.append)
     found = [_scan_index(index, sources, files, options, item_of) for index in indexes]
     missing: Counter[str] = Counter()
     refused: Counter[str] = Counter()
@@ -56,7 +57,7 @@ def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf
     return ScanResult(
         items=tuple(_one_file_at_a_time(item for result in found for item in result.items)),
         problems=tuple(problem for result in found for problem in result.problems),
-        warnings=tuple(warning for result in found for warning in result.warnings),
+        warnings=(*lost, *(warning for result in found for warning in result.warnings)),
         missing=missing,
         refused=refused,
     )
@@ -80,15 +81,16 @@ def _chosen(index: Index, options: IndexOptions) -> Index:
     return replace(index, name=name, entries=tuple(entries))
 
 
-def _find_files(sources: Sequence[Path], wanted: set[Key]) -> dict[Key, list[tuple[Path, Path]]]:
+def _find_files(
+    sources: Sequence[Path], wanted: set[Key], on_lost: Callable[[FormatError], None]
+) -> dict[Key, list[tuple[Path, Path]]]:
     """Files below the sources by the key under which an index may want them, best first, each with its source."""
     found: dict[Key, list[tuple[Path, Path]]] = {}
     for source in sources:
         if not source.is_dir():
             raise UsageError(f"{source} is not a folder; an index names files below a folder")
         root = source.resolve()
-        # A folder that cannot be listed has no files to find; what the index then misses is told.
-        for path in (path for _, files in walk(root, lambda folder: False, lambda error: None) for path in files):
+        for path in (path for _, files in walk(root, lambda folder: False, on_lost) for path in files):
             # The source may itself be a dataset's folder.
             parts = path.relative_to(root).parts
             named = (root.name, *parts)
@@ -172,27 +174,17 @@ def _sidecars(index: Index, options: IndexOptions) -> Sidecars:
         folder = next((each for each in beside if (each / "train.txt").is_file()), None)
     elif not any((folder / f"{split}.txt").is_file() for split in SPLITS):
         raise UsageError(f"{folder} has none of {', '.join(f'{split}.txt' for split in SPLITS)}")
-    return Sidecars({} if folder is None else _splits(folder), folder, options.texts)
-
-
-def _splits(folder: Path) -> dict[str, str]:
-    splits: dict[str, str] = {}
-    for split in SPLITS:
-        path = folder / f"{split}.txt"
-        if path.is_file():
-            lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-            splits |= {line.strip(): split for line in lines if line.strip()}
-    return splits
+    if folder is None:
+        return Sidecars({}, options.texts)
+    names = dict.fromkeys(entry.name for entry in index.entries)
+    # Half of HumanML3D's split is mirrored; those who did not ask for mirrored sequences don't miss them.
+    copies = {} if options.mirrored else dict.fromkeys(MIRROR + name for name in names)
+    splits, warnings = read_splits(folder, names | copies, index.path.name)
+    return Sidecars(splits, options.texts, tuple(warnings))
 
 
 def _warnings(index: Index, items: Iterable[SourceItem], sidecars: Sidecars) -> tuple[FormatError, ...]:
-    names = {entry.name for entry in index.entries}
-    # Half of HumanML3D's split is mirrored; those who did not ask for mirrored sequences don't miss them.
-    absent = [name for name in sidecars.splits if name not in names and name.removeprefix(MIRROR) not in names]
-    warnings = []
-    if absent and sidecars.splits_path is not None:
-        message = f"lists {len(absent)} sequences that {index.path.name} has not, first {absent[0][:40]!r}"
-        warnings.append(FormatError(message, path=sidecars.splits_path, reason="split-without-motion"))
+    warnings = list(sidecars.warnings)
     if sidecars.texts is not None or any(entry.captions for entry in index.entries):
         warnings += [
             FormatError(f"{item.sequence_id} has no caption; kept without one", path=item.path, reason="no-caption")

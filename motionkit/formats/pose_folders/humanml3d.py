@@ -4,7 +4,7 @@ A folder has `new_joints/ID.npy` [T, J, 3] and/or `new_joint_vecs/ID.npy` [T, 12
 `val.txt`, `test.txt`, `Mean.npy` and `Std.npy`. Source: https://github.com/EricGuo5513/HumanML3D.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -13,17 +13,17 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.formats import clock, sourcefile
 from motionkit.formats.arrays import joints_npy, npy
 from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.formats.pose_folders import texts
+from motionkit.formats.pose_folders.splits import SPLITS, read_splits
 from motionkit.moments import Moments, merge, moments
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.timegrid import TimeGrid
 
 JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER = "new_joints", "new_joint_vecs", "texts"
-SPLITS = ("train", "val", "test")
 
 
 @dataclass(frozen=True)
@@ -55,15 +55,15 @@ HUMANML3D = Layout("humanml3d", SMPL22, Fraction(20), 1.0)
 
 
 def claims(folder: Path, layout: Layout = HUMANML3D) -> bool:
-    """Whether a folder is one of this layout, judged by the shape of its first array."""
+    """Whether a folder is one of this layout, judged by the shape of the first array that states one."""
     for name, shape in (
         (JOINTS_FOLDER, (layout.skeleton.num_joints, 3)),
         (VECTORS_FOLDER, (layout.num_values,)),
     ):
-        first = next(iter(sorted((folder / name).glob("*.npy"))), None)
+        stated = (npy.peek_shape(path) for path in sorted((folder / name).glob("*.npy")))
+        first = next((each for each in stated if each is not None), None)
         if first is not None:
-            stated = npy.peek_shape(first)
-            return stated is not None and stated[1:] == shape
+            return first[1:] == shape
     return False
 
 
@@ -71,7 +71,7 @@ def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
     """All sequences of a folder with their splits; captions without motion are problems, the reverse warnings."""
     paths = _arrays(folder)
     described = {path.stem: path for path in sorted((folder / TEXTS_FOLDER).glob("*.txt"))}
-    splits, warnings = _splits(folder, paths)
+    splits, warnings = read_splits(folder, paths, "the folder")
     place = folder.relative_to(root).as_posix()
     prefix = root.name if place == "." else f"{root.name}/{place}"
     items = tuple(
@@ -127,8 +127,7 @@ def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMA
         operations.append(f"a mirrored copy of {item.key[1:]}, made by the dataset's authors")
     stated = joints_npy.read_manifest(item.path.parents[1] / joints_npy.MANIFEST).fps or layout.fps
     fps = options.fps or stated
-    if fps != stated:
-        operations.append(f"framerate set to {fps}; the dataset says {stated}")
+    operations += clock.replaced_fps(fps, stated, who="the data set")
     described = item.path.parents[1] / TEXTS_FOLDER / f"{item.key}.txt"
     return Motion(
         joint_positions=positions,
@@ -263,24 +262,3 @@ def _arrays(folder: Path) -> dict[str, Path]:
     paths = {path.stem: path for path in sorted((folder / VECTORS_FOLDER).glob("*.npy"))}
     paths.update({path.stem: path for path in sorted((folder / JOINTS_FOLDER).glob("*.npy"))})
     return dict(sorted(paths.items()))
-
-
-def _splits(folder: Path, known: Mapping[str, Path]) -> tuple[dict[str, str], list[FormatError]]:
-    splits: dict[str, str] = {}
-    warnings: list[FormatError] = []
-    for split in SPLITS:
-        path = folder / f"{split}.txt"
-        names = list(_lines(path))
-        splits.update(dict.fromkeys(names, split))
-        absent = [name for name in names if name not in known]
-        if absent:
-            message = f"lists {len(absent)} sequences that are not in the folder, first {absent[0][:40]!r}"
-            warnings.append(FormatError(message, path=path, reason="split-without-motion"))
-    return splits, warnings
-
-
-def _lines(path: Path) -> Iterator[str]:
-    if path.is_file():
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.strip():
-                yield line.strip()

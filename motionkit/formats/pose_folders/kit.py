@@ -19,7 +19,7 @@ KIT = Layout("kit", KIT21, Fraction(25, 2), UNIT_METRES)
 
 
 def claims(folder: Path) -> bool:
-    """Whether a folder is one of KIT-ML's, judged by the shape of its first array."""
+    """Whether a folder is one of KIT-ML's, judged by the shape of the first array that states one."""
     return humanml3d.claims(folder, KIT)
 
 

@@ -2,9 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from motionkit.errors import FormatError, UsageError
+from motionkit.formats.items import ReadOptions
 from motionkit.formats.registry import read, scan
+from motionkit.store.read_batch import read_or_fault
 from tests.motionkit.formats.samples import bvh_text
 
 
@@ -41,10 +45,41 @@ def test_loops_end_and_nothing_is_found_twice(source: Path) -> None:
     (source / "a").symlink_to(source / "b")  # there both ways: the real path counts
     (source / "b" / "self").symlink_to(source / "b")
     (source / "b" / "up").symlink_to("..")
+    assert ids(source) == ["takes/b/walk"]
+
+
+def test_links_that_lead_nowhere_are_told_and_nothing_else_is_lost(source: Path) -> None:
     (source / "c").symlink_to(source / "d")
     (source / "d").symlink_to(source / "c")
-    (source / "gone").symlink_to(source / "nowhere")
-    assert ids(source) == ["takes/b/walk"]
+    (source / "more").symlink_to("nowhere/at/all")
+    (source / "b" / "run.bvh").symlink_to("gone.bvh")
+    (source / ".hidden").symlink_to("nowhere")
+    found = scan([source])
+    assert [item.sequence_id for item in found.items] == ["takes/b/walk"]
+    assert {problem.reason for problem in found.problems} == {"dangling-link"}
+    assert [problem.path.relative_to(source).as_posix() for problem in found.problems] == [
+        "c",
+        "d",
+        "more",
+        "b/run.bvh",
+    ]
+    assert "is a link to nowhere/at/all, which leads nowhere (No such file" in str(found.problems[2])
+    with pytest.raises(UsageError, match=r"is a link to gone\.bvh"):
+        scan([source / "b" / "run.bvh"])
+
+
+def test_an_array_whose_link_is_broken_does_not_hide_its_data_set(tmp_path: Path) -> None:
+    joints = tmp_path / "HumanML3D" / "new_joints"
+    joints.mkdir(parents=True)
+    (joints / "000000.npy").symlink_to(tmp_path / "gone.npy")
+    np.save(joints / "000001.npy", np.zeros((5, 22, 3), np.float32))
+    found = scan([tmp_path / "HumanML3D"])
+    assert [item.format for item in found.items] == ["humanml3d", "humanml3d"]
+    with pytest.raises(FormatError, match=r"is a link to .*gone\.npy") as caught:
+        read(found.items[0])
+    assert caught.value.reason == "dangling-link" and read(found.items[1]).num_frames == 5
+    fault = read_or_fault(found.items[0], ReadOptions())
+    assert isinstance(fault, FormatError) and fault.reason == "dangling-link"
 
 
 def test_two_linked_folders_that_link_to_each_other(source: Path, tmp_path: Path) -> None:

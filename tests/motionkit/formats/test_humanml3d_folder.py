@@ -88,6 +88,18 @@ def test_captions_and_motions_that_miss_each_other(tmp_path: Path) -> None:
     assert sorted(warning.reason for warning in result.warnings) == ["no-caption", "split-without-motion"]
 
 
+def test_a_split_of_other_names_shows_one_of_each_side(tmp_path: Path) -> None:
+    write_humanml3d(tmp_path / "h", [Entry("000001", np.zeros((5, 22, 3), np.float32))])
+    (tmp_path / "h" / "train.txt").write_text("CMU/01/01_01\r\nCMU/01/01_02\r\n")
+    (tmp_path / "h" / "test.txt").write_bytes(b"\xef\xbb\xbf000001\r\n")
+    result = scan([tmp_path / "h"])
+    assert [item.split for item in result.items] == ["test"]
+    assert [warning.message for warning in result.warnings] == [
+        "none of its 2 names is in the folder: it lists 'CMU/01/01_01', the folder has '000001'; so nothing is of the "
+        "split train"
+    ]
+
+
 def test_a_motion_without_a_caption_is_told_once(tmp_path: Path) -> None:
     body = np.zeros((5, 22, 3), np.float32)
     entries = [Entry("000001", body, captions=(Caption("a person walks"),)), Entry("000002", body)]

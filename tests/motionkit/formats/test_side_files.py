@@ -1,5 +1,6 @@
 """Files beside the motions (tables, texts, manifests, licences, rules, maps) that are hostile or broken."""
 
+import os
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -9,14 +10,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from motionkit.errors import MotionkitError
+from motionkit.errors import FormatError, MotionkitError
 from motionkit.formats.framerate_rules import read_rules
 from motionkit.formats.registry import ReadOptions, read, scan
+from motionkit.formats.sourcefile import read_bytes
 from motionkit.skeleton_families import read_skeleton_map
 from motionkit.store.ingest import ingest
 from tests.motionkit.formats.damage import damaged
 from tests.motionkit.formats.every_format import SOURCES
-from tests.motionkit.formats.samples import ASF
+from tests.motionkit.formats.samples import ASF, bvh_text
 
 OPTIONS = ReadOptions(fps=Fraction(30), unit_metres=1.0)
 CAPTIONS = (
@@ -132,3 +134,38 @@ def test_folders_named_like_files_are_no_motions(tmp_path, suffix):
     (tmp_path / "LICENSE").mkdir()
     (tmp_path / "motions.json").mkdir()
     read_all(tmp_path, OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason", "words"),
+    [
+        ("file,caption\nwalk.bvh,à pied\n".encode("latin-1"), "encoding", "line 2: byte 0xe0 is not UTF-8"),
+        ("file,caption\nwalk.bvh,walks\n".encode("utf-16"), "encoding", "line 1: byte 0xff is not UTF-8"),
+        (b"file;caption\nwalk.bvh;walks\n", "annotations", "separated by commas"),
+    ],
+)
+def test_a_table_that_cannot_be_read_is_told_and_not_passed_over(
+    tmp_path: Path, content: bytes, reason: str, words: str
+) -> None:
+    (tmp_path / "walk.bvh").write_text(bvh_text())
+    (tmp_path / "captions.csv").write_bytes(content)
+    found = scan([tmp_path])
+    assert len(found.items) == 1
+    assert [problem.reason for problem in found.problems] == [reason] and words in str(found.problems[0])
+
+
+def test_a_pipe_among_the_files_is_not_waited_for(tmp_path: Path) -> None:
+    (tmp_path / "walk.bvh").write_text(bvh_text())
+    for name in ("run.bvh", "captions.csv"):
+        os.mkfifo(tmp_path / name)
+    found = scan([tmp_path])
+    assert [item.path.name for item in found.items] == ["walk.bvh"] and not found.problems
+    with pytest.raises(FormatError, match="a pipe"):
+        read_bytes(tmp_path / "run.bvh")
+
+
+def test_lines_that_end_in_a_carriage_return_alone(tmp_path: Path) -> None:
+    (tmp_path / "walk.bvh").write_text(bvh_text())
+    (tmp_path / "old.bvh").write_bytes(bvh_text().replace("\n", "\r").encode())
+    old, walk = (read(item) for item in scan([tmp_path]).items)
+    assert np.array_equal(old.joint_positions, walk.joint_positions) and old.fps == walk.fps
