@@ -5,7 +5,7 @@ come in the order of the input; the published wrapper returns them sorted by len
 """
 
 import hashlib
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -109,8 +109,8 @@ class GuoEvaluator:
         sentences = [self.words.sentence(caption) for caption in captions]
 
         def embed(chosen: list[int]) -> torch.Tensor:
-            words = torch.from_numpy(np.stack([sentences[index].words for index in chosen]))
-            parts = torch.from_numpy(np.stack([sentences[index].parts for index in chosen]))
+            words = [torch.from_numpy(sentences[index].words) for index in chosen]
+            parts = [torch.from_numpy(sentences[index].parts) for index in chosen]
             return self.networks.embed_texts(words, parts)
 
         return self._in_batches([len(sentence.words) for sentence in sentences], embed)
@@ -161,8 +161,8 @@ class GuoEvaluator:
         tokens = [length // FRAMES_PER_TOKEN for length in frames]
 
         def embed(chosen: list[int]) -> torch.Tensor:
-            inputs = np.stack([self._inputs(motions[index], tokens[index]) for index in chosen])
-            return self.networks.embed_motions(torch.from_numpy(inputs), tokens[chosen[0]])
+            inputs = [torch.from_numpy(self._inputs(motions[index], tokens[index])) for index in chosen]
+            return self.networks.embed_motions(inputs, [tokens[index] for index in chosen])
 
         return self._in_batches(tokens, embed)
 
@@ -180,10 +180,12 @@ class GuoEvaluator:
     def _in_batches(
         self, sizes: Sequence[int], embed: Callable[[list[int]], torch.Tensor]
     ) -> Float64[np.ndarray, "rows features"]:
-        """Rows in the order of the input; a batch holds inputs of one size."""
+        """Rows in the order of the input; a batch holds inputs of about one size."""
         result = np.empty((len(sizes), self.networks.num_features))
         with torch.inference_mode():
-            for chosen in _groups(sizes):
+            by_size = np.argsort(sizes, kind="stable").tolist()
+            for start in range(0, len(by_size), ROWS_AT_ONCE):
+                chosen = by_size[start : start + ROWS_AT_ONCE]
                 result[chosen] = embed(chosen).numpy()
         return result
 
@@ -219,15 +221,6 @@ class GuoEvaluator:
             )
 
 
-def _groups(sizes: Sequence[int]) -> Iterator[list[int]]:
-    """Indices of equal sizes, at most `ROWS_AT_ONCE` together."""
-    by_size: dict[Hashable, list[int]] = {}
-    for index, size in enumerate(sizes):
-        by_size.setdefault(size, []).append(index)
-    for chosen in by_size.values():
-        yield from (chosen[start : start + ROWS_AT_ONCE] for start in range(0, len(chosen), ROWS_AT_ONCE))
-
-
 def load_guo(files: GuoFiles, widths: GuoWidths = PUBLISHED) -> GuoEvaluator:
     """Load `text_mot_match/model/finest.tar`, and the statistics and word vectors that belong to it.
 
@@ -247,7 +240,10 @@ def load_guo(files: GuoFiles, widths: GuoWidths = PUBLISHED) -> GuoEvaluator:
 
 
 def _published_statistics(weights: Path) -> Path | None:
-    """The folder `meta` beside DATASET/text_mot_match/model/finest.tar, as the published archives have it."""
-    dataset = weights.resolve().parent.parent.parent
-    places = [dataset / name / "meta" for name in ("Comp_v6_KLD01", "Comp_v6_KLD005")]
-    return next((place for place in places if place.is_dir()), None)
+    """The folder `meta` of a model beside DATASET/text_mot_match/model/finest.tar, where published archives have it.
+
+    text-to-motion's own models for HumanML3D and KIT, and the one that T2M-GPT takes it from.
+    """
+    dataset = weights.absolute().parent.parent.parent
+    models = ("Comp_v6_KLD01", "Comp_v6_KLD005", "VQVAEV3_CB1024_CMT_H1024_NRES3")
+    return next((dataset / model / "meta" for model in models if (dataset / model / "meta").is_dir()), None)

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from jaxtyping import Float64
 from torch import Tensor, nn
+from torch.nn.utils.rnn import pack_sequence
 
 from eval.evaluators.guo_kind import KINDS, GuoKind
 from eval.evaluators.guo_words import NUM_NUMBERS, PARTS_OF_SPEECH
@@ -49,9 +50,9 @@ class MovementEncoder(nn.Module):
         )
         self.out_net = nn.Linear(width, width)
 
-    def forward(self, frames: Float64[Tensor, "batch frames numbers"]) -> Float64[Tensor, "batch tokens width"]:
-        """Tokens of standardised frames."""
-        tokens: Tensor = self.out_net(self.main(frames.transpose(1, 2)).transpose(1, 2))
+    def forward(self, frames: Float64[Tensor, "frames numbers"]) -> Float64[Tensor, "tokens width"]:
+        """Tokens of one motion's standardised frames."""
+        tokens: Tensor = self.out_net(self.main(frames.T).T)
         return tokens
 
 
@@ -67,10 +68,11 @@ class SequenceEncoder(nn.Module):
         )
         self.hidden = nn.Parameter(torch.zeros(2, 1, width))
 
-    def forward(self, steps: Float64[Tensor, "batch steps numbers"]) -> Float64[Tensor, "batch outputs"]:
-        """One vector for each sequence; all of a batch have the same length, so nothing is padded or packed."""
-        start = self.hidden.expand(-1, len(steps), -1).contiguous()
-        _, last = self.gru(self.input_emb(steps), start)
+    def forward(self, sequences: list[Tensor]) -> Float64[Tensor, "batch outputs"]:
+        """One vector for each sequence [steps, numbers], in order; they are packed, so none is padded."""
+        packed = pack_sequence(sequences, enforce_sorted=False)
+        start = self.hidden.expand(-1, len(sequences), -1).contiguous()
+        _, last = self.gru(packed._replace(data=self.input_emb(packed.data)), start)
         outputs: Tensor = self.output_net(torch.cat((last[0], last[1]), dim=-1))
         return outputs
 
@@ -87,18 +89,16 @@ class GuoNetworks(nn.Module):
         self.text = SequenceEncoder(NUM_NUMBERS, widths.text, widths.shared)
         self.double().eval().requires_grad_(False)
 
-    def embed_motions(
-        self, frames: Float64[Tensor, "batch frames numbers"], num_tokens: int
-    ) -> Float64[Tensor, "batch shared"]:
-        """Embeddings of standardised frames; what follows the first `num_tokens` tokens is seen by the convolutions."""
-        embeddings: Tensor = self.motion(self.movement(frames)[:, :num_tokens])
+    def embed_motions(self, motions: list[Tensor], num_tokens: list[int]) -> Float64[Tensor, "batch shared"]:
+        """Embeddings of standardised frames [frames, numbers]; what follows a motion's tokens the convolutions see."""
+        tokens = [self.movement(frames)[:number] for frames, number in zip(motions, num_tokens, strict=True)]
+        embeddings: Tensor = self.motion(tokens)
         return embeddings
 
-    def embed_texts(
-        self, words: Float64[Tensor, "batch steps 300"], parts: Float64[Tensor, "batch steps parts"]
-    ) -> Float64[Tensor, "batch shared"]:
-        """Embeddings of sentences of equal length."""
-        embeddings: Tensor = self.text(words + self.parts(parts))
+    def embed_texts(self, words: list[Tensor], parts: list[Tensor]) -> Float64[Tensor, "batch shared"]:
+        """Embeddings of sentences: word vectors [steps, 300] and parts of speech [steps, parts] of each."""
+        steps = [word + self.parts(part) for word, part in zip(words, parts, strict=True)]
+        embeddings: Tensor = self.text(steps)
         return embeddings
 
     def published(self) -> dict[str, dict[str, Tensor]]:
