@@ -67,6 +67,15 @@ def evaluate(
         str, typer.Option(help="What it sees past a motion's end: masked, or zeros as in published tables.")
     ] = "masked",
     motions: Annotated[int, typer.Option(min=2, help="Most motions that a model generates.")] = 1024,
+    protocol: Annotated[
+        str, typer.Option(help="Of whole motions: native, t2m, mdm, mld, t2m-gpt, momask; of actions: a2m, actor, mdm.")
+    ] = "native",
+    compat: Annotated[
+        str | None, typer.Option(metavar="BUGS", help="Known bugs of that protocol's code to switch on, by name.")
+    ] = None,
+    draws: Annotated[
+        int, typer.Option(min=1, help="How often a model generates the whole set; 20 as published protocols do.")
+    ] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
@@ -90,6 +99,9 @@ def evaluate(
         guo=_guo_files(weights, glove, statistics, padding),
         low_pass_hz=low_pass,
         max_motions=motions,
+        published=protocol,
+        compat=tuple(compat.split(",")) if compat else (),
+        draws=draws,
         seed=seed,
     )
     _build(request, table if figure is None else f"figure{figure}", paper, as_json)

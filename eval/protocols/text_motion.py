@@ -1,6 +1,7 @@
 """Protocols of text-to-motion: what each published evaluation draws, pairs, drops and repeats.
 
-Their sources were read, not run; what an evaluator sees (crops, lengths, captions) is not part of a protocol here.
+Their sources were read, not run. What their loaders draw anew in every replication is not part of a protocol here: one
+of a motion's captions, and a random crop to a multiple of four frames.
 """
 
 from dataclasses import dataclass, field
@@ -30,15 +31,29 @@ class MultiModalityRule:
 
 
 @dataclass(frozen=True)
+class LengthRule:
+    """Which real motions take part: from `shortest_seconds`, and what becomes of those of `longest_seconds` or more."""
+
+    shortest_seconds: float
+    longest_seconds: float
+    longer: Literal["cropped", "left out"]
+
+
+PUBLISHED_LENGTHS = LengthRule(2.0, 10.0, "left out")
+"""40 to 199 frames at 20 fps (text-to-motion, data/dataset.py)."""
+
+
+@dataclass(frozen=True)
 class TextMotionProtocol:
     """One way to turn embeddings of texts and motions into a table's numbers.
 
     `pool`: motions that a text chooses among, cut from a random order of all of them. (Published code calls a pool a
     batch of its shuffled loader; the distribution is the same.) `remainder`: what the motions of the last, incomplete
     pool are left out of. `num_motions`: how many generated motions count, None for all. `reference`: FID against the
-    real motions of the same texts ("paired") or against another random order of the real set with its own remainder
-    ("redraw"). `asks`: the direction whose R-Precision the source quotes; both are computed. `known_bugs`: names in
-    `eval.protocols.compat` that its published code has. Raises `ValueError` for numbers that make no sense.
+    whole real set ("whole"), the real motions of the same texts ("paired") or another random order of the real set with
+    its own remainder ("redraw"). `asks`: the direction whose R-Precision the source quotes; both are computed.
+    `details`: metrics that are computed once, on the first draw. `known_bugs`: names in `eval.protocols.compat` that
+    its published code has. Raises `ValueError` for numbers that make no sense.
     """
 
     name: str
@@ -48,11 +63,12 @@ class TextMotionProtocol:
     pool: int = 32
     remainder: Literal["R-Precision", "every metric"] = "every metric"
     num_motions: int | None = None
-    reference: Literal["paired", "redraw"] = "paired"
+    reference: Literal["whole", "paired", "redraw"] = "paired"
     asks: Literal["text", "motion"] = "text"
     replications: int = 20
     diversity_pairs: int = 300
     multimodality: MultiModalityRule = field(default_factory=MultiModalityRule)
+    lengths: LengthRule = PUBLISHED_LENGTHS
     details: tuple[str, ...] = ()
     known_bugs: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
@@ -71,7 +87,9 @@ NATIVE = TextMotionProtocol(
     title="motionkit",
     source="docs/metrics.md",
     remainder="R-Precision",
+    reference="whole",
     multimodality=MultiModalityRule(pairs="distinct"),
+    lengths=LengthRule(0.6, 9.8, "cropped"),
     details=("fid_infinity", "kid"),
 )
 T2M = TextMotionProtocol(

@@ -20,7 +20,7 @@ from eval.scoring.scores import Scores, Tally
 GENERATED, REAL, DIVERSITY, MULTIMODALITY = range(4)
 """Streams of random numbers of one replication: what one metric draws does not move another's."""
 
-Order = Int64[np.ndarray, "chosen"]
+Order = Int64[np.ndarray, "_chosen"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +40,10 @@ class TextMotionPairs:
                 "one of either for each pair"
             )
 
+    def select(self, rows: Int64[np.ndarray, "chosen"]) -> "TextMotionPairs":
+        """Some of the pairs, in the order of `rows`."""
+        return TextMotionPairs(self.texts[rows], self.motions[rows])
+
 
 def score_text_motion(
     real: TextMotionPairs,
@@ -57,7 +61,7 @@ def score_text_motion(
     draws than replications the interval holds less than the protocol means, and a remark says so. `repeated` holds
     several motions of one text for MultiModality, which is left out without it. With the protocol's reference "paired",
     row i of a draw was generated for the text of row i of `real`. To score real motion itself give `[real]`: its FID
-    is then 0 ("paired") or what the dropped remainders leave ("redraw"). `compat` names known bugs to switch on.
+    is then 0, or what the dropped remainders leave ("redraw"). `compat` names known bugs to switch on.
 
     Raises `ValueError` for pairs that do not fit together or are not finite, fewer than a pool of them, and
     `UsageError` for a bug that the protocol does not have.
@@ -134,37 +138,45 @@ class _Fids:
 
     def __init__(self, real: TextMotionPairs, draws: Sequence[TextMotionPairs], protocol: TextMotionProtocol) -> None:
         self._real, self._draws, self._protocol = real.motions, draws, protocol
-        self._everything: Gaussian | None = None
+        self._whole: dict[int | None, Gaussian] = {}
         self._of_draws: dict[int, float] = {}
         self.num_real = 0
 
     def value(self, which: int, order: Order, seed: int, replication: int) -> float:
         """FID of the chosen motions of one draw against the protocol's reference."""
-        motions = self._draws[which].motions
-        paired, whole = self._protocol.reference == "paired", len(order) == len(motions)
-        if paired and whole:
-            self.num_real = len(self._real)
-            if which not in self._of_draws:
-                self._of_draws[which] = frechet_distance(self._all_real(), fit_gaussian(motions))
+        reference = self._reference(order, seed, replication)
+        self.num_real = len(self._real) if reference is None else len(reference)
+        fixed = reference is None and len(order) == len(self._draws[which].motions)
+        if fixed and which in self._of_draws:
             return self._of_draws[which]
-        return frechet_distance(
-            self._reference(order if paired else None, seed, replication), fit_gaussian(motions[order])
-        )
+        distance = frechet_distance(self._gaussian(reference), self._gaussian_of(which, order))
+        if fixed:
+            self._of_draws[which] = distance
+        return distance
 
-    def _reference(self, order: Order | None, seed: int, replication: int) -> Gaussian:
-        kept = _kept(len(self._real), self._protocol)
-        if order is None and kept == len(self._real):
-            self.num_real = kept
-            return self._all_real()
-        if order is None:
-            order = np.random.default_rng((seed, replication, REAL)).permutation(len(self._real))[:kept]
-        self.num_real = len(order)
-        return fit_gaussian(self._real[order])
+    def _reference(self, order: Order, seed: int, replication: int) -> Order | None:
+        """Rows of the real set that are compared with; None for all of them."""
+        everything = len(self._real)
+        if self._protocol.reference == "whole":
+            return None
+        if self._protocol.reference == "paired":
+            return None if len(order) == everything else order
+        kept = _kept(everything, self._protocol)
+        if kept == everything:
+            return None
+        return np.random.default_rng((seed, replication, REAL)).permutation(everything)[:kept]
 
-    def _all_real(self) -> Gaussian:
-        if self._everything is None:
-            self._everything = fit_gaussian(self._real)
-        return self._everything
+    def _gaussian(self, rows: Order | None) -> Gaussian:
+        return self._all(None, self._real) if rows is None else fit_gaussian(self._real[rows])
+
+    def _gaussian_of(self, which: int, order: Order) -> Gaussian:
+        motions = self._draws[which].motions
+        return self._all(which, motions) if len(order) == len(motions) else fit_gaussian(motions[order])
+
+    def _all(self, key: int | None, features: Float[np.ndarray, "samples features"]) -> Gaussian:
+        if key not in self._whole:
+            self._whole[key] = fit_gaussian(features)
+        return self._whole[key]
 
 
 def _add_multimodality(

@@ -21,7 +21,9 @@ class TableRequest:
 
     `fps` None means the table's own columns; `features` None means every feature set that is available; `split` names
     the real sequences that are compared with, `where` those of them for which this SQL holds; `guo` names the files of
-    a published evaluator; `low_pass_hz`, where given, smooths every set alike before clips are drawn.
+    a published evaluator; `low_pass_hz`, where given, smooths every set alike before clips are drawn. Tables of whole
+    motions follow the protocol called `published`, with the known bugs `compat` switched on, and ask models `draws`
+    times for every motion.
     """
 
     store: Path
@@ -36,6 +38,9 @@ class TableRequest:
     guo: GuoFiles | None = None
     low_pass_hz: float | None = None
     max_motions: int = 1024
+    published: str = "native"
+    compat: tuple[str, ...] = ()
+    draws: int = 1
     seed: int = 0
 
     @property

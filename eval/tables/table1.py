@@ -1,0 +1,292 @@
+"""NeRM's Table 1: text-to-motion with whole motions at one framerate, under a protocol."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eval.embedding_cache import FOLDER, Embedder
+from eval.evaluators.text_motion import TextMotionEvaluator
+from eval.protocols.text_motion import TextMotionProtocol, find_text_motion_protocol
+from eval.real import NoRealMotionError
+from eval.report.results import Block, Result, environment
+from eval.scoring.scores import Scores
+from eval.scoring.text_motion import TextMotionPairs, score_text_motion
+from eval.tables.registry import Table, TableRequest
+from eval.tables.text_motion_blocks import ScoredRow, paper_block, scored_blocks
+from eval.text_motion.model_motions import ModelMotions
+from eval.text_motion.real_pairs import CaptionedMotions, captioned_motions, limited
+from eval.text_motion.sources import text_motion_evaluators
+from motionkit.console import progress
+from motionkit.errors import MotionkitError, UsageError
+from motionkit.generation import GenerativeModel, load_model
+from motionkit.training.run import RunFolder
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+VERSION = "text-motion/1"
+DEFAULT_FPS = Fraction(20)
+REAL, NERM, FIXED = "real", "NeRM", "NeRM-fixed"
+FIXED_SUFFIX = "-fixed"
+SMALL = 1000
+"""Fewer motions than this make a table a small-scale one, and its caption says so."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A trained run as a row; `identity` holds the hashes of all that its motions come from."""
+
+    name: str
+    run: Path
+    model: GenerativeModel
+    identity: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """What every evaluator's numbers are made from."""
+
+    request: TableRequest
+    protocol: TextMotionProtocol
+    models: tuple[_Model, ...]
+    display: "Progress"
+    missing: list[str]
+
+
+def build_table1(request: TableRequest) -> Result:
+    """Compute every row that can be computed; what cannot is named in `missing`.
+
+    Raises `UsageError` for a protocol, evaluator or framerate that there is not, `StoreError` for a store that cannot
+    be used, and `NoRealMotionError` where it has no captioned motion.
+    """
+    from motionkit.store.reader import Store
+
+    protocol = find_text_motion_protocol(request.published)
+    missing: list[str] = []
+    store = Store.open(request.store)
+    with progress() as display:
+        task = display.add_task("loading", total=None, note="")
+        evaluators = text_motion_evaluators(request, protocol, missing)
+        models = _models(request, missing)
+        for each in models:
+            protocol = replace(protocol, lengths=limited(protocol.lengths, each.model.max_duration_seconds))
+        missing.extend(f"{name}: rows of sample folders need their captions" for name in request.samples)
+        job = _Job(request, protocol, models, display, missing)
+        real: dict[Fraction, CaptionedMotions] = {}
+        for evaluator in evaluators:
+            fps = _fps(request, evaluator)
+            if fps not in real:
+                real[fps] = captioned_motions(store, request.split, request.where, fps, protocol.lengths)
+                _check_pool(real[fps], protocol, request)
+        display.remove_task(task)
+        blocks = [block for each in evaluators for block in _blocks(job, each, real[_fps(request, each)])]
+    return Result(
+        task="nerm-table1",
+        version=VERSION,
+        title="Table 1: text-to-motion",
+        caption=_caption(request, protocol, real),
+        blocks=(*blocks, *map(paper_block, real)),
+        definition=_definition(request, protocol, real),
+        notes=_notes(protocol, real),
+        missing=tuple(dict.fromkeys(missing)),
+        provenance={
+            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
+            "runs": {each.run.name: each.identity for each in models},
+            "seed": request.seed,
+            "environment": environment(),
+        },
+    )
+
+
+TABLE = Table("nerm", "1", "text-to-motion at 20 fps", build_table1)
+
+
+def _models(request: TableRequest, missing: list[str]) -> tuple[_Model, ...]:
+    """NeRM and, where it is trained, NeRM-fixed: the run of the same name with `-fixed` after it."""
+    from nerm.encoder_folder import file_sha256
+
+    if request.run is None:
+        missing.append(f"{NERM}: no run was given (motionkit train makes one)")
+        return ()
+    found = []
+    fixed = request.run.with_name(request.run.name + FIXED_SUFFIX)
+    for name, run, setting in ((NERM, request.run, ""), (FIXED, fixed, " --set field.fixed_fps=20")):
+        if not run.is_dir():
+            missing.append(f"{name}: there is no run {str(run)!r} (motionkit train --run {run.name}{setting} makes it)")
+            continue
+        try:
+            model = load_model("nerm", run)
+            paths = {stage: RunFolder(run).stage(stage).model_path for stage in ("field", "denoiser")}
+            identity = {stage: file_sha256(path) for stage, path in paths.items()}
+            found.append(_Model(name, run, model, identity))
+        except MotionkitError as error:
+            missing.append(f"{name}: {error}")
+    return tuple(found)
+
+
+def _fps(request: TableRequest, evaluator: TextMotionEvaluator) -> Fraction:
+    asked = request.fps or (evaluator.fps or DEFAULT_FPS,)
+    if len(asked) != 1:
+        raise UsageError("table 1 compares whole motions at one framerate: give one --fps, such as 20 or 12.5")
+    if evaluator.fps not in (None, asked[0]):
+        raise UsageError(f"--fps {asked[0]}: the evaluator {evaluator.name!r} means nothing but at {evaluator.fps} fps")
+    return asked[0]
+
+
+def _check_pool(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> None:
+    """Raise where not one pool can be filled."""
+    if real.samples.num_sequences < protocol.pool:
+        raise NoRealMotionError(
+            f"{real.samples.name}: {real.samples.num_sequences} captioned motions take part, but a text chooses among "
+            f"{protocol.pool} (protocol {protocol.name!r}); name a larger split (--split all) or ingest more"
+        )
+    if request.max_motions < protocol.pool:
+        raise UsageError(
+            f"--motions {request.max_motions}: a text chooses among {protocol.pool}; give that many at least"
+        )
+
+
+def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -> tuple[Block, ...]:
+    """One evaluator's numbers."""
+    protocol, request = job.protocol, job.request
+    embedder = Embedder(evaluator, request.results / FOLDER)
+    task = job.display.add_task(f"{evaluator.name}: embedding real motion", total=None, note="")
+    pairs = TextMotionPairs(embedder.texts(real.captions), embedder.motions(real.samples))
+    job.display.remove_task(task)
+    chosen = _chosen(real, protocol, request)
+    rows = [_real_row(job, pairs, chosen)]
+    for each in job.models:
+        try:
+            rows.append(_model_row(job, each, real, pairs, chosen, embedder))
+        except (MotionkitError, ValueError) as error:
+            job.missing.append(f"{each.name}, {evaluator.name}: {error}")
+    head = f"{evaluator.name} evaluator, protocol {protocol.name}, {float(real.samples.fps):g} fps"
+    provenance = {"evaluator": evaluator.name, "fingerprint": evaluator.fingerprint, "protocol": protocol.name}
+    return scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
+
+
+def _chosen(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> npt.NDArray[np.int64]:
+    """The real motions that models answer: all, or a random choice of as many as are asked for."""
+    number = real.samples.num_sequences
+    most = min(request.max_motions, protocol.num_motions or number)
+    if number <= most:
+        return np.arange(number)
+    return np.sort(np.random.default_rng((request.seed, 7)).choice(number, size=most, replace=False))
+
+
+def _real_row(job: _Job, pairs: TextMotionPairs, chosen: npt.NDArray[np.int64]) -> ScoredRow:
+    """Real motion under the protocol; without its FID where that would be a set's distance from itself."""
+    own = pairs.select(chosen)
+    scores = _score(job, own if job.protocol.reference == "paired" else pairs, [own])
+    if job.protocol.reference == "redraw":
+        return ScoredRow(
+            REAL, "reference", scores, "its FID is what dropped remainders and the choice of motions leave"
+        )
+    values = {name: score for name, score in scores.values.items() if name not in ("fid", "fid_infinity", "kid")}
+    return ScoredRow(REAL, "reference", replace(scores, values=values))
+
+
+def _model_row(
+    job: _Job,
+    each: _Model,
+    real: CaptionedMotions,
+    pairs: TextMotionPairs,
+    chosen: npt.NDArray[np.int64],
+    embedder: Embedder,
+) -> ScoredRow:
+    task = job.display.add_task(f"{embedder.evaluator.name}: {each.name}", total=None, note="motions generated")
+    motions = ModelMotions(
+        each.name, each.model, each.identity, job.request.seed, lambda count: job.display.advance(task, count)
+    )
+    try:
+        wanted = real.select(chosen)
+        draws = [motions.draw(wanted, number, embedder) for number in range(job.request.draws)]
+        repeated = motions.repeated(wanted, job.protocol.multimodality, job.request.max_motions, embedder)
+    finally:
+        job.display.remove_task(task)
+    reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
+    return ScoredRow(each.name, "ours", _score(job, reference, draws, repeated), f"run {each.run.name!r}")
+
+
+def _score(
+    job: _Job,
+    reference: TextMotionPairs,
+    draws: list[TextMotionPairs],
+    repeated: npt.NDArray[np.float64] | None = None,
+) -> Scores:
+    task = job.display.add_task("scoring", total=job.protocol.replications, note="")
+    try:
+        return score_text_motion(
+            reference,
+            draws,
+            job.protocol,
+            job.request.seed,
+            repeated=repeated,
+            compat=job.request.compat,
+            on_replication=lambda: job.display.advance(task),
+        )
+    finally:
+        job.display.remove_task(task)
+
+
+def _caption(request: TableRequest, protocol: TextMotionProtocol, real: Mapping[Fraction, CaptionedMotions]) -> str:
+    caption = (
+        f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean ± half the 95 % "
+        f"interval over {protocol.replications} replications, split {request.split!r}{request.restriction}."
+    )
+    if request.compat:
+        caption += f" Known bugs switched on: {', '.join(request.compat)}."
+    fewest = min(each.samples.num_sequences for each in real.values())
+    if fewest < SMALL:
+        caption += (
+            f" A small-scale run: {fewest} real motions, so rows say how systems rank on this store and no more; FID "
+            "has the bias of its N."
+        )
+    return caption
+
+
+def _definition(
+    request: TableRequest, protocol: TextMotionProtocol, real: Mapping[Fraction, CaptionedMotions]
+) -> dict[str, Any]:
+    return {
+        "version": VERSION,
+        "protocol": asdict(protocol),
+        "compat": list(request.compat),
+        "draws": request.draws,
+        "motions": request.max_motions,
+        "real_motions": {
+            f"{float(fps):g} fps": {
+                "motions": each.samples.num_sequences,
+                "different_captions": len(set(each.samples.captions)),
+                "cropped": each.num_cropped,
+                "left_out": dict(each.left_out),
+            }
+            for fps, each in real.items()
+        },
+        "captions": "a sequence's first one, and the stretch that it is about",
+        "generated": "for the caption and the duration of each real motion, sampled at the framerate",
+        "split": request.split,
+        "where": request.where,
+    }
+
+
+def _notes(protocol: TextMotionProtocol, real: Mapping[Fraction, CaptionedMotions]) -> tuple[str, ...]:
+    notes = []
+    for fps, each in real.items():
+        without = "".join(f", {count} left out ({reason})" for reason, count in each.left_out.items())
+        notes.append(
+            f"Real motions at {float(fps):g} fps: {each.samples.num_sequences} with "
+            f"{len(set(each.samples.captions))} different captions, {each.num_cropped} cropped to their middle "
+            f"{protocol.lengths.longest_seconds:g} s{without}."
+        )
+    chance = ", ".join(f"{rank / protocol.pool:.3f}" for rank in (1, 2, 3))
+    return (
+        *notes,
+        f"Pools of {protocol.pool}: chance is {chance}.",
+        "Embeddings, and with them every number but the paper's, compare only under one evaluator's fingerprint.",
+    )

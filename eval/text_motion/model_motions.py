@@ -1,0 +1,88 @@
+"""What a trained model makes for the captions and durations of real motions, as embeddings that are kept."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from functools import partial
+from hashlib import sha256
+from json import dumps
+
+import numpy as np
+from jaxtyping import Float64
+
+from eval.embedding_cache import Embedder
+from eval.protocols.text_motion import MultiModalityRule
+from eval.samples import SampleSet, sample_set
+from eval.scoring.text_motion import TextMotionPairs
+from eval.text_motion.real_pairs import CaptionedMotions
+from motionkit.generation import GenerationRequest, GenerativeModel
+from motionkit.motionfield import to_motion
+
+AT_ONCE = 128
+REPEATED_FROM = 1_000_000
+"""Requests of MultiModality are numbered from here, so that they share no random numbers with the others."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelMotions:
+    """A model and what it is asked for; `identity` is all that its motions depend on besides request and seed.
+
+    Raises what the model raises for a caption it cannot take, when motions are first asked for.
+    """
+
+    name: str
+    model: GenerativeModel
+    identity: Mapping[str, str]
+    seed: int
+    on_motions: Callable[[int], None] = lambda count: None
+
+    def draw(self, wanted: CaptionedMotions, number: int, embedder: Embedder) -> TextMotionPairs:
+        """One motion for each caption, as long as the real one; `number` counts independent draws."""
+        requests = _requests(wanted)
+        motions = self._embedded(requests, self.seed + number, 0, wanted.samples.fps, embedder)
+        return TextMotionPairs(embedder.texts(wanted.captions), motions)
+
+    def repeated(
+        self, wanted: CaptionedMotions, rule: MultiModalityRule, most_motions: int, embedder: Embedder
+    ) -> Float64[np.ndarray, "texts generations features"] | None:
+        """Several motions of one caption each, of as many captions as the rule asks and `most_motions` allows.
+
+        None where not two motions of one text fit.
+        """
+        generations = min(rule.num_generations, most_motions)
+        if generations < 2:
+            return None
+        different = np.unique(wanted.samples.captions, return_index=True)[1]
+        texts = min(rule.num_texts or len(different), len(different), most_motions // generations)
+        chosen = np.random.default_rng((self.seed, 8)).choice(different, size=texts, replace=False)
+        requests = [request for request in _requests(wanted.select(np.sort(chosen))) for _ in range(generations)]
+        found = self._embedded(requests, self.seed, REPEATED_FROM, wanted.samples.fps, embedder)
+        return found.reshape(texts, generations, -1)
+
+    def _embedded(
+        self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction, embedder: Embedder
+    ) -> Float64[np.ndarray, "requests features"]:
+        told = sha256(dumps([asdict(request) for request in requests]).encode()).hexdigest()
+        key = {"model": dict(self.identity), "requests": told, "seed": seed, "first": first, "fps": str(fps)}
+        return embedder.kept(key, len(requests), partial(self._generated, requests, seed, first, fps, embedder))
+
+    def _generated(
+        self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction, embedder: Embedder
+    ) -> Float64[np.ndarray, "requests features"]:
+        return embedder.evaluator.embed_motions(self._motions(requests, seed, first, fps))
+
+    def _motions(self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction) -> SampleSet:
+        sequences = []
+        for start in range(0, len(requests), AT_ONCE):
+            some = requests[start : start + AT_ONCE]
+            fields = self.model.generate(some, seed=seed, first=first + start)
+            sequences += [to_motion(field, fps).joint_positions for field in fields]
+            self.on_motions(len(some))
+        names = [f"motion {first + index}" for index in range(len(requests))]
+        return sample_set(self.name, fps, sequences, names, [request.text for request in requests])
+
+
+def _requests(wanted: CaptionedMotions) -> list[GenerationRequest]:
+    """Text and duration alone: a model that was trained without texts cannot have a row of text-to-motion."""
+    texts = [caption.text for caption in wanted.captions]
+    return [GenerationRequest(seconds, text) for seconds, text in zip(wanted.durations_seconds, texts, strict=True)]

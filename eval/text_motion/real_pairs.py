@@ -1,0 +1,114 @@
+"""Real captioned motions of whole length at one framerate: what text-to-motion metrics compare with."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from math import ceil
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from eval.protocols.text_motion import LengthRule
+from eval.real import NoRealMotionError, real_motion
+from eval.samples import SampleSet, sample_set
+from motionkit.motion import Caption
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
+
+
+@dataclass(frozen=True, eq=False)
+class CaptionedMotions:
+    """Motions with the caption of each; `known_captions` are all captions of the split by their text.
+
+    `left_out` counts sequences by the reason why they do not take part, `num_cropped` those that were shortened.
+    """
+
+    samples: SampleSet
+    captions: tuple[Caption, ...]
+    known_captions: Mapping[str, Caption]
+    left_out: Mapping[str, int]
+    num_cropped: int
+
+    @property
+    def durations_seconds(self) -> list[float]:
+        """From the first pose to the last of each motion."""
+        return [float((frames - 1) / self.samples.fps) for frames in self.samples.num_frames.tolist()]
+
+    def select(self, rows: npt.NDArray[np.int64]) -> "CaptionedMotions":
+        """Some of them, in the order of `rows`."""
+        captions = tuple(self.captions[row] for row in rows.tolist())
+        return replace(self, samples=self.samples.select(rows), captions=captions)
+
+
+def limited(rule: LengthRule, longest_seconds: float) -> LengthRule:
+    """The rule for a model that cannot make motions as long: real ones are cropped to what it can."""
+    if longest_seconds >= rule.longest_seconds:
+        return rule
+    return LengthRule(min(rule.shortest_seconds, longest_seconds), longest_seconds, "cropped")
+
+
+def captioned_motions(
+    store: "Store", split: str, where: str | None, fps: Fraction, rule: LengthRule
+) -> CaptionedMotions:
+    """Captioned sequences of native rate ≥ fps, brought to fps: of each the stretch that its first caption is about.
+
+    A longer one is cropped to its middle, or left out, as the rule says. Raises `NoRealMotionError` where fewer than
+    two remain, and what `real_motion` raises.
+    """
+    everything = real_motion(store, split, where)
+    captions_of = _captions(store)
+    at_rate = everything.at(fps)
+    left_out = Counter({f"captured below {fps} fps": len(everything.fps) - at_rate.num_sequences})
+    sequences, names, captions, num_cropped = [], [], [], 0
+    for index, name in enumerate(at_rate.sequence_ids):
+        if not captions_of[name]:
+            left_out["without a caption"] += 1
+            continue
+        caption = captions_of[name][0]
+        positions = _stretch(at_rate.sequence(index), caption, fps)
+        seconds = (len(positions) - 1) / float(fps)
+        if seconds < rule.shortest_seconds:
+            left_out[f"shorter than {rule.shortest_seconds:g} s"] += 1
+            continue
+        if seconds >= rule.longest_seconds and rule.longer == "left out":
+            left_out[f"{rule.longest_seconds:g} s or longer"] += 1
+            continue
+        kept = middle(positions, fps, rule.longest_seconds)
+        num_cropped += len(kept) < len(positions)
+        sequences.append(kept)
+        names.append(name)
+        captions.append(caption)
+    if len(sequences) < 2:
+        reasons = "; ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
+        raise NoRealMotionError(
+            f"{everything.name}: {len(sequences)} captioned sequences at {fps} fps, at least two are needed ({reasons})"
+        )
+    texts = [caption.text for caption in captions]
+    known = {caption.text: caption for some in captions_of.values() for caption in some}
+    samples = sample_set(everything.name, fps, sequences, names, texts)
+    return CaptionedMotions(samples, tuple(captions), known, {k: v for k, v in left_out.items() if v}, num_cropped)
+
+
+def middle(positions: npt.NDArray[np.float32], fps: Fraction, longest_seconds: float) -> npt.NDArray[np.float32]:
+    """The poses in the middle that span at most `longest_seconds`; all of them where they do."""
+    most = int(np.floor(longest_seconds * float(fps) + 1e-9)) + 1
+    first = max(0, (len(positions) - most) // 2)
+    return positions[first : first + most]
+
+
+def _stretch(positions: npt.NDArray[np.float32], caption: Caption, fps: Fraction) -> npt.NDArray[np.float32]:
+    """The poses in [start, end) of a caption."""
+    first = ceil(caption.start_seconds * float(fps) - 1e-6)
+    last = None if caption.end_seconds is None else ceil(caption.end_seconds * float(fps) - 1e-6)
+    return positions[first:last]
+
+
+def _captions(store: "Store") -> dict[str, list[Caption]]:
+    table = store.columns("sequence_id", "captions")
+    return {
+        str(name): [Caption(**caption) for caption in found]
+        for name, found in zip(table["sequence_id"], table["captions"], strict=True)
+    }
