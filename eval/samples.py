@@ -15,7 +15,8 @@ class SampleSet:
     """Sequences of joint positions at one framerate, one after another in `positions` [rows, 22, 3] (metres, y up).
 
     Sequence i holds rows start_row[i] … start_row[i] + num_frames[i]; `sequence_ids`, `captions` and `actions` have one
-    entry each ("" where there is none).
+    entry each ("" where there is none). `local_rotations`, where motions have true ones, are unit quaternions
+    (w, x, y, z) of the same rows, relative to the parent; SMPL's own skeleton may give 24 joints, the hands last.
     """
 
     name: str
@@ -25,6 +26,7 @@ class SampleSet:
     sequence_ids: tuple[str, ...]
     captions: tuple[str, ...] = ()
     actions: tuple[str, ...] = ()
+    local_rotations: Float32[np.ndarray, "rows rotations 4"] | None = None
 
     def __post_init__(self) -> None:
         if int(self.num_frames.sum()) != len(self.positions):
@@ -32,6 +34,8 @@ class SampleSet:
         for name, values in (("ids", self.sequence_ids), ("captions", self.captions), ("actions", self.actions)):
             if len(values) not in ((len(self.num_frames),) if name == "ids" else (0, len(self.num_frames))):
                 raise ValueError(f"{len(values)} {name} for {len(self.num_frames)} sequences")
+        if self.local_rotations is not None and len(self.local_rotations) != len(self.positions):
+            raise ValueError(f"{len(self.local_rotations)} rows of rotations for {len(self.positions)} of positions")
 
     @property
     def num_sequences(self) -> int:
@@ -60,7 +64,7 @@ class SampleSet:
     def select(self, indices: Sequence[int] | npt.NDArray[np.int64], name: str | None = None) -> "SampleSet":
         """The sequences at `indices`, in that order, under another name where one is given."""
         chosen = [int(index) for index in indices]
-        return sample_set(
+        made = sample_set(
             name or self.name,
             self.fps,
             [self.sequence(index) for index in chosen],
@@ -68,11 +72,15 @@ class SampleSet:
             [self.captions[index] for index in chosen] if self.captions else (),
             [self.actions[index] for index in chosen] if self.actions else (),
         )
+        if self.local_rotations is None:
+            return made
+        rows = np.concatenate([self.start_row[index] + np.arange(self.num_frames[index]) for index in chosen])
+        return replace(made, local_rotations=self.local_rotations[rows])
 
     def with_positions(
         self, name: str, fps: Fraction, sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]]
     ) -> "SampleSet":
-        """The same sequences by id, with other positions at another framerate."""
+        """The same sequences by id, with other positions at another framerate and no rotations."""
         made = sample_set(name, fps, sequences, self.sequence_ids)
         return replace(made, captions=self.captions, actions=self.actions)
 

@@ -141,7 +141,7 @@ def fit_kinematic(clips: Iterable[Float[np.ndarray, "_clips _poses joints 3"]], 
     groups = [np.asarray(group) for group in clips]
     if sum(len(group) for group in groups) < 2:
         raise ValueError("fitting the kinematic descriptor needs at least two clips")
-    poses = np.concatenate([_local_poses(group.astype(np.float64)).reshape(-1, 63) for group in groups])
+    poses = np.concatenate([local_poses(group.astype(np.float64)).reshape(-1, 63) for group in groups])
     pose_mean = poses.mean(axis=0)
     centred = poses - pose_mean
     _, eigenvectors = np.linalg.eigh(centred.T @ centred / len(centred))
@@ -182,7 +182,7 @@ def _raw_features(
     return result
 
 
-def _local_poses(positions: Float64[np.ndarray, "clips poses joints 3"]) -> Float64[np.ndarray, "clips poses 63"]:
+def local_poses(positions: Float64[np.ndarray, "clips poses joints 3"]) -> Float64[np.ndarray, "clips poses 63"]:
     """Joints 1 … 21 relative to the root, turned so that hips and shoulders face +Z at every instant."""
     across = positions[:, :, 2] - positions[:, :, 1] + positions[:, :, 17] - positions[:, :, 16]
     length = np.hypot(across[..., 0], across[..., 2])
@@ -202,7 +202,7 @@ def _pose_block(
     pose_components: Float64[np.ndarray, "components coordinates"],
 ) -> Float64[np.ndarray, "clips 20"]:
     """Mean and log spread over the clip of the principal components of root- and heading-relative poses."""
-    scores = (_local_poses(positions) - pose_mean) @ pose_components.T
+    scores = (local_poses(positions) - pose_mean) @ pose_components.T
     return np.concatenate((scores.mean(axis=1), np.log(scores.std(axis=1) + SPREAD_FLOOR_METRES)), axis=1)
 
 
