@@ -1,19 +1,14 @@
 """What accuracy and the action task's FID, Diversity and MultiModality need of a recogniser of actions."""
 
-import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
 
 from eval.samples import SampleSet
 from motionkit.errors import MotionkitError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +55,3 @@ def check_fps(recogniser: ActionRecogniser, samples: SampleSet) -> None:
             f"{samples.name}: motions at {samples.fps} fps, but the recogniser {recogniser.name!r} was trained at "
             f"{recogniser.fps} fps and has no notion of time; resample them first"
         )
-
-
-def tensors_digest(terms: str, tensors: Mapping[str, "Tensor"]) -> str:
-    """First 16 hex digits of the sha256 over settings and weights, whatever order the weights come in."""
-    digest = hashlib.sha256(terms.encode())
-    for name in sorted(tensors):
-        digest.update(name.encode() + np.ascontiguousarray(tensors[name].numpy(), dtype="<f4").tobytes())
-    return digest.hexdigest()[:16]

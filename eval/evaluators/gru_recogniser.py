@@ -16,8 +16,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from eval.evaluators.action_clips import clip_rows
-from eval.evaluators.action_recogniser import Recognition, check_fps, tensors_digest
+from eval.evaluators.action_recogniser import Recognition, check_fps
 from eval.evaluators.gru_kinds import GruKind
+from eval.evaluators.weights_digest import weights_digest
 from eval.samples import SampleSet
 from motionkit.training.foreign import fill_checked, foreign_tensors, read_foreign
 
@@ -95,4 +96,4 @@ def load_gru(path: Path, kind: GruKind) -> GruRecogniser:
     network = GruNetwork(3 * kind.num_joints, len(kind.actions)).eval().requires_grad_(False)
     fill_checked(dict(network.named_parameters()), tensors, KEY, path, kind.title)
     terms = f"{VERSION} {kind.name} {kind.fps} {kind.clip_length}"
-    return GruRecogniser(kind, network, tensors_digest(terms, network.state_dict()))
+    return GruRecogniser(kind, network, weights_digest(terms, network.state_dict()))

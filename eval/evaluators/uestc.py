@@ -15,8 +15,9 @@ import torch
 from jaxtyping import Float32
 
 from eval.evaluators.action_clips import clip_rows
-from eval.evaluators.action_recogniser import Recognition, check_fps, tensors_digest
+from eval.evaluators.action_recogniser import Recognition, check_fps
 from eval.evaluators.stgcn_network import StgcnNetwork
+from eval.evaluators.weights_digest import weights_digest
 from eval.samples import SampleSet
 from motionkit import kinematics
 from motionkit.errors import MotionkitError
@@ -91,4 +92,4 @@ def load_uestc(path: Path) -> UestcRecogniser:
     network = StgcnNetwork(SMPL.parents, NUM_CHANNELS, len(uestc.ACTIONS)).eval().requires_grad_(False)
     tensors = foreign_tensors({"weights": read_foreign(path)}, "weights", path, TITLE)
     fill_checked(network.state_dict(), tensors, "weights", path, TITLE)
-    return UestcRecogniser(network, tensors_digest(VERSION, network.state_dict()))
+    return UestcRecogniser(network, weights_digest(VERSION, network.state_dict()))
