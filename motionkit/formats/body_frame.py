@@ -1,6 +1,7 @@
 """Which unit and which axis a source uses, judged by the body that the numbers describe."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float32
@@ -33,6 +34,7 @@ class Unit:
     reason: str
 
 
+@lru_cache(maxsize=64)  # the takes of a corpus share their skeletons
 def infer_unit(skeleton: Skeleton) -> Unit | None:
     """The unit of a skeleton whose offsets are still in file units; None where none makes it a human body.
 

@@ -13,7 +13,9 @@ from motionkit.store.codec import Segment
 from motionkit.store.columns import array_of, float_lists
 from motionkit.store.manifest import PENDING_SUFFIX, FileEntry, describe_file
 from motionkit.store.schema import (
+    FLOAT_COLUMNS,
     FLOAT_LIST,
+    KEY_COLUMNS,
     MAX_ROW_GROUP_SEGMENTS,
     MIN_ROW_GROUP_SEGMENTS,
     PART_BYTES,
@@ -21,6 +23,67 @@ from motionkit.store.schema import (
     part_name,
     segment_writer_options,
 )
+
+
+class _FloatLists:
+    """A column of lists as it fills: values one after the other, in memory that the next row group uses again."""
+
+    def __init__(self) -> None:
+        self._values = np.empty(0, np.float32)
+        self._num_values = 0
+        self._lengths: list[int | None] = []
+
+    def append(self, values: Float32[np.ndarray, "_"] | None) -> None:
+        """Copy one list's values; None is null."""
+        self._lengths.append(None if values is None else values.size)
+        if values is None:
+            return
+        end = self._num_values + values.size
+        if end > self._values.size:
+            grown = np.empty(2 * end, np.float32)
+            grown[: self._num_values] = self._values[: self._num_values]
+            self._values = grown
+        self._values[self._num_values : end] = values
+        self._num_values = end
+
+    def array(self) -> pa.Array:
+        """The lists so far; good until the next one is appended."""
+        return float_lists(self._values[: self._num_values], self._lengths, FLOAT_LIST)
+
+    def clear(self) -> None:
+        """Forget all lists, but not their memory."""
+        self._num_values = 0
+        self._lengths.clear()
+
+
+class _RowGroup:
+    """Segments of the row group that is being filled, column by column."""
+
+    def __init__(self) -> None:
+        self._keys: list[tuple[int, int, int]] = []
+        self._floats = tuple(_FloatLists() for _ in FLOAT_COLUMNS)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def append(self, segment: Segment) -> None:
+        """Copy one segment."""
+        self._keys.append((segment.sequence_index, segment.start_frame, segment.num_frames))
+        arrays = (segment.joint_positions, segment.joint_rotations, segment.root_translation)
+        for column, values in zip(self._floats, arrays, strict=True):
+            column.append(values)
+
+    def table(self) -> pa.Table:
+        """All segments; good until the next one is appended."""
+        keys = zip(zip(*self._keys, strict=True), KEY_COLUMNS, strict=True)
+        columns = [array_of(values, SEGMENTS.field(name).type) for values, name in keys]
+        return pa.Table.from_arrays([*columns, *(column.array() for column in self._floats)], schema=SEGMENTS)
+
+    def clear(self) -> None:
+        """Forget all segments, but not their memory."""
+        self._keys.clear()
+        for column in self._floats:
+            column.clear()
 
 
 class PartWriter:
@@ -36,7 +99,7 @@ class PartWriter:
         self._part_bytes = part_bytes
         self._number = first_number
         self._rows_written = 0
-        self._pending: list[Segment] = []
+        self._pending = _RowGroup()
         self._sink: pa.NativeFile | None = None
         self._writer: pq.ParquetWriter | None = None
 
@@ -46,7 +109,7 @@ class PartWriter:
         return self._number, self._rows_written + len(self._pending)
 
     def add_sequence(self, segments: Iterable[Segment]) -> None:
-        """Append the segments of one sequence."""
+        """Append the segments of one sequence; their arrays are copied."""
         for segment in segments:
             self._pending.append(segment)
             if len(self._pending) == MAX_ROW_GROUP_SEGMENTS:
@@ -88,24 +151,6 @@ class PartWriter:
         if self._writer is None:
             self._sink = pa.OSFile(str(self._pending_path()), "wb")
             self._writer = pq.ParquetWriter(self._sink, SEGMENTS, **segment_writer_options())
-        self._writer.write_table(_segment_table(self._pending), row_group_size=len(self._pending))
+        self._writer.write_table(self._pending.table(), row_group_size=len(self._pending))
         self._rows_written += len(self._pending)
         self._pending.clear()
-
-
-def _segment_table(segments: list[Segment]) -> pa.Table:
-    columns = [
-        array_of([segment.sequence_index for segment in segments], pa.int32()),
-        array_of([segment.start_frame for segment in segments], pa.int32()),
-        array_of([segment.num_frames for segment in segments], pa.int16()),
-        _float_lists([segment.joint_positions for segment in segments]),
-        _float_lists([segment.joint_rotations for segment in segments]),
-        _float_lists([segment.root_translation for segment in segments]),
-    ]
-    return pa.Table.from_arrays(columns, schema=SEGMENTS)
-
-
-def _float_lists(arrays: list[Float32[np.ndarray, "_"] | None]) -> pa.Array:
-    present = [array for array in arrays if array is not None]
-    values = np.concatenate(present) if present else np.empty(0, np.float32)
-    return float_lists(values, [None if array is None else array.size for array in arrays], FLOAT_LIST)

@@ -1,6 +1,7 @@
 """Writing a store: parts first, then the tables under pending names, then the manifest; its rename is the commit."""
 
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -93,6 +94,15 @@ class StoreWriter:
         """Number of sequences that the store will hold at the commit."""
         return self._num_sequences
 
+    @property
+    def skeletons(self) -> tuple[Skeleton, ...]:
+        """All skeletons that the store will hold at the commit, in the order in which they came."""
+        return tuple(self._skeletons.values())
+
+    def knows_skeleton(self, skeleton: Skeleton) -> bool:
+        """Whether the store will hold a skeleton that is equal but for its name."""
+        return skeleton.fingerprint in self._skeletons
+
     def holds(self, sequence_id: str) -> bool:
         """Whether the store will hold a sequence with this id."""
         return sequence_id in self._known
@@ -106,7 +116,7 @@ class StoreWriter:
         return self.add_encoded(encode(motion))
 
     def add_encoded(self, motion: EncodedMotion) -> int:
-        """Add a motion that another process may have encoded; otherwise as `add`."""
+        """Add a motion that another process may have encoded; otherwise as `add`. Its arrays are copied."""
         if self.holds(motion.sequence_id):
             raise RefusedMotion(
                 f"the store already holds a sequence with the id {motion.sequence_id!r}: ids must differ",
@@ -119,7 +129,9 @@ class StoreWriter:
             {**motion.row, "sequence_index": sequence_index, "part": part, "first_row": first_row},
         )
         self._known.add(motion.sequence_id, motion.row["source_sha256"])
-        self._skeletons.setdefault(motion.skeleton.fingerprint, motion.skeleton)
+        skeleton = motion.skeleton
+        if not self.knows_skeleton(skeleton):
+            self._skeletons[skeleton.fingerprint] = replace(skeleton, offsets=skeleton.offsets.copy())
         self._num_sequences += 1
         self._next_sequence_index += 1
         self._num_segments += motion.row["num_segments"]

@@ -23,7 +23,7 @@ class Engine(Protocol):
     """Workers that compute batches; a context manager that starts and ends them.
 
     `submit` hands a batch over without waiting, `result` waits for it and raises `WorkerDied` where its worker ended; a
-    batch may be submitted again after that.
+    batch may be submitted again after that. `release` says that its outputs are no longer needed.
     """
 
     num_workers: int
@@ -37,7 +37,11 @@ class Engine(Protocol):
         ...
 
     def result(self, ticket: Any) -> Sequence[Any]:
-        """The outputs of a batch, one for each of its inputs."""
+        """The outputs of a batch, one for each of its inputs; their arrays are good until the ticket is released."""
+        ...
+
+    def release(self, ticket: Any) -> None:
+        """Let the memory of a batch's outputs be used again."""
         ...
 
 
@@ -46,9 +50,10 @@ def map_in_order(
 ) -> Generator[tuple[Input, Output | WorkerDied]]:
     """Pairs (input, output) in the order of the inputs; `function` gives one output for each input of its batch.
 
-    At most three batches per worker are in flight, so memory does not grow with the number of inputs. The inputs of a
-    batch whose worker ended are computed again, each alone; that which ends its worker again has `WorkerDied` for its
-    output. Raises `MotionkitError` where workers end before any of them has done anything.
+    An output's arrays may lie in memory that is used again: they are good until the next pair is asked for. At most
+    three batches per worker are in flight, so memory does not grow with the number of inputs. The inputs of a batch
+    whose worker ended are computed again, each alone; that which ends its worker again has `WorkerDied` for its output.
+    Raises `MotionkitError` where workers end before any of them has done anything.
     """
     yield from _Map(engine, function).run(batches)
 
@@ -76,17 +81,20 @@ class _Map(Generic[Input, Output]):
         try:
             outputs = self._engine.result(ticket)
         except WorkerDied:
-            yield from ((each, self._alone(each)) for each in batch)
+            for each in batch:
+                yield from self._alone(each)
             # Others may have gone with it, and nothing new may run beside an input that is under suspicion.
             while self._in_flight:
                 yield from self._oldest()
             return
         self._deaths_at_start = None
         yield from zip(batch, outputs, strict=True)
+        self._engine.release(ticket)
 
-    def _alone(self, each: Input) -> Output | WorkerDied:
+    def _alone(self, each: Input) -> Iterator[tuple[Input, Output | WorkerDied]]:
+        ticket = self._engine.submit(self._function, [each])
         try:
-            output: Output = self._engine.result(self._engine.submit(self._function, [each]))[0]
+            outputs = self._engine.result(ticket)
         except WorkerDied as died:
             if self._deaths_at_start is not None:
                 self._deaths_at_start += 1
@@ -95,6 +103,8 @@ class _Map(Generic[Input, Output]):
                         f"{DEATHS_AT_START} workers ended before they had done anything (the last one at {each}): "
                         "killed, or out of memory? --workers 1 shows where"
                     ) from None
-            return died
+            yield each, died
+            return
         self._deaths_at_start = None
-        return output
+        yield each, outputs[0]
+        self._engine.release(ticket)

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
 
-import numpy as np
-
 ALIGNMENT = 64
 
 
@@ -38,12 +36,8 @@ def pack(value: Any, memory: memoryview | None) -> Parcel:
 
 
 def unpack(parcel: Parcel, memory: memoryview | None) -> Any:
-    """The value, with arrays of its own: the memory may be used again."""
-    contents: list[memoryview] = []
-    if memory is not None:
-        own = np.empty(_places(parcel.sizes)[-1], np.uint8)
-        own[:] = memory[: own.size]
-        contents = list(_parts(own.data, parcel.sizes))
+    """The value; its arrays are views of the memory, and good for as long as that is not used again."""
+    contents = [] if memory is None else list(_parts(memory, parcel.sizes))
     return pickle.loads(parcel.message, buffers=contents)  # noqa: S301 - it comes from a process of our own
 
 

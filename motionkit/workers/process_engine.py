@@ -65,6 +65,9 @@ class ThisProcess:
         function, batch = ticket
         return function(batch)
 
+    def release(self, ticket: tuple[Function, Sequence[Any]]) -> None:
+        """Outputs are nobody else's: nothing to do."""
+
 
 @dataclass(frozen=True)
 class _Ticket:
@@ -77,8 +80,9 @@ class Processes:
     """Processes of this machine; they end with this one, however it ends.
 
     They are forked from a small server (`start_server`), not from this process, where Arrow has threads. A pool of
-    which one process died is of no more use: the next batch starts another. Arrays come back through memory that is
-    shared with the workers, one slot for each batch in flight; without a free slot, or too large for one, by the pipe.
+    which one process died is of no more use: the next batch starts another. Arrays come back in memory that is shared
+    with the workers, one slot for each batch until it is released; without a free slot, or too large for one, by the
+    pipe.
     """
 
     def __init__(self, num_workers: int) -> None:
@@ -116,12 +120,14 @@ class Processes:
         except BrokenProcessPool:
             if ticket.pool is self._pool:
                 self._end()
+            self.release(ticket)  # nobody writes there any more: its pool has ended
             raise WorkerDied from None
-        finally:
-            # Nobody writes there any more: the batch is done, or its pool has ended.
-            if ticket.slot is not None:
-                self._free_slots.append(ticket.slot)
         return outputs
+
+    def release(self, ticket: _Ticket) -> None:
+        """Let another batch have the memory in which the outputs of this one are."""
+        if ticket.slot is not None:
+            self._free_slots.append(ticket.slot)
 
     def _end(self) -> None:
         if self._pool is not None:

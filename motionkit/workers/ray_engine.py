@@ -94,6 +94,9 @@ class RayEngine:
             ) from None
         return outputs
 
+    def release(self, ticket: object) -> None:
+        """Ray counts references itself: nothing to do."""
+
 
 def _compute(function: Function, batch: Sequence[Any]) -> Sequence[Any]:
     return function(batch)

@@ -5,6 +5,7 @@ Source: http://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/ASF-AMC.ht
 
 import re
 from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,7 @@ class AsfSkeleton:
     degrees: bool
     root_position: Float64[np.ndarray, "3"]
 
+    @cached_property
     def axis_frames(self) -> Float64[np.ndarray, "bones 4"]:
         """C of every bone as a quaternion; the axis angles turn about fixed axes in the order in which they stand."""
         scale = np.pi / 180.0 if self.degrees else 1.0
@@ -62,7 +64,12 @@ def read_asf(path: Path, unit_metres: float | None = None) -> AsfSkeleton:
 
     Raises `FormatError` (`asf`, `not-what-it-says`, …) naming the line.
     """
-    data = sourcefile.read_bytes(path)
+    return _parsed(sourcefile.read_bytes(path), path, unit_metres)
+
+
+# All takes of a subject share one file.
+@lru_cache(maxsize=8)
+def _parsed(data: bytes, path: Path, unit_metres: float | None) -> AsfSkeleton:
     parser = _Parser(path)
     if not re.search(rb"(?m)^\s*:(bonedata|root)\b", data):
         raise FormatError(

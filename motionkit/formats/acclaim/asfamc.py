@@ -237,7 +237,7 @@ def _local_rotations(
     rotations = np.zeros((num_frames, len(names), 4), np.float32)
     rotations[..., 0] = 1.0
     root = np.repeat(asf.root_position[None], num_frames, axis=0)
-    frames = asf.axis_frames()
+    frames = asf.axis_frames
     column = 0
     for name, count in table.bones:
         if name not in names:
