@@ -17,6 +17,7 @@ from motionkit.formats.smpl.body import substituted_body
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_families import parse_layout_map
 from motionkit.skeleton_map import SkeletonMapError, joint_map
+from motionkit.store.body_sizes import BodySizes
 from motionkit.store.encode import EncodedMotion, RefusedMotion
 from motionkit.store.manifest import read_manifest
 from motionkit.store.read_batch import read_batch
@@ -139,6 +140,7 @@ class _Run:
         self._problems: list[FormatError] = []
         self._warnings: list[FormatError] = []
         self._rigs: set[tuple[tuple[str, ...], str]] = set()
+        self._sizes = BodySizes(())
         self._failed_by_dataset: Counter[str] = Counter()
         self._num_stored = 0
         self._num_frames = 0
@@ -183,6 +185,7 @@ class _Run:
         self._listener.on_start(len(found.items))
         with ExitStack() as held:
             held.enter_context(writer)
+            self._sizes = BodySizes(writer.skeletons)
             engine = held.enter_context(self._engine(found.items))
             function = partial(read_batch, options=self._options)
             results = held.enter_context(closing(map_in_order(engine, function, batches(found.items))))
@@ -213,11 +216,15 @@ class _Run:
         if writer.holds_from(motion.sequence_id, motion.row["source_sha256"]):
             self._num_already_stored += 1
             return
+        is_new_skeleton = not writer.knows_skeleton(motion.skeleton)
         try:
             writer.add_encoded(motion)
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
+        size = self._sizes.doubt(motion.skeleton) if is_new_skeleton else ""
+        if size:
+            self._warn(FormatError(size, path=item.path, reason="body-size"))
         for warning in doubts(item, motion):
             self._warn(warning)
         self._num_stored += 1

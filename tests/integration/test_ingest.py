@@ -11,6 +11,7 @@ import textwrap
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_bvh import bvh_text
 
@@ -45,6 +46,33 @@ def test_the_first_ingest_makes_a_store_and_the_next_adds_to_it(motionkit, takes
     assert "already there: 3" in second.stdout
     assert ids(store)[3:] == ["takes/delta"]
     assert motionkit("validate", "--store", store).code == 0
+
+
+def test_two_goes_store_what_one_does(motionkit, takes, tmp_path):
+    whole = shutil.copytree(takes, tmp_path / "all" / "takes")
+    (takes / "alpha.bvh").unlink()
+    motionkit("ingest", takes, "--store", tmp_path / "two")
+    motionkit("ingest", whole, "--store", tmp_path / "two")
+    motionkit("ingest", whole, "--store", tmp_path / "one")
+    one, two = (Store.open(tmp_path / name) for name in ("one", "two"))
+    places = ["sequence_index", "part", "first_row"]
+    rows = [
+        store.sequences.reset_index(drop=True).drop(columns=places, errors="ignore").set_index("sequence_id")
+        for store in (one, two)
+    ]
+    assert rows[0].astype(str).equals(rows[1].loc[rows[0].index].astype(str))
+    for name in rows[0].index:
+        assert np.array_equal(one.read(name).joint_positions, two.read(name).joint_positions)
+
+
+def test_another_unit_the_second_time_is_told(motionkit, takes, tmp_path):
+    motionkit("ingest", takes / "alpha.bvh", "--store", tmp_path / "store")
+    same = motionkit("ingest", takes / "beta.bvh", "--store", tmp_path / "store")
+    assert "body-size" not in same.stdout
+    other = motionkit("ingest", takes / "gamma.bvh", "--store", tmp_path / "store", "--unit-metres", 0.0254)
+    assert other.code == 0 and "1 body-size" in other.stdout
+    (told,) = [line for line in other.stderr.splitlines() if "its body is" in line]
+    assert "gamma.bvh: its body is 2.54 times as large as that of skeleton 'alpha'" in told and "--unit-metres" in told
 
 
 def test_nothing_new_leaves_the_store_untouched(motionkit, takes, tmp_path):
