@@ -18,7 +18,7 @@ from motionkit.formats.arrays import joints_npy, npz, npz_skeleton
 from motionkit.formats.bvh.motion import write_bvh
 from motionkit.formats.gltf.motion import write_gltf
 from motionkit.formats.pose_folders.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER, FolderWriter
-from motionkit.generation import GenerationRequest
+from motionkit.long_motions import Script, captions_of
 from motionkit.motion import Caption, Motion
 from motionkit.motionfield import MotionField, told_fps
 from motionkit.skeleton import Skeleton
@@ -37,13 +37,8 @@ class GeneratedSample:
     fps: Fraction | None
     duration_seconds: float
     skeleton: Skeleton
-    caption: str
+    captions: tuple[Caption, ...]
     action: str
-
-    @property
-    def captions(self) -> tuple[Caption, ...]:
-        """The text that was asked for, if there was one."""
-        return (Caption(self.caption),) if self.caption else ()
 
     def motion(self) -> Motion:
         """The poses as a motion; raises `UsageError` for poses without a uniform framerate."""
@@ -63,7 +58,7 @@ class GeneratedSample:
 def sample_field(
     field: MotionField,
     name: str,
-    request: GenerationRequest,
+    script: Script,
     fps: Fraction,
     times_seconds: Float64[np.ndarray, "times"] | None = None,
 ) -> GeneratedSample:
@@ -86,14 +81,15 @@ def sample_field(
         fps=fps if times_seconds is None else None,
         duration_seconds=duration,
         skeleton=field.skeleton,
-        caption=request.text,
-        action=request.action,
+        captions=captions_of(script),
+        action=script[0].action if len({request.action for request in script}) == 1 else "",
     )
 
 
-def motion_name(index: int, request: GenerationRequest) -> str:
+def motion_name(index: int, script: Script) -> str:
     """A name for the index-th motion that says what was asked for: `0003-a-person-walks`."""
-    slug = re.sub(r"[^a-z0-9]+", "-", (request.text or request.action or "unconditional").lower()).strip("-")
+    asked = " ".join(request.text or request.action for request in script).strip() or "unconditional"
+    slug = re.sub(r"[^a-z0-9]+", "-", asked.lower()).strip("-")
     return f"{index:04d}-{slug[:SLUG_LENGTH].strip('-') or 'motion'}"
 
 
@@ -197,7 +193,11 @@ def describe_sample(sample: GeneratedSample, file: str) -> dict[str, Any]:
     """What was made and where it lies, as plain values."""
     return {
         "file": file,
-        "caption": sample.caption,
+        "caption": sample.captions[0].text if len(sample.captions) == 1 else "",
+        "captions": [
+            {"text": caption.text, "start_seconds": caption.start_seconds, "end_seconds": caption.end_seconds}
+            for caption in sample.captions
+        ],
         "action": sample.action,
         "duration_seconds": sample.duration_seconds,
         "fps": None if sample.fps is None else str(sample.fps),

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, TextIO
 
 from motionkit.errors import UsageError
-from motionkit.export.files import TABLE
+from motionkit.export.files import TABLE, captions_json
 from motionkit.timegrid import format_fps
 from motionkit.training.run import write_json
 from nerm.generated_files import OUTPUTS, GeneratedSample
@@ -45,7 +45,7 @@ class GeneratedFolder:
         self._table.writerow(
             {
                 "file": place.as_posix(),
-                "captions": json.dumps([sample.caption], ensure_ascii=False) if sample.caption else "",
+                "captions": captions_json(sample.captions),
                 "action": sample.action,
                 "fps": "" if sample.fps is None else format_fps(sample.fps),
                 "seconds": repr(sample.duration_seconds),

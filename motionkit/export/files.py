@@ -62,7 +62,7 @@ def _row(motion: Motion, name: PurePosixPath) -> dict[str, str]:
     return {
         "file": name.as_posix(),
         "sequence_id": motion.sequence_id,
-        "captions": _captions(motion.captions),
+        "captions": captions_json(motion.captions),
         "action": motion.action,
         "style": motion.style,
         "subject": provenance.subject,
@@ -75,7 +75,7 @@ def _row(motion: Motion, name: PurePosixPath) -> dict[str, str]:
     }
 
 
-def _captions(captions: Sequence[Caption]) -> str:
+def captions_json(captions: Sequence[Caption]) -> str:
     """All captions as one JSON list: a plain sentence where nothing but the text is said, else an object."""
     return json.dumps([_caption(caption) for caption in captions], ensure_ascii=False) if captions else ""
 

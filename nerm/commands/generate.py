@@ -30,7 +30,15 @@ def generate(
         str | None,
         typer.Option(help="Any framerate: 144, 23.976, 24000/1001 [the highest trained; 20 for humanml3d]."),
     ] = None,
-    seconds: Annotated[float | None, typer.Option(help="Length; drawn from the training data's by default.")] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="Length, of any motion; drawn from the training data's by default.")
+    ] = None,
+    join: Annotated[
+        bool, typer.Option("--join", help="One motion of all texts or actions in a row, --seconds of each.")
+    ] = False,
+    overlap: Annotated[
+        float, typer.Option(help="Seconds by which the parts of a joined or long motion go over into one another.")
+    ] = 0.5,
     times: Annotated[
         str | None, typer.Option(metavar="S,S,…", help="Poses at these seconds only, instead of --fps.")
     ] = None,
@@ -67,7 +75,8 @@ def generate(
         raise UsageError("--times and --fps exclude each other")
     rate = None if fps is None else _read_fps(fps)
     sampling = SamplingOptions(guidance, sampler, sampling_steps)
-    plan = make_plan(wanted, count, parse_times(times), rate, file_format, seed, sampling)
+    instants = parse_times(times)
+    plan = make_plan(wanted, count, instants, rate, file_format, seed, sampling, join=join, overlap_seconds=overlap)
 
     from motionkit.generation import load_model
     from nerm.generated_folder import begin_folder, replace_folder, resume_folder
@@ -76,6 +85,7 @@ def generate(
     loaded = load_model(model, place)
     plan = plan.for_model(loaded)
     warn_above_training(loaded, plan.fps)
+    say_joined(plan, loaded)
     opening = resume_folder if resume else replace_folder if overwrite else begin_folder
     with opening(out, plan.manifest(loaded, place)) as folder:
         report = _write_all(plan, loaded, folder, as_json)
@@ -93,7 +103,7 @@ def _write_all(
     report: dict[str, Any] = {"already_there": folder.num_done, "motions": []}
     plan.output.begin(folder.path, plan.fps)
     with progress() as display:
-        task = display.add_task("generate", total=len(plan.requests), completed=folder.num_done, note="")
+        task = display.add_task("generate", total=len(plan.motions), completed=folder.num_done, note="")
         for field, sample in plan.samples(model, folder.num_done):
             files = plan.output.files(sample.name)
             plan.output.write(folder.path / files[0], sample)
@@ -106,7 +116,7 @@ def _write_all(
                 report["framerate_shift_of_first"] = framerate_shift([field]).plain()
             report["motions"].append(describe_sample(sample, str(folder.path / files[0])))
     if folder.num_done and not as_json:
-        stderr.print(f"motionkit: {folder.num_done:,} of {len(plan.requests):,} motions were there already")
+        stderr.print(f"motionkit: {folder.num_done:,} of {len(plan.motions):,} motions were there already")
     return report
 
 
@@ -116,6 +126,18 @@ def warn_above_training(model: "GenerativeModel", fps: Fraction) -> None:
         stderr.print(
             f"motionkit: warning: {float(fps):g} fps is above the {float(model.max_training_fps):g} fps of the model's "
             "fastest training data; detail beyond that is interpolated, not learned",
+            markup=False,
+        )
+
+
+def say_joined(plan: "GenerationPlan", model: "GenerativeModel") -> None:
+    """Say on stderr where motions are made in pieces, of which none knows the others."""
+    joined = plan.num_joined(model)
+    if joined:
+        stderr.print(
+            f"motionkit: {joined:,} of {len(plan.motions):,} motions are joined from several of up to "
+            f"{model.max_duration_seconds:g} s, the longest that the model makes at once; each is laid over the last "
+            f"{plan.overlap_seconds:g} s of the one before, of which it knows nothing",
             markup=False,
         )
 

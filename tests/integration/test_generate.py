@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from motionkit.cli.app import build_app
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest, load_model
+from motionkit.long_motions import generate_joined
 from motionkit.motionfield import to_motion
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import make_body, perform
@@ -121,6 +122,22 @@ def test_the_same_motion_moves_little_between_framerates(trained: Path) -> None:
     assert (shift["rates"], shift["instants"]) == (["20", "30", "60", "120"], 21)
 
 
+def test_a_long_motion_of_several_texts_is_one_at_every_framerate(trained: Path) -> None:
+    call = ("a person walks", "a person jumps", "--seconds", "14", "--join", "--seed", "2")
+    [slow] = generate(trained, "long-slow", *call, "--fps", "30")
+    [fast] = generate(trained, "long-fast", *call, "--fps", "60")
+    assert (slow["num_frames"], fast["num_frames"]) == (840, 1680)
+    apart = np.linalg.norm(positions(fast)[::2] - positions(slow), axis=-1)
+    model = load_model("nerm", trained / "runs" / "nano")
+    field = generate_joined(model, tuple(GenerationRequest(14.0, text=text) for text in call[:2]), seed=2)
+    assert len(field.pieces) == 4
+    instants = np.arange(840) / 30
+    told = [field.at_fps(Fraction(fps)).query(instants).joint_positions for fps in (30, 60)]
+    # What the field itself answers differently, and nothing else.
+    assert apart.max() <= np.linalg.norm(told[1] - told[0], axis=-1).max() + 1e-4
+    assert 0 < apart.mean() < 0.05
+
+
 def test_numbers_of_a_seed_do_not_depend_on_the_batch(trained: Path) -> None:
     model = load_model("nerm", trained / "runs" / "nano")
     requests = [GenerationRequest(None)] * 3
@@ -150,6 +167,24 @@ def test_a_field_that_was_trained_again_is_noticed(trained: Path, tmp_path: Path
         load_model("nerm", tmp_path / "nano")
     with pytest.raises(RunError, match="not trained"):
         load_model("nerm", tmp_path / "nothing")
+
+
+def test_a_denoiser_is_not_resumed_upon_another_field(trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained / "runs" / "nano", tmp_path / "runs" / "nano")
+    places = ("--store", str(trained / "store"), "--runs", str(tmp_path / "runs"))
+    settings = [part for setting in TINY for part in ("--set", setting)]
+    denoiser, field = (RunFolder(tmp_path / "runs" / "nano").stage(name) for name in ("denoiser", "field"))
+    command("train", "--stage", "denoiser", *places, *settings, "--resume")
+    changed = bytearray(field.model_path.read_bytes())
+    changed[-1] ^= 1
+    field.model_path.write_bytes(changed)
+    for complete in (True, False):
+        if not complete:
+            denoiser.summary_path.unlink()
+        before = denoiser.checkpoint_path.read_bytes()
+        with pytest.raises(RunError, match=r"begun upon another field .* --stage denoiser --run nano --overwrite"):
+            command("train", "--stage", "denoiser", *places, *settings, "--resume")
+        assert denoiser.checkpoint_path.read_bytes() == before
 
 
 def test_a_store_that_has_changed_since_the_field_is_noticed(trained: Path, tmp_path: Path) -> None:

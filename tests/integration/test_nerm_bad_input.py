@@ -289,7 +289,11 @@ CASES = (
     Case("a framerate below zero", f"{GENERATE} 'a walk' --fps -30", 2, ("--fps -30", "between 1 and 10000")),
     Case("a framerate of a million", f"{GENERATE} 'a walk' --fps 1e6", 2, ("--fps 1e6", "between 1 and 10000")),
     Case("a length of nothing", f"{GENERATE} 'a walk' --seconds 0", 2, ("0 s is outside",)),
-    Case("a length beyond l_max", f"{GENERATE} 'a walk' --seconds 3.5", 2, ("3.5 s is outside", "up to 3 s")),
+    Case("a length beyond an hour", f"{GENERATE} 'a walk' --seconds 1e6", 2, ("1e+06 s", "up to 3600 s")),
+    Case(
+        "an overlap of most of a motion", f"{GENERATE} 'a walk' --seconds 8 --overlap 2", 2, ("up to 1.5 s, not by 2",)
+    ),
+    Case("texts in a row without lengths", f"{GENERATE} 'a walk' 'a jump' --join", 2, ("how long each part lasts",)),
     Case("a length that is no number", f"{GENERATE} 'a walk' --seconds nan", 2, ("nan s is outside",)),
 )
 

@@ -57,7 +57,7 @@ class DriftModel:
         if self.fails_at is not None and first >= self.fails_at:
             raise KeyboardInterrupt
         return [
-            Drift(seed + index / 10, 3.0 if request.duration_seconds is None else request.duration_seconds)
+            Drift(seed % 89 + index / 10, 3.0 if request.duration_seconds is None else request.duration_seconds)
             for index, request in enumerate(requests, start=first)
         ]
 
@@ -154,6 +154,11 @@ def test_framerates_above_the_training_data_warn(run_command):
         (("a walk", "--times", "x", "--seconds", "1"), "separated by commas"),
         (("a walk", "--times", "0.5,1.5", "--seconds", "1"), "1.5 s lies outside"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--fps", "30"), "exclude each other"),
+        (("a walk", "--join"), "needs to know how long each part lasts"),
+        (("a walk", "--seconds", "30", "--overlap", "6"), "overlap by more than 0 s and up to 5 s, not by 6 s"),
+        (("a walk", "--seconds", "4000"), "a motion lasts up to 3600 s"),
+        (("a walk", "a jump", "--seconds", "0.5", "--join"), "part 1 of 2 of a joined motion lasts 0.5 s"),
+        (("a walk", "a jump", "--seconds", "4", "--join", "--times", "8.5"), "outside the motion's 0 … 8 s"),
         (("a walk", "--format", "fbx"), "one of npz, bvh, gltf, humanml3d"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--format", "bvh"), "one framerate"),
     ],
@@ -164,10 +169,64 @@ def test_what_makes_no_sense_is_refused(run_command, tmp_path, arguments, messag
     assert not (tmp_path / "generated").exists()
 
 
+def test_a_motion_beyond_the_longest_is_joined_from_several(run_command, tmp_path):
+    result = run_command("a walk", "--seconds", "25", "--fps", "30", "--out", "slow")
+    assert "1 of 1 motions are joined from several of up to 10 s" in result.stderr
+    run_command("a walk", "--seconds", "25", "--fps", "60", "--out", "fast")
+    slow, fast = (read_npz(tmp_path / name / "0000-a-walk.npz") for name in ("slow", "fast"))
+    assert (slow.num_frames, fast.num_frames) == (750, 1500)
+    # Each piece begins anywhere; laid over the last one, 1 m/s goes on.
+    np.testing.assert_allclose(np.diff(slow.joint_positions[:, 0, 2]), 1 / 30, atol=1e-4)
+    np.testing.assert_allclose(fast.joint_positions[::2], slow.joint_positions, atol=1e-5)
+    some = run_command("a walk", "--seconds", "25", "--times", "24.5,3", "--out", "some")
+    assert some.exit_code == 0
+    with np.load(tmp_path / "some" / "0000-a-walk.npz", allow_pickle=False) as arrays:
+        np.testing.assert_allclose(arrays["joint_positions"], slow.joint_positions[[735, 90]], atol=1e-5)
+
+
+def test_texts_in_a_row_are_one_motion(run_command, tmp_path):
+    call = ("a walk", "a jump", "--seconds", "4", "--join", "--fps", "20", "-n", "2", "--format", "bvh")
+    report = json.loads(run_command(*call, "--out", "made", "--json").stdout)
+    assert [(m["file"], m["num_frames"]) for m in report["motions"]] == [
+        ("made/0000-a-walk-a-jump.bvh", 160),
+        ("made/0001-a-walk-a-jump.bvh", 160),
+    ]
+    told = [
+        {"text": "a walk", "start_seconds": 0.0, "end_seconds": 4.0},
+        {"text": "a jump", "start_seconds": 4.0, "end_seconds": 8.0},
+    ]
+    assert report["motions"][0]["captions"] == told
+    manifest = json.loads((tmp_path / "made" / "generation.json").read_text())
+    assert (manifest["joined"], manifest["overlap_seconds"]) == (True, 0.5)
+    result = CliRunner().invoke(build_app(), ["ingest", str(tmp_path / "made"), "--store", "store"])
+    assert result.exit_code == 0
+    motions = list(Store.open(tmp_path / "store").read_many([0, 1]))
+    assert motions[0].captions == (Caption("a walk", 0.0, 4.0), Caption("a jump", 4.0, 8.0))
+    with pytest.raises(UsageError, match="begun with another joined"):
+        run_command(*[part for part in call if part != "--join"], "--out", "made", "--resume")
+
+
+def test_long_and_short_motions_of_one_call_are_numbered_alike(run_command, tmp_path):
+    rows = ["text,seconds", *(f"walk {n},{12 if n % 3 == 1 else 2}" for n in range(7))]
+    (tmp_path / "wanted.csv").write_text("\n".join(rows) + "\n")
+    call = ("--prompts", "wanted.csv", "--fps", "5")
+    run_command(*call, "--out", "whole")
+    places = [read_npz(path).joint_positions[0, 0, 2] for path in sorted((tmp_path / "whole").glob("*.npz"))]
+    assert [round(10 * float(place)) for place in places[::3]] == [0, 3, 6]
+    run_command(*call, "--out", "parts")
+    table = tmp_path / "parts" / "motions.csv"
+    table.write_text("".join(table.read_text().splitlines(keepends=True)[:4]))  # stopped after three motions
+    for number in range(3, 7):
+        (tmp_path / "parts" / f"000{number}-walk-{number}.npz").unlink()
+    run_command(*call, "--out", "parts", "--resume")
+    for path in sorted((tmp_path / "whole").iterdir()):
+        assert (tmp_path / "parts" / path.name).read_bytes() == path.read_bytes()
+
+
 def test_file_names_are_safe_and_short():
-    assert motion_name(3, GenerationRequest(1.0, text="../../etc: 走る Walk")) == "0003-etc-walk"
-    assert motion_name(3, GenerationRequest(1.0, text="走る")) == "0003-motion"
-    assert len(motion_name(0, GenerationRequest(1.0, text="a person " * 30))) <= 45
+    assert motion_name(3, (GenerationRequest(1.0, text="../../etc: 走る Walk"),)) == "0003-etc-walk"
+    assert motion_name(3, (GenerationRequest(1.0, text="走る"),)) == "0003-motion"
+    assert len(motion_name(0, (GenerationRequest(1.0, text="a person " * 30),))) <= 45
 
 
 def test_pose_vectors_at_the_published_framerate_and_at_others(run_command, tmp_path):
