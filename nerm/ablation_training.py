@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motionkit.store.reader import Store
+from motionkit.store.manifest import read_manifest
 from motionkit.training.run import RunFolder
+from motionkit.training.stage import Stage as TrainedStage
 from motionkit.training.stage import StageContext
 from nerm.ablations import Stage, Variant, run_name
 from nerm.recipes import NermConfig
@@ -52,7 +53,7 @@ def train_variant(sweep: Sweep, variant: Variant, config: NermConfig, stages: Se
     for name in stages:
         folder = run.stage(name)
         if folder.is_complete and not sweep.overwrite:
-            _check_unchanged(context, name, config)
+            _check_unchanged(context, STAGES[name], config)
         else:
             STAGES[name].train(context, config)
         summaries[name] = folder.read_summary()
@@ -73,7 +74,7 @@ def share_codebook(sweep: Sweep, run: RunFolder, config: NermConfig) -> None:
     context = sweep.context(common, CODEBOOK_SEED, overwrite=False)
     source, target = common.stage(CODEBOOK.name), run.stage(CODEBOOK.name)
     if source.is_complete:
-        _check_unchanged(context, CODEBOOK.name, config)
+        _check_unchanged(context, CODEBOOK, config)
     else:
         CODEBOOK.train(context, config)
     if target.is_complete and target.model_path.read_bytes() == source.model_path.read_bytes():
@@ -84,6 +85,5 @@ def share_codebook(sweep: Sweep, run: RunFolder, config: NermConfig) -> None:
     partial.rename(target.path)
 
 
-def _check_unchanged(context: StageContext, stage: str, config: NermConfig) -> None:
-    """Raise `RunError` where a complete stage was trained with other settings, another seed or another store."""
-    context.begin(stage, config, store_fingerprint=Store.open(context.store).fingerprint)
+def _check_unchanged(context: StageContext, stage: TrainedStage[NermConfig], config: NermConfig) -> None:
+    stage.check_kept(context, config, read_manifest(context.store).fingerprint)

@@ -48,7 +48,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     )
     if encoder is not None and not corpus.num_captions.any():
         raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
-    folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
+    folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
     with float32_products(settings.precision):
         figures = train_loop(training, folder, steps=training.num_steps, seed=context.seed, ranks=ranks)

@@ -34,7 +34,8 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     vectors, source, frames = _corpus(store, settings)
     windows = training_windows(source, settings)
     codes = _codes(context, settings)
-    folder = context.begin("field", config, store_fingerprint=store.fingerprint)
+    builds_on = () if codes is None else ("codebook",)
+    folder = context.begin("field", config, store_fingerprint=store.fingerprint, builds_on=builds_on)
     for remark in remarks(source, windows, settings) if ranks.is_first else []:
         stderr.print(f"motionkit: warning: {remark}", markup=False)
     training = FieldTraining(

@@ -40,6 +40,14 @@ def _check_denoiser(context: StageContext, config: NermConfig) -> None:
     check_denoiser(context, config)
 
 
+def _codebook_where_used(config: NermConfig) -> tuple[str, ...]:
+    return ("codebook",) if config.field.time_encoding == "codebook" else ()
+
+
+def _field(config: NermConfig) -> tuple[str, ...]:
+    return ("field",)
+
+
 CODEBOOK = Stage(
     name="codebook",
     order=10,
@@ -57,6 +65,7 @@ FIELD = Stage(
     train=_train_field,
     check=_check_field,
     shared=True,
+    builds_on=_codebook_where_used,
 )
 DENOISER = Stage(
     name="denoiser",
@@ -66,4 +75,5 @@ DENOISER = Stage(
     train=_train_denoiser,
     check=_check_denoiser,
     shared=True,
+    builds_on=_field,
 )

@@ -55,13 +55,16 @@ def train(
         _check_condition(store_path, where)
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))
     context = StageContext(store_path, folder, recipe, seed=seed, resume=resume, overwrite=overwrite, device=device)
+    fingerprint = read_manifest(store_path).fingerprint
     from motionkit.training.ranks import joined_ranks
 
     with joined_ranks() as ranks:
         for each, config in zip(chosen, configs, strict=True):
-            ranks.on_first(partial(each.check, context, config))
+            ranks.on_first(partial(_check, each, context, config, fingerprint))
         summaries = []
         for each, config in zip(chosen, configs, strict=True):
+            # Again, since a stage that it builds on may just have been trained.
+            ranks.on_first(partial(_check_kept, each, context, config, fingerprint))
             _train_stage(each, config, replace(context, shared=each.shared), is_first=ranks.is_first)
             if each.shared:
                 ranks.wait()  # for what the first one saves at last: the next stage reads it
@@ -74,6 +77,16 @@ def train(
                 stdout.print(f"{each.name}: {figures}", markup=False)
     if as_json and ranks.is_first:
         print_json({"run": str(folder.path), "stages": summaries})
+
+
+def _check(stage: Stage[Any], context: StageContext, config: Any, store_fingerprint: str) -> None:
+    _check_kept(stage, context, config, store_fingerprint)
+    stage.check(context, config)
+
+
+def _check_kept(stage: Stage[Any], context: StageContext, config: Any, store_fingerprint: str) -> None:
+    if context.resume and context.run.stage(stage.name).is_complete:
+        stage.check_kept(context, config, store_fingerprint)
 
 
 def _check_condition(store: Path, where: str) -> None:

@@ -9,14 +9,18 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from motionkit.errors import MotionkitError, UsageError
+from motionkit.store.files import sha256_of
 from motionkit.training.config import ConfigLike, flatten, to_plain
 
+NOTHING: Mapping[str, str] = MappingProxyType({})
+SHOWN_SETTINGS = 6
 RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
 
 
@@ -145,6 +149,11 @@ class RunFolder:
         """The folder of a stage, which need not exist yet."""
         return StageFolder(self.path / name)
 
+    def fingerprints(self, stages: Iterable[str]) -> dict[str, str]:
+        """Hexadecimal sha256 of the trained results of those of the stages that have one."""
+        paths = {name: self.stage(name).model_path for name in stages}
+        return {name: sha256_of(path) for name, path in paths.items() if path.is_file()}
+
 
 def begin_stage(
     folder: StageFolder,
@@ -156,15 +165,23 @@ def begin_stage(
     store_fingerprint: str,
     resume: bool,
     overwrite: bool,
+    builds_on: Mapping[str, str] = NOTHING,
 ) -> None:
     """Make a stage's folder and write its config.json, or check that what is there can be resumed.
 
-    Raises `UsageError` where a folder exists and neither `resume` nor `overwrite` is asked for, and `RunError` where
-    configuration, seed or store differ from those that the stage was begun with.
+    `builds_on` names other stages of the run whose results this one reads, with their sha256. Raises `UsageError` where
+    a folder exists and neither `resume` nor `overwrite` is asked for, and `RunError` where configuration, seed, store
+    or what it builds on differ from those that the stage was begun with.
     """
-    asked = {"config": to_plain(config), "recipe": recipe, "seed": seed, "store_fingerprint": store_fingerprint}
+    asked = {
+        "config": to_plain(config),
+        "recipe": recipe,
+        "seed": seed,
+        "store_fingerprint": store_fingerprint,
+        "builds_on": dict(builds_on),
+    }
     if folder.config_path.is_file() and resume:
-        _check_same(folder, config, asked)
+        check_same(folder, config, recipe=recipe, seed=seed, store_fingerprint=store_fingerprint, builds_on=builds_on)
         return
     if folder.path.exists() and any(folder.path.iterdir()) and not resume:
         if not overwrite:
@@ -176,20 +193,50 @@ def begin_stage(
     write_json(folder.config_path, {"stage": folder.path.name, **asked, "store": store, "versions": versions()})
 
 
-def _check_same(folder: StageFolder, config: ConfigLike, asked: Mapping[str, Any]) -> None:
-    begun = folder.read_config()
-    for key in ("seed", "store_fingerprint"):
-        if begun.get(key) != asked[key]:
+def check_same(
+    folder: StageFolder,
+    config: ConfigLike,
+    *,
+    recipe: str,
+    seed: int,
+    store_fingerprint: str,
+    builds_on: Mapping[str, str] = NOTHING,
+) -> None:
+    """Raise `RunError`, saying what differs and what to do, where a stage was begun with other settings, another seed,
+    another store, or upon a stage that has been trained again since.
+
+    Runs of before stages recorded what they build on are taken at their word. A setting that is asked for as "auto" is
+    what was chosen for it.
+    """
+    begun, stage, run = folder.read_config(), folder.path.name, folder.path.parent.name
+    again = f"train it again (motionkit train --stage {stage} --run {run} --overwrite), or use another --run"
+    for name, sha256 in builds_on.items():
+        known = begun.get("builds_on", {}).get(name, sha256)
+        if known != sha256:
             raise RunError(
-                f"{folder.path} was begun with {key} {begun.get(key)!r}, not {asked[key]!r}: use another --run"
+                f"{folder.path} was begun upon another {name} (sha256 {known[:16]}, now {sha256[:16]}), which has been "
+                f"trained again since: {again}"
             )
-    was, now = _leaves(begun.get("config", {})), _leaves(to_plain(config))
+    for name, was, now in (
+        ("seed", begun.get("seed"), seed),
+        ("store fingerprint", begun.get("store_fingerprint"), store_fingerprint),
+    ):
+        if was != now:
+            raise RunError(f"{folder.path} was begun with {name} {was!r}, not {now!r}: ask for the same, or {again}")
+    settings_then, settings_now = _leaves(begun.get("config", {})), _leaves(to_plain(config))
     changed = [
-        key for key in {**was, **now} if was.get(key) != now.get(key) and concerns(folder.path.name, key, config)
+        key
+        for key in {**settings_then, **settings_now}
+        if settings_then.get(key) != settings_now.get(key) and settings_now.get(key) != "auto"
+        if concerns(stage, key, config)
     ]
     if changed:
-        told = ", ".join(f"{key} {was.get(key)!r} → {now.get(key)!r}" for key in changed)
-        raise RunError(f"{folder.path} was begun with other settings ({told}): use the same ones, or another --run")
+        told = [f"{key} {settings_then.get(key)!r} → {settings_now.get(key)!r}" for key in changed[:SHOWN_SETTINGS]]
+        told += [f"{len(changed) - SHOWN_SETTINGS} more"] if len(changed) > SHOWN_SETTINGS else []
+        recipes = f"recipe {begun.get('recipe')!r} → {recipe!r}: " if begun.get("recipe") != recipe else ""
+        raise RunError(
+            f"{folder.path} was begun with other settings ({recipes}{', '.join(told)}): use the same ones, or {again}"
+        )
 
 
 def concerns(stage: str, key: str, config: ConfigLike) -> bool:

@@ -4,7 +4,7 @@ An entry point names a module attribute that is a `Stage`. That module must impo
 `motionkit train --help` reads every stage.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic
 
 from motionkit.errors import UsageError
 from motionkit.training.config import ConfigLike, ConfigT
-from motionkit.training.run import RunFolder, StageFolder, begin_stage
+from motionkit.training.run import RunFolder, StageFolder, begin_stage, check_same
 
 if TYPE_CHECKING:
     from motionkit.training.ranks import Ranks
@@ -42,8 +42,13 @@ class StageContext:
 
         return present_ranks() if self.shared else ALONE
 
-    def begin(self, stage: str, config: ConfigLike, *, store_fingerprint: str) -> StageFolder:
-        """Open the stage's folder, new or to be resumed; errors as in `begin_stage`. The first rank does it."""
+    def begin(
+        self, stage: str, config: ConfigLike, *, store_fingerprint: str, builds_on: Sequence[str] = ()
+    ) -> StageFolder:
+        """Open the stage's folder, new or to be resumed; errors as in `begin_stage`. The first rank does it.
+
+        `builds_on` names the stages of this run whose model.safetensors it reads: it is not resumed upon others.
+        """
         folder = self.run.stage(stage)
         begin = partial(
             begin_stage,
@@ -55,9 +60,15 @@ class StageContext:
             store_fingerprint=store_fingerprint,
             resume=self.resume,
             overwrite=self.overwrite,
+            builds_on=self.run.fingerprints(builds_on),
         )
         self.ranks.on_first(begin)
         return folder
+
+
+def builds_on_nothing(config: Any) -> tuple[str, ...]:
+    """A stage that reads the store alone."""
+    return ()
 
 
 def _nothing_to_check(context: StageContext, config: Any) -> None:
@@ -68,6 +79,7 @@ def _nothing_to_check(context: StageContext, config: Any) -> None:
 class Stage(Generic[ConfigT]):
     """One thing to train: `train(context, config)` writes RUN/NAME/ and ends with `StageFolder.finish`.
 
+    `builds_on(config)` names the other stages whose results it reads; `train` hands the same to `StageContext.begin`.
     `check(context, config)` raises what can be told before anything is trained, so that hours of an earlier stage are
     not spent first; it may not need another stage's results. `order` ranks the stages of `--stage all` (low first),
     `in_all` says whether this one is among them; `recipes` maps a recipe's name to the function that makes its
@@ -84,6 +96,18 @@ class Stage(Generic[ConfigT]):
     in_all: bool = True
     check: Callable[[StageContext, ConfigT], None] = _nothing_to_check
     shared: bool = False
+    builds_on: Callable[[ConfigT], tuple[str, ...]] = builds_on_nothing
+
+    def check_kept(self, context: StageContext, config: ConfigT, store_fingerprint: str) -> None:
+        """Raise `RunError` where this stage, which is complete, is not what the same command would train now."""
+        check_same(
+            context.run.stage(self.name),
+            config,
+            recipe=context.recipe,
+            seed=context.seed,
+            store_fingerprint=store_fingerprint,
+            builds_on=context.run.fingerprints(self.builds_on(config)),
+        )
 
     def recipe(self, name: str) -> ConfigT:
         """The configuration of a named recipe; raises `UsageError` naming those there are."""

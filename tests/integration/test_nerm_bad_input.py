@@ -202,7 +202,7 @@ CASES = (
         "resumed with another store",
         f"{TRAIN} other --stage field --resume",
         1,
-        ("was begun with store_fingerprint", "use another --run"),
+        ("was begun with store fingerprint", "use another --run"),
         unfinished(FIELD, lambda scene: None),
     ),
     Case(

@@ -1,3 +1,4 @@
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,6 +22,23 @@ class Config:
     second: Part = field(default_factory=Part)
 
 
+@dataclass(frozen=True)
+class Chosen:
+    precision: str = "auto"
+
+
+@dataclass(frozen=True)
+class Many:
+    a: int = 1
+    b: int = 1
+    c: int = 1
+    d: int = 1
+    e: int = 1
+    f: int = 1
+    g: int = 1
+    h: int = 1
+
+
 def _context(path: Path, *, resume: bool = False, overwrite: bool = False, seed: int = 0) -> StageContext:
     return StageContext(Path("store"), RunFolder(path), "nano", seed=seed, resume=resume, overwrite=overwrite)
 
@@ -41,7 +59,7 @@ def test_what_exists_is_neither_overwritten_nor_mixed_unasked(tmp_path: Path) ->
     assert _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc").read_metrics()
     with pytest.raises(RunError, match=r"width 4 → 5"):
         _context(tmp_path, resume=True).begin("first", Config(width=5), store_fingerprint="abc")
-    with pytest.raises(RunError, match="store_fingerprint 'abc', not 'abd'"):
+    with pytest.raises(RunError, match="store fingerprint 'abc', not 'abd'"):
         _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abd")
     with pytest.raises(RunError, match="seed 0, not 1"):
         _context(tmp_path, resume=True, seed=1).begin("first", Config(), store_fingerprint="abc")
@@ -54,6 +72,37 @@ def test_settings_of_another_stage_do_not_stop_a_resume(tmp_path: Path) -> None:
     _context(tmp_path, resume=True).begin("first", other, store_fingerprint="abc")
     with pytest.raises(RunError, match=r"first\.steps 5 → 9"):
         _context(tmp_path, resume=True).begin("first", Config(first=Part(9)), store_fingerprint="abc")
+
+
+def test_a_stage_is_not_resumed_upon_another_than_it_was_begun_with(tmp_path: Path) -> None:
+    model = RunFolder(tmp_path).stage("first").model_path
+    model.parent.mkdir()
+    model.write_bytes(b"one")
+    folder = _context(tmp_path).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
+    assert list(folder.read_config()["builds_on"]) == ["first"]
+    _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
+    model.write_bytes(b"two")
+    with pytest.raises(RunError, match=r"begun upon another first .*trained again since.* --stage second --run"):
+        _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
+    # A run of before this was recorded says nothing about it.
+    written = json.loads(folder.config_path.read_text())
+    del written["builds_on"]
+    folder.config_path.write_text(json.dumps(written))
+    _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
+
+
+def test_what_auto_chose_is_what_auto_asks_for(tmp_path: Path) -> None:
+    _context(tmp_path).begin("first", Chosen("bfloat16"), store_fingerprint="abc")
+    _context(tmp_path, resume=True).begin("first", Chosen("auto"), store_fingerprint="abc")
+    with pytest.raises(RunError, match="precision 'bfloat16' → 'float32'"):
+        _context(tmp_path, resume=True).begin("first", Chosen("float32"), store_fingerprint="abc")
+
+
+def test_of_many_settings_the_first_are_told_and_the_recipe(tmp_path: Path) -> None:
+    _context(tmp_path).begin("first", Many(), store_fingerprint="abc")
+    other = StageContext(Path("store"), RunFolder(tmp_path), "paper", resume=True)
+    with pytest.raises(RunError, match=r"recipe 'nano' → 'paper': a 1 → 2, .*, 2 more\): use the same ones, or train"):
+        other.begin("first", Many(*[2] * 8), store_fingerprint="abc")
 
 
 def test_an_untrained_stage_is_named_with_the_command_that_trains_it(tmp_path: Path) -> None:

@@ -1,15 +1,25 @@
 import json
+import shutil
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
 
 from motionkit.cli import train as train_module
 from motionkit.errors import UsageError
+from motionkit.motion import Motion
+from motionkit.skeleton import SMPL22
 from motionkit.store import StoreWriter
+from motionkit.store.manifest import read_manifest
+from motionkit.timegrid import TimeGrid
+from motionkit.training.run import RunError
 from motionkit.training.stage import Stage, StageContext
+
+MOTION = Motion(np.zeros((2, 22, 3), np.float32), SMPL22, TimeGrid(Fraction(30), 2), sequence_id="one")
 
 
 @dataclass(frozen=True)
@@ -25,10 +35,14 @@ class Config:
 
 def _train(name: str) -> Stage[Config]:
     def train(context: StageContext, config: Config) -> None:
-        folder = context.begin(name, config, store_fingerprint="abc")
+        fingerprint = read_manifest(context.store).fingerprint
+        folder = context.begin(name, config, store_fingerprint=fingerprint, builds_on=builds_on)
+        folder.model_path.write_text(f"{name} {config}")
         folder.finish({"steps": getattr(config, name).steps, "seed": context.seed})
 
-    return Stage(name, 1 if name == "first" else 2, f"trains {name}", {"nano": Config}, train)
+    builds_on = ("first",) if name == "second" else ()
+    order = 2 if builds_on else 1
+    return Stage(name, order, f"trains {name}", {"nano": Config}, train, builds_on=lambda config: builds_on)
 
 
 @pytest.fixture
@@ -66,6 +80,37 @@ def test_complete_stages_are_kept_by_resume(folder: Path) -> None:
     before = (folder / "runs" / "mine" / "first" / "summary.json").stat().st_mtime_ns
     _run("--run", "mine", "--resume")
     assert (folder / "runs" / "mine" / "first" / "summary.json").stat().st_mtime_ns == before
+
+
+def test_a_complete_stage_is_not_kept_for_what_it_is_not(folder: Path) -> None:
+    _run("--run", "mine")
+    for arguments, message in (
+        (
+            ("--set", "second.steps=7"),
+            r"second was begun with other settings \(second.steps 5 → 7\): use the same ones",
+        ),
+        (("--seed", "4"), r"first was begun with seed 0, not 4"),
+    ):
+        with pytest.raises(RunError, match=message):
+            CliRunner().invoke(_app(), ["--run", "mine", "--resume", *arguments], catch_exceptions=False)
+    # The other stage's settings are its own affair.
+    _run("--run", "mine", "--stage", "first", "--set", "first.steps=6", "--overwrite")
+    with pytest.raises(RunError, match=r"second was begun upon another first .* --stage second --run mine --overwrite"):
+        CliRunner().invoke(_app(), ["--run", "mine", "--resume", "--set", "first.steps=6"], catch_exceptions=False)
+    _run("--run", "mine", "--stage", "second", "--overwrite")
+    _run("--run", "mine", "--resume", "--set", "first.steps=6")
+    with StoreWriter.create(folder / "store", overwrite=True) as writer:
+        writer.add(MOTION)
+    with pytest.raises(RunError, match="first was begun with store fingerprint"):
+        CliRunner().invoke(_app(), ["--run", "mine", "--resume", "--set", "first.steps=6"], catch_exceptions=False)
+
+
+def test_what_a_stage_builds_on_may_change_while_the_command_runs(folder: Path) -> None:
+    _run("--run", "mine")
+    shutil.rmtree(folder / "runs" / "mine" / "first")
+    # The first stage is trained anew, with other settings: then the second one is of another.
+    with pytest.raises(RunError, match="second was begun upon another first"):
+        CliRunner().invoke(_app(), ["--run", "mine", "--resume", "--set", "first.steps=6"], catch_exceptions=False)
 
 
 @pytest.mark.parametrize(
