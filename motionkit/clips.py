@@ -2,8 +2,8 @@
 
 A window is a stretch of at most l_max seconds of one sequence: what one latent stands for. Its frame k lies at k / fps
 after its first, at the coordinate t = −1 + 2·(k / fps) / l_max (NeRM §3.1), and its poses are vectors in the window's
-own frame (`field` vectors, or what a `FrameVectors` makes of frames). Poses are gathered from the memory-mapped cache
-when they are asked for, so memory doesn't grow with the corpus; mirrored windows are mirrored then, not stored.
+own frame (`field` vectors, or what a `FrameVectors` makes of frames). Poses are read from the cache's file when they
+are asked for, so memory doesn't grow with the corpus; mirrored windows are mirrored then, not stored.
 """
 
 from collections.abc import Iterator
@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float32, Float64, Int, Int64
 
 from motionkit.errors import UsageError
 from motionkit.features import field
+from motionkit.store.row_file import RowFile
 from motionkit.timegrid import normalise_seconds
 
 
@@ -53,6 +54,21 @@ class PositionSource(Protocol):
     def fps_denominator(self) -> Int[np.ndarray, "sequences"]:
         """Denominator of each sequence's framerate."""
         ...
+
+
+@runtime_checkable
+class ReadsRows(Protocol):
+    """A source whose frames can be read one by one, so that a training does not come to hold all that it has seen."""
+
+    @property
+    def rows(self) -> RowFile:
+        """The rows of `positions`."""
+        ...
+
+
+def read_positions(source: PositionSource, row: Int64[np.ndarray, "*rows"]) -> Float32[np.ndarray, "*rows joints 3"]:
+    """Copies of a source's frames by their rows."""
+    return source.rows[row] if isinstance(source, ReadsRows) else np.asarray(source.positions[row])
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +174,7 @@ def cut_windows(
     nth = np.arange(len(sequence)) - np.repeat(np.cumsum(count) - count, count)
     start = np.minimum(nth * step[sequence], spare[sequence])
     start_row = source.start_row[sequence].astype(np.int64) + start
-    first_pose = np.asarray(source.positions[start_row])
+    first_pose = read_positions(source, start_row)
     mirrored = np.zeros(len(sequence), dtype=np.bool_)
     if mirror_pairs is not None:
         first_pose = np.concatenate((first_pose, mirror_positions(first_pose, mirror_pairs)))
@@ -232,7 +248,7 @@ class FramePositions:
         self, row: Int64[np.ndarray, "batch poses"], mirrored: Bool[np.ndarray, "batch"]
     ) -> Float32[np.ndarray, "batch poses joints 3"]:
         """World positions, mirrored where the window is."""
-        gathered = np.asarray(self.source.positions[row])
+        gathered = read_positions(self.source, row)
         if mirrored.any():
             gathered[mirrored] = mirror_positions(gathered[mirrored], self.left_right_pairs)
         return gathered

@@ -23,6 +23,7 @@ from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.derived import derived_rows
 from motionkit.store.reader import Store
+from motionkit.store.row_file import RowFile
 from nerm.recipes import PoseVectorsName
 from nerm.rotation_vectors import RotationVectors, smpl_rig, training_rig
 
@@ -116,13 +117,13 @@ FIELD_VECTORS = FieldVectors()
 class NativeRows:
     """Rows of `native` vectors; they mean the same in every window's frame."""
 
-    rows: Float32[np.ndarray, "total_frames numbers"]
+    rows: RowFile
 
     def gather(
         self, row: Int64[np.ndarray, "batch poses"], mirrored: Bool[np.ndarray, "batch"]
     ) -> Float32[np.ndarray, "batch poses numbers"]:
         """Vectors of frames, mirrored where the window is."""
-        gathered = np.asarray(self.rows[row])
+        gathered = self.rows[row]
         if mirrored.any():
             gathered[mirrored] = native.mirrored(gathered[mirrored], SMPL22.name)
         return gathered

@@ -25,6 +25,7 @@ from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.derived import derived_rows
 from motionkit.store.reader import Store
+from motionkit.store.row_file import RowFile
 
 NAMES = (*SMPL22.joint_names, "left_hand", "right_hand")
 PARENTS = (*SMPL22.parents, SMPL22.index("left_wrist"), SMPL22.index("right_wrist"))
@@ -38,19 +39,19 @@ TELLING_JOINTS = tuple(map(SMPL22.index, ("left_knee", "neck", "left_elbow", "ri
 class RotationRows:
     """Rows of root position (3) and local quaternions (4·J, w x y z) of every frame; `partners` are mirrored joints."""
 
-    rows: Float32[np.ndarray, "total_frames kept"]
+    rows: RowFile
     partners: tuple[int, ...]
 
     def gather(
         self, row: Int64[np.ndarray, "batch poses"], mirrored: Bool[np.ndarray, "batch"]
     ) -> Float32[np.ndarray, "batch poses kept"]:
         """Root positions and quaternions of frames, mirrored where the window is."""
-        gathered = np.asarray(self.rows[row])
+        gathered = self.rows[row]
         if mirrored.any():
             some = gathered[mirrored]
             some[..., :3] *= FLIP
             turned = _quaternions(some)[..., list(self.partners), :] * TURN_BACK
-            some[..., 3:] = turned.reshape(*some.shape[:-1], -1)
+            some[..., 3:] = turned.reshape(some[..., 3:].shape)
             gathered[mirrored] = some
         return gathered
 
@@ -63,7 +64,7 @@ class RotationRows:
         """The root on a straight line, rotations on great arcs."""
         root = before[..., :3] + weight[..., None] * (after[..., :3] - before[..., :3])
         turned = kinematics.quaternion_slerp(_quaternions(before), _quaternions(after), weight[..., None])
-        return np.concatenate((root, turned.reshape(*before.shape[:-1], -1)), axis=-1).astype(np.float32)
+        return np.concatenate((root, turned.reshape(before[..., 3:].shape)), axis=-1).astype(np.float32)
 
     def encode(
         self,
@@ -78,7 +79,8 @@ class RotationRows:
         back = np.stack((np.cos(half), np.zeros_like(half), np.sin(half), np.zeros_like(half)), axis=-1)
         turned[..., 0, :] = kinematics.quaternion_multiply(back[:, None], turned[..., 0, :])
         columns = kinematics.quaternion_to_matrix(turned)[..., :2].swapaxes(-1, -2)
-        return np.concatenate((root, columns.reshape(*root.shape[:-1], -1)), axis=-1).astype(np.float32)
+        numbers = columns.reshape(*root.shape[:-1], 6 * columns.shape[-3])
+        return np.concatenate((root, numbers), axis=-1).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -198,4 +200,5 @@ def _check_rest_poses(skeletons: Sequence[Skeleton], offsets: Float[np.ndarray, 
 
 
 def _quaternions(gathered: Float[np.ndarray, "*poses numbers"]) -> Float[np.ndarray, "*poses joints 4"]:
-    return gathered[..., 3:].reshape(*gathered.shape[:-1], -1, 4)
+    # Sizes in full: a rank whose part of a batch is empty has none that -1 could stand for.
+    return gathered[..., 3:].reshape(*gathered.shape[:-1], (gathered.shape[-1] - 3) // 4, 4)

@@ -22,6 +22,7 @@ from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.skeleton_map import SkeletonMapError, joint_map, map_joints
 from motionkit.store import files
 from motionkit.store.reader import Store
+from motionkit.store.row_file import RowFile
 from motionkit.store.schema import CACHE_FOLDER
 
 CACHE_VERSION = 1
@@ -51,8 +52,9 @@ class Skipped:
 class PositionCache:
     """Frames of N sequences one after the other; sequence n is rows [start_row[n], start_row[n] + num_frames[n]).
 
-    `positions` is a read-only memory map [total_frames, J, 3], metres; `sequence_index` leads back to the store.
-    Picklable: another process maps the same file.
+    `positions` is a read-only memory map [total_frames, J, 3], metres; `rows` reads single frames of the same file, and
+    leaves no page of it in the process. `sequence_index` leads back to the store. Picklable: another process maps the
+    same file.
     """
 
     path: Path
@@ -60,6 +62,7 @@ class PositionCache:
     where: str | None
     store_fingerprint: str
     positions: Float32[np.ndarray, "total_frames joints 3"]
+    rows: RowFile
     sequence_index: Int32[np.ndarray, "sequences"]
     start_row: Int64[np.ndarray, "sequences"]
     num_frames: Int32[np.ndarray, "sequences"]
@@ -282,6 +285,7 @@ def _load(path: Path) -> PositionCache:
         where=facts["where"],
         store_fingerprint=facts["store_fingerprint"],
         positions=positions,
+        rows=RowFile.open(path / "positions.npy"),
         skipped=tuple(Skipped(**each) for each in facts["skipped"]),
         **columns,
     )

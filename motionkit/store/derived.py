@@ -7,6 +7,7 @@ from jaxtyping import Float32
 
 from motionkit.store import files
 from motionkit.store.cache import PositionCache
+from motionkit.store.row_file import RowFile
 
 
 def derived_rows(
@@ -14,8 +15,8 @@ def derived_rows(
     name: str,
     num_numbers: int,
     compute: Callable[[], Iterator[Float32[np.ndarray, "frames numbers"]]],
-) -> Float32[np.ndarray, "total_frames numbers"]:
-    """A read-only memory map with a row of numbers for each row of `cache.positions`, made where it is missing.
+) -> RowFile:
+    """A file with a row of numbers for each row of `cache.positions`, made where it is missing.
 
     `compute` gives the sequences' rows in the cache's order, one sequence in memory at a time. `name` stands for how
     they are computed: a change of that needs another name. The file goes when the cache goes. Two processes may ask at
@@ -26,7 +27,7 @@ def derived_rows(
         with files.exclusive_lock(cache.path / f".{name}.lock", busy=None):
             if not path.exists():
                 _write(cache, name, num_numbers, compute())
-    return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False).view(np.ndarray))
+    return RowFile.open(path)
 
 
 def _write(
