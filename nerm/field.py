@@ -7,7 +7,7 @@ part for z (once per clip), one for the coordinate (once per distinct t) and one
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from torch import nn
 
 from nerm.attention import CodebookCoordinateAttention
@@ -47,7 +47,7 @@ class ResidualLayer(nn.Module):
 
 
 class TransformerLayer(nn.Module):
-    """Table 7's alternative: the poses of a clip attend to one another, pre-norm."""
+    """Table 7's alternative: the poses of a clip attend to one another, pre-norm; not where `hidden_from` is true."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -55,10 +55,23 @@ class TransformerLayer(nn.Module):
             width, heads, 2 * width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
         )
 
-    def forward(self, hidden: Float[torch.Tensor, "batch poses width"]) -> Float[torch.Tensor, "batch poses width"]:
+    def forward(
+        self,
+        hidden: Float[torch.Tensor, "batch poses width"],
+        hidden_from: Bool[torch.Tensor, "poses poses"] | None = None,
+    ) -> Float[torch.Tensor, "batch poses width"]:
         """One layer."""
-        updated: torch.Tensor = self.layer(hidden)
+        updated: torch.Tensor = self.layer(hidden, src_mask=hidden_from)
         return updated
+
+
+def seen_through(num_context: int, num_poses: int, device: torch.device) -> Bool[torch.Tensor, "poses poses"]:
+    """What poses don't attend to where the first are a context: a context pose to all others, others to one another.
+
+    Then a pose depends on the context and on itself, whatever else is decoded with it.
+    """
+    poses = torch.arange(num_poses, device=device)
+    return (poses >= num_context) & (poses[:, None] != poses)
 
 
 class FieldNetwork(nn.Module):
@@ -159,8 +172,12 @@ class FieldNetwork(nn.Module):
         latents: Float[torch.Tensor, "batch latent"],
         encoded: EncodedCoordinates,
         fps: Float64[torch.Tensor, "batch"],
+        num_context: int = 0,
     ) -> Float[torch.Tensor, "batch poses numbers"]:
-        """Standardised pose vectors from latents and encoded coordinates."""
+        """Standardised pose vectors from latents and encoded coordinates.
+
+        A transformer decoder lets all poses of a row attend to one another, or with `num_context` to its first ones.
+        """
         hidden = self.from_framerate(framerate_number(fps, self.config.framerate_scale)[:, None])[:, None]
         reading = None
         if self.local is not None and encoded.weights is not None:
@@ -168,8 +185,11 @@ class FieldNetwork(nn.Module):
         hidden = hidden + self.from_latent(latents[:, None] if reading is None else reading.seen)
         if self.from_coordinate is not None and encoded.features is not None:
             hidden = hidden + self.from_coordinate(encoded.features)[encoded.which]
+        hidden_from: tuple[torch.Tensor, ...] = ()
+        if num_context and self.config.decoder == "transformer":
+            hidden_from = (seen_through(num_context, hidden.shape[1], hidden.device),)
         for layer in self.layers:
-            hidden = layer(hidden)
+            hidden = layer(hidden, *hidden_from)
         vectors: torch.Tensor = self.output(self.finish(hidden))
         if reading is not None:
             return self._assembled(vectors, reading)

@@ -30,6 +30,9 @@ STAGE_NAME = "field"
 FORMAT_VERSION = 2
 GRIDS_KEPT = 16
 POSES_AT_ONCE = 8_192
+# Where poses attend to one another, a motion is read through so many of its instants (docs/deviations.md).
+CONTEXT_INSTANTS = 64
+POSES_IN_CONTEXT_AT_ONCE = 1_024
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,39 +126,58 @@ class TrainedField:
         latents: Float[torch.Tensor, "batch latent"],
         times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
         fps: Fraction,
+        context_seconds: Float64[np.ndarray, "context"] | None = None,
     ) -> list[Poses]:
-        """As `decode`: the poses of each latent's motion, with rotations where the field has learnt them."""
+        """As `decode`: the poses of each latent's motion, with rotations where the field has learnt them.
+
+        A transformer decoder's poses depend on which others are decoded with them: with `context_seconds` on those at
+        these instants alone.
+        """
         rows = times_seconds[None] if times_seconds.ndim == 1 else times_seconds
         instants = [self.vectors.instants(row) for row in rows]
         if len({len(each) for each in instants}) > 1:
-            return [self.poses(latents[row : row + 1], rows[row], fps)[0] for row in range(len(rows))]
-        vectors = self._vectors_at(latents, np.stack(instants), fps)
+            return [self.poses(latents[row : row + 1], rows[row], fps, context_seconds)[0] for row in range(len(rows))]
+        vectors = self._vectors_at(latents, np.stack(instants), fps, context_seconds)
         which = range(len(latents)) if len(rows) > 1 else [0] * len(latents)
         return [self.vectors.decode(each, instants[row], rows[row]) for each, row in zip(vectors, which, strict=True)]
 
     def _vectors_at(
-        self, latents: Float[torch.Tensor, "batch latent"], rows: Float64[np.ndarray, "rows times"], fps: Fraction
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        rows: Float64[np.ndarray, "rows times"],
+        fps: Fraction,
+        context_seconds: Float64[np.ndarray, "context"] | None,
     ) -> Float32[np.ndarray, "batch times numbers"]:
         num_times = rows.shape[1]
+        context = np.zeros(0) if context_seconds is None else context_seconds
+        at_once = POSES_IN_CONTEXT_AT_ONCE if len(context) else POSES_AT_ONCE
         found = np.empty((len(latents), num_times, self.vectors.num_numbers), dtype=np.float32)
         per_call = max(1, POSES_AT_ONCE // max(1, num_times))
         for start in range(0, len(latents), per_call):
             some = latents[start : start + per_call].float().to(self.device)
             own = rows if len(rows) == 1 else rows[start : start + per_call]
-            for first in range(0, num_times, POSES_AT_ONCE):
-                times = slice(first, first + POSES_AT_ONCE)
-                vectors = self.decode_vectors(some, self.encode_times(own[:, times], fps), fps)
-                found[start : start + per_call, times] = vectors.cpu().numpy()
+            for first in range(0, num_times, at_once):
+                times = slice(first, first + at_once)
+                read = np.concatenate((np.broadcast_to(context, (len(own), len(context))), own[:, times]), axis=1)
+                vectors = self.decode_vectors(some, self.encode_times(read, fps), fps, len(context))
+                found[start : start + per_call, times] = vectors[:, len(context) :].cpu().numpy()
         return found
 
     @torch.no_grad()
     def decode_vectors(
-        self, latents: Float32[torch.Tensor, "batch latent"], encoded: EncodedCoordinates, fps: Fraction
+        self,
+        latents: Float32[torch.Tensor, "batch latent"],
+        encoded: EncodedCoordinates,
+        fps: Fraction,
+        num_context: int = 0,
     ) -> Float32[torch.Tensor, "batch times numbers"]:
-        """Pose vectors in their own units at encoded times (one row of times for each latent, or one for all)."""
+        """Pose vectors in their own units at encoded times (one row of times for each latent, or one for all).
+
+        The first `num_context` are what a transformer decoder reads the others through.
+        """
         which = encoded.which.expand(len(latents), -1)
         rates = torch.full((len(latents),), float(fps), dtype=torch.float64, device=self.device)
-        standardised = self.network.decode(latents, replace(encoded, which=which), rates)
+        standardised = self.network.decode(latents, replace(encoded, which=which), rates, num_context)
         vectors: torch.Tensor = self.scaling.invert(standardised.float())
         return vectors
 
@@ -192,9 +214,12 @@ class LatentMotionField:
         return replace(self, fps=fps)
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times in [0, end_seconds]; raises `ValueError` outside it."""
+        """Poses at any times in [0, end_seconds], whichever are asked for together; raises `ValueError` outside it."""
         check_times(self, times_seconds)
-        return self.field.poses(self.latent[None], times_seconds, self.fps)[0]
+        context = None
+        if self.field.config.decoder == "transformer":
+            context = np.linspace(0.0, self.end_seconds, CONTEXT_INSTANTS)
+        return self.field.poses(self.latent[None], times_seconds, self.fps, context)[0]
 
 
 def save_field(folder: StageFolder, trained: TrainedField) -> None:

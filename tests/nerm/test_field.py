@@ -89,6 +89,23 @@ def test_a_pose_depends_on_its_own_coordinate_latent_and_framerate_alone(name: s
             torch.testing.assert_close(alone[0, 0], together[clip, pose], atol=2e-6, rtol=1e-4)
 
 
+def test_through_a_context_a_transformers_pose_depends_on_nothing_else_either() -> None:
+    network = _network(**VARIANTS["transformer"])
+    latents, coordinates, fps = _clips(dimension=network.config.latent_dimension)
+
+    def decoded(poses: list[int], num_context: int) -> torch.Tensor:
+        encoded = network.encode_coordinates(coordinates[:, poses], fps)
+        return network.decode(latents, encoded, fps, num_context)
+
+    together = decoded([0, 1, 2, 3, 4, 5, 6], 3)
+    for pose in (3, 4, 5, 6):
+        torch.testing.assert_close(decoded([0, 1, 2, pose], 3)[:, 3], together[:, pose], atol=2e-6, rtol=1e-4)
+    # The context sees itself alone, and another context is another motion.
+    torch.testing.assert_close(together[:, :3], decoded([0, 1, 2], 0), atol=2e-6, rtol=1e-4)
+    assert (decoded([0, 1, 4], 2)[:, 2] - together[:, 4]).abs().max() > 1e-3
+    assert (decoded([0, 1, 2, 3, 4, 5, 6], 0)[:, 6] - together[:, 6]).abs().max() > 1e-3
+
+
 def test_without_any_time_a_window_is_one_pose() -> None:
     network = _network(time_encoding="none")
     vectors = network(*_clips())

@@ -78,6 +78,10 @@ BANKED = replace(
 def trained(request: pytest.FixtureRequest) -> TrainedField:
     training = _training(request.param)
     _losses(training, training.steps)
+    return _finished(training)
+
+
+def _finished(training: FieldTraining) -> TrainedField:
     return TrainedField(
         network=training.network.eval().requires_grad_(False),
         scaling=training.scaling,
@@ -188,6 +192,23 @@ def test_a_latent_is_a_motion_field(trained: TrainedField) -> None:
     np.testing.assert_array_equal(motion.query(times).joint_positions, expected)
     with pytest.raises(ValueError, match="1 of 1 times lie outside"):
         motion.query(np.array([2.6]))
+
+
+def test_a_transformer_decoders_motion_is_a_function_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    training = _training(replace(SMALL, decoder="transformer", attention_rate=1e-3))
+    _losses(training, 3)
+    field = _finished(training)
+    motion = field.as_motion_field(field.posterior_mean[1], 3.0)
+    times = np.arange(181) / 60
+    fast = motion.query(times).joint_positions
+    # Other framerates, single instants and smaller portions are the same motion; decoded bare they were not.
+    np.testing.assert_allclose(motion.query(times[::2]).joint_positions, fast[::2], atol=2e-5)
+    for row in (0, 17, 180):
+        np.testing.assert_allclose(motion.query(times[row : row + 1]).joint_positions[0], fast[row], atol=2e-5)
+    monkeypatch.setattr("nerm.field_model.POSES_IN_CONTEXT_AT_ONCE", 50)
+    np.testing.assert_allclose(motion.query(times).joint_positions, fast, atol=2e-5)
+    alone = field.decode(field.posterior_mean[1:2], times[17:18], motion.fps)[0, 0]
+    assert np.abs(alone - fast[17]).max() > 1e-3
 
 
 def test_the_coordinate_branch_is_kept_for_a_grid(trained: TrainedField) -> None:
