@@ -63,9 +63,6 @@ def evaluate(
     statistics: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Its mean.npy and std.npy; those beside the weights by default.")
     ] = None,
-    padding: Annotated[
-        str, typer.Option(help="What it sees past a motion's end: masked, or zeros as in published tables.")
-    ] = "masked",
     motions: Annotated[int, typer.Option(min=2, help="Most motions that a model generates.")] = 1024,
     protocol: Annotated[
         str, typer.Option(help="Of whole motions: native, t2m, mdm, mld, t2m-gpt, momask; of actions: a2m, actor, mdm.")
@@ -96,7 +93,7 @@ def evaluate(
         protocol=Protocol(sizes=_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
         samples=_samples(samples or []),
         features=tuple(evaluator.split(",")) if evaluator else None,
-        guo=_guo_files(weights, glove, statistics, padding),
+        guo=_guo_files(weights, glove, statistics),
         low_pass_hz=low_pass,
         max_motions=motions,
         published=protocol,
@@ -127,17 +124,15 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
     stderr.print(f"written: {path} and {path.with_suffix('.md').name}", markup=False)
 
 
-def _guo_files(weights: Path | None, glove: Path | None, statistics: Path | None, padding: str) -> "GuoFiles | None":
+def _guo_files(weights: Path | None, glove: Path | None, statistics: Path | None) -> "GuoFiles | None":
     from eval.evaluators.guo_files import GuoFiles
 
-    if padding not in ("masked", "zeros"):
-        raise UsageError(f"--padding {padding}: give masked or zeros")
     if weights is None:
         unused = next((name for name, path in (("--glove", glove), ("--statistics", statistics)) if path), None)
         if unused is not None:
             raise UsageError(f"{unused} belongs to a published evaluator: name its weights with --weights finest.tar")
         return None
-    return GuoFiles(weights, glove, statistics, "zeros" if padding == "zeros" else "masked")
+    return GuoFiles(weights, glove, statistics)
 
 
 def _framerates(text: str | None) -> "tuple[Fraction, ...] | None":

@@ -88,7 +88,9 @@ class GuoEvaluator:
         )
 
     def embed_vectors(
-        self, motions: Sequence[Float[np.ndarray, "_frames numbers"]], lengths: Sequence[int] | None = None
+        self,
+        motions: Sequence[Float[np.ndarray, "_frames numbers"]] | Float[np.ndarray, "motions frames numbers"],
+        lengths: Sequence[int] | None = None,
     ) -> Float64[np.ndarray, "motions features"]:
         """One row per motion given as pose vectors in their own units (not standardised), at the evaluator's framerate.
 
@@ -97,7 +99,7 @@ class GuoEvaluator:
         multiple of 4 the last frames are left out. Raises `GuoError` for vectors of another size, NaN, vectors that are
         still standardised, and lengths under 4, over 199 or past the array's end.
         """
-        return self._embed(motions, "motion {}".format, lengths)
+        return self._embed(list(motions), "motion {}".format, lengths)
 
     def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
         """One row per caption, in order.

@@ -12,11 +12,11 @@ import pytest
 from eval import feature_sources
 from eval.evaluators import guo
 from eval.evaluators.guo_networks import GuoWidths
-from motionkit.motion import Motion
+from motionkit.motion import Caption, Motion
 from motionkit.skeleton import SMPL22
 from motionkit.store.writer import StoreWriter
 from motionkit.timegrid import TimeGrid
-from tests.published_guo import PLAIN, write_archive, write_statistics
+from tests.published_guo import PLAIN, write_archive, write_glove, write_statistics
 
 SMALL = GuoWidths(movement=6, motion=5, text=4, shared=8)
 CLIPS = ("--clips", 64, "--replications", 1, "--sizes", "16:16")
@@ -76,9 +76,6 @@ def test_a_column_at_20_fps_and_none_elsewhere(
     assert {"real, independent draws (P1)", "real kept at 20 fps, SLERP"} <= {row["name"] for row in found["rows"]}
     missing = json.loads(outcome.stdout)["missing"]
     assert any("40 fps, guo" in line and "was trained at 20 fps" in line for line in missing)
-    padded = block(motionkit(*table, *CLIPS, "--fps", "20", "--padding", "zeros", "--json"))
-    assert padded["title"] == "clip-FID on the guo (padding: zeros) evaluator of HumanML3D"
-    assert padded["provenance"]["fingerprints"] != found["provenance"]["fingerprints"]
 
 
 def test_wrong_files_are_one_line(motionkit: Callable[..., Any], store: Path, weights: Path, tmp_path: Path) -> None:
@@ -86,7 +83,6 @@ def test_wrong_files_are_one_line(motionkit: Callable[..., Any], store: Path, we
     for arguments, code, message in (
         (("--evaluator", "guo"), 2, "--evaluator guo needs its weights: --weights finest.tar"),
         (("--glove", tmp_path), 2, "--glove belongs to a published evaluator"),
-        (("--weights", weights, "--padding", "both"), 2, "--padding both: give masked or zeros"),
     ):
         outcome = motionkit(*table, *arguments)
         assert outcome.code == code and message in " ".join(outcome.stderr.split())
@@ -95,3 +91,38 @@ def test_wrong_files_are_one_line(motionkit: Callable[..., Any], store: Path, we
     assert (
         outcome.code == 0 and "features 'guo'" in outcome.stdout and "these are published statistics" in outcome.stdout
     )
+
+
+@pytest.fixture(scope="module")
+def captioned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("guo") / "captioned"
+    with StoreWriter.create(path) as writer:
+        for index in range(68):
+            split, grid = ("test", "val")[index // 34], TimeGrid(Fraction(20), 44 + index % 34)
+            tokens = ("a/DET man/NOUN walk/VERB", "a/DET person/NOUN turn/VERB left/ADV")[index % 2]
+            writer.add(
+                Motion(
+                    joint_positions=swaying(index, grid.num_frames, 20),
+                    skeleton=SMPL22,
+                    timegrid=grid,
+                    captions=(Caption(f"take {index}", tokens=tokens if split == "test" else ""),),
+                    split=split,
+                    sequence_id=f"c{index}",
+                )
+            )
+    return path
+
+
+def test_table_1_with_and_without_the_padding_leak(
+    motionkit: Callable[..., Any], captioned: Path, weights: Path, tmp_path: Path
+) -> None:
+    glove = write_glove(tmp_path / "glove")
+    table = ("eval", "--table", 1, "--results", tmp_path, "--protocol", "t2m", "--evaluator", "guo", "--json")
+    files = ("--weights", weights, "--glove", glove)
+    found = [motionkit(*table, *files, "--store", captioned, *more) for more in ((), ("--compat", "padding-leak"))]
+    assert [outcome.code for outcome in found] == [0, 0], [outcome.stderr for outcome in found]
+    assert "guo (padding: zeros)" in found[1].stdout and "padding: zeros" not in found[0].stdout
+    without = motionkit(*table, "--weights", weights, "--store", captioned)
+    assert without.code == 2 and "--glove DIR" in without.stderr
+    without = motionkit(*table, *files, "--store", captioned, "--split", "val")
+    assert without.code == 1 and "caption 'take 34' has no word/POS tokens" in " ".join(without.stderr.split())

@@ -195,6 +195,8 @@ def test_what_lies_past_the_end_leaks_only_where_asked(evaluator: GuoEvaluator) 
     assert np.abs(row("frames", plain) - row("frames", three)).max() > 1e-4
     np.testing.assert_array_equal(row("frames", plain), row("frames", fourth))
     np.testing.assert_allclose(row("frames", plain[:40]), row("zeros", plain), atol=1e-12)
+    both = evaluator.embed_vectors(np.stack([plain, three]), [40, 60])
+    np.testing.assert_allclose(both, [row("masked", plain), row("masked", three, 60)], atol=1e-12)
     longest = pose_vectors(196, 1)
     np.testing.assert_array_equal(row("masked", longest, 196), row("zeros", longest, 196))
 
