@@ -52,10 +52,15 @@ def evaluate(
     ] = None,
     evaluator: Annotated[
         str | None,
-        typer.Option("--evaluator", "--features", help="Feature sets: kinematic,native,guo; all there are."),
+        typer.Option(
+            "--evaluator",
+            "--features",
+            help="Feature sets: kinematic,native,guo; all there are. Of actions: linear, humanact12, uestc, cmu-mocap.",
+        ),
     ] = None,
     weights: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Guo's or MARDM's evaluator: text_mot_match/model/finest.tar.")
+        Path | None,
+        typer.Option(metavar="FILE", help="The published evaluator's or recogniser's file: finest.tar, ….tar."),
     ] = None,
     glove: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Its word vectors: our_vab_data.npy, _words.pkl, _idx.pkl.")

@@ -11,33 +11,14 @@ from eval.evaluators.linear_recogniser import SHRINKAGE, fit_linear, statistics_
 from eval.evaluators.motion_statistics import motion_statistics
 from eval.samples import SampleSet, sample_set
 from motionkit.errors import MotionkitError
-from motionkit.skeleton import SMPL22
+from tests.acting import ACTIONS, acted
 
 FPS = Fraction(20)
-ACTIONS = ("nod", "shuffle left", "shuffle right")
-
-
-def motion(action: str, seed: int, num_frames: int = 50) -> np.ndarray:
-    """A body that does what its action says, with noise, somewhere, facing anywhere."""
-    rng = np.random.default_rng(seed)
-    pose = np.zeros((22, 3))
-    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-        pose[joint] = pose[parent] + SMPL22.offsets[joint]
-    time = np.arange(num_frames)[:, None] / 20
-    body = pose + rng.normal(0, 0.01, (num_frames, 22, 3)).cumsum(axis=0) * 0.2
-    sway = np.sin(2 * np.pi * rng.uniform(0.8, 1.2) * time)
-    if action == "nod":
-        body[:, [12, 15], 2] += 0.1 * sway
-    else:
-        body[:, :, 0] += (0.4 if action == "shuffle left" else -0.4) * time
-    angle = rng.uniform(0, 2 * np.pi)
-    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-    return (body @ turn.T + np.array([rng.normal(), 0.9, rng.normal()])).astype(np.float32)
 
 
 def motions(count: int, seed: int, actions: tuple[str, ...] = ACTIONS) -> SampleSet:
     names = [action for action in actions for _ in range(count)]
-    made = [motion(name, seed + i) for i, name in enumerate(names)]
+    made = [acted(name, seed + i) for i, name in enumerate(names)]
     return sample_set("made", FPS, made, [str(i) for i in range(len(names))], actions=names)
 
 
@@ -69,10 +50,10 @@ def test_it_is_linear_discriminant_analysis() -> None:
 
 
 def test_statistics_do_not_depend_on_place_heading_or_length_beyond_what_they_see() -> None:
-    body = motion("nod", 3)
+    body = acted("nod", 3)
     turned = body[:, :, [2, 1, 0]] * np.float32([1, 1, -1]) + np.float32([4, 0, -1])
     np.testing.assert_allclose(motion_statistics(body, 20.0), motion_statistics(turned, 20.0), atol=2e-4)
-    long = motion("nod", 3, num_frames=200)
+    long = acted("nod", 3, num_frames=200)
     whole = sample_set("long", FPS, [long], ["a"])
     part = sample_set("part", FPS, [long[70:130]], ["a"])
     np.testing.assert_array_equal(statistics_of(whole), statistics_of(part))
@@ -80,7 +61,7 @@ def test_statistics_do_not_depend_on_place_heading_or_length_beyond_what_they_se
 
 def test_the_path_is_told_in_the_bodys_own_directions() -> None:
     names = slice(63 * 4, 63 * 4 + 4)
-    left, right = (motion_statistics(motion(action, 1), 20.0)[names] for action in ACTIONS[1:])
+    left, right = (motion_statistics(acted(action, 1), 20.0)[names] for action in ACTIONS[1:])
     np.testing.assert_allclose(left[0], 0.4, atol=0.05)
     np.testing.assert_allclose(right[0], -0.4, atol=0.05)
     np.testing.assert_allclose((left[1], right[1]), 0.0, atol=0.05)
@@ -98,15 +79,15 @@ def test_what_cannot_be_learnt_or_described_is_said() -> None:
     rare = sample_set(
         "rare",
         FPS,
-        [motion(action, i) for i, action in enumerate([*ACTIONS[:2] * 10, ACTIONS[2]])],
+        [acted(action, i) for i, action in enumerate([*ACTIONS[:2] * 10, ACTIONS[2]])],
         [str(i) for i in range(21)],
         actions=[*ACTIONS[:2] * 10, ACTIONS[2]],
     )
     recogniser = fit_linear(rare)
     assert recogniser.actions == ACTIONS[:2]
     with pytest.raises(MotionkitError, match="1 motions have fewer than 10 frames at 20 fps, the first is 'b' with 9"):
-        recogniser.recognise(sample_set("short", FPS, [motion("nod", 0), motion("nod", 0, 9)], ["a", "b"]))
+        recogniser.recognise(sample_set("short", FPS, [acted("nod", 0), acted("nod", 0, 9)], ["a", "b"]))
     with pytest.raises(MotionkitError, match="30 fps, but the recogniser 'linear' was trained at 20 fps"):
-        recogniser.recognise(sample_set("fast", Fraction(30), [motion("nod", 0)], ["a"]))
+        recogniser.recognise(sample_set("fast", Fraction(30), [acted("nod", 0)], ["a"]))
     with pytest.raises(MotionkitError, match="21 joints"):
-        recogniser.recognise(sample_set("kit", FPS, [motion("nod", 0)[:, :21]], ["a"]))
+        recogniser.recognise(sample_set("kit", FPS, [acted("nod", 0)[:, :21]], ["a"]))
