@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from threadpoolctl import threadpool_limits
 
 from eval.evaluators.action_recogniser import Recognition
 from eval.metrics.accuracy import accuracy
@@ -56,29 +57,33 @@ def score_actions(
     if unknown := set(references) - {"", "train", "test"}:
         raise ValueError(f'references are named "", "train" or "test", not {sorted(unknown)}')
     tally = Tally()
-    gaussians = {name: fit_gaussian(features) for name, features in references.items()}
-    for replication in range(protocol.replications):
-        rng = np.random.default_rng((seed, replication))
-        motions = _chosen(draws[replication % len(draws)], protocol, rng, tally)
-        features, labels = motions.recognition.features, motions.labels
-        tally.add("accuracy", accuracy(motions.recognition.scores, labels))
-        fitted = fit_gaussian(features) if gaussians else None
-        for name, gaussian in gaussians.items():
-            assert fitted is not None
-            tally.add(f"fid_{name}" if name else "fid", frechet_distance(gaussian, fitted))
-        if protocol.pairs == "different":
-            tally.add("diversity", diversity(features, rng, protocol.diversity_pairs))
-            tally.add(
-                "multimodality_by_class",
-                multimodality_by_class(features, labels, rng=rng, num_pairs=protocol.class_pairs),
-            )
-        else:
-            tally.add("diversity_with_replacement", diversity_with_replacement(features, rng, protocol.diversity_pairs))
-            tally.add(
-                "multimodality_by_class_with_replacement",
-                multimodality_by_class_with_replacement(features, labels, rng=rng, num_pairs=protocol.class_pairs),
-            )
-        on_replication()
+    # As in `score_text_motion`: one thread of the linear algebra library is fastest for matrices of this size.
+    with threadpool_limits(1, "blas"):
+        gaussians = {name: fit_gaussian(features) for name, features in references.items()}
+        for replication in range(protocol.replications):
+            rng = np.random.default_rng((seed, replication))
+            motions = _chosen(draws[replication % len(draws)], protocol, rng, tally)
+            features, labels = motions.recognition.features, motions.labels
+            tally.add("accuracy", accuracy(motions.recognition.scores, labels))
+            fitted = fit_gaussian(features) if gaussians else None
+            for name, gaussian in gaussians.items():
+                assert fitted is not None
+                tally.add(f"fid_{name}" if name else "fid", frechet_distance(gaussian, fitted))
+            if protocol.pairs == "different":
+                tally.add("diversity", diversity(features, rng, protocol.diversity_pairs))
+                tally.add(
+                    "multimodality_by_class",
+                    multimodality_by_class(features, labels, rng=rng, num_pairs=protocol.class_pairs),
+                )
+            else:
+                tally.add(
+                    "diversity_with_replacement", diversity_with_replacement(features, rng, protocol.diversity_pairs)
+                )
+                tally.add(
+                    "multimodality_by_class_with_replacement",
+                    multimodality_by_class_with_replacement(features, labels, rng=rng, num_pairs=protocol.class_pairs),
+                )
+            on_replication()
     tally.remark_on_draws(len(draws), protocol.replications)
     sizes = {f"real ({name})" if name else "real": len(features) for name, features in references.items()}
     counted = min(len(draws[0].labels), protocol.num_motions or len(draws[0].labels))

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from eval.metrics.frechet import frechet_distance
 from eval.metrics.gaussian import fit_gaussian
@@ -156,8 +157,9 @@ def _oracle(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> d
 
 def _halves(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> Estimate:
     values = []
-    for replication in range(protocol.replications):
-        order = np.random.default_rng((seed, replication, 6)).permutation(len(real.motions))
-        first, second = order[: len(order) // 2], order[len(order) // 2 :]
-        values.append(frechet_distance(fit_gaussian(real.motions[first]), fit_gaussian(real.motions[second])))
+    with threadpool_limits(1, "blas"):
+        for replication in range(protocol.replications):
+            order = np.random.default_rng((seed, replication, 6)).permutation(len(real.motions))
+            first, second = order[: len(order) // 2], order[len(order) // 2 :]
+            values.append(frechet_distance(fit_gaussian(real.motions[first]), fit_gaussian(real.motions[second])))
     return estimate(values)
