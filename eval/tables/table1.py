@@ -279,10 +279,10 @@ def _notes(protocol: TextMotionProtocol, real: Mapping[Fraction, CaptionedMotion
     notes = []
     for fps, each in real.items():
         without = "".join(f", {count} left out ({reason})" for reason, count in each.left_out.items())
+        cropped = f", {each.num_cropped} cropped to their middle {protocol.lengths.longest_seconds:g} s"
         notes.append(
             f"Real motions at {float(fps):g} fps: {each.samples.num_sequences} with "
-            f"{len(set(each.samples.captions))} different captions, {each.num_cropped} cropped to their middle "
-            f"{protocol.lengths.longest_seconds:g} s{without}."
+            f"{len(set(each.samples.captions))} different captions{cropped if each.num_cropped else ''}{without}."
         )
     chance = ", ".join(f"{rank / protocol.pool:.3f}" for rank in (1, 2, 3))
     return (
