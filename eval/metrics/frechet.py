@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 
 from eval.metrics.gaussian import FeatureSums, Gaussian, feature_sums, fit_gaussian
 
@@ -28,7 +29,9 @@ def frechet_distance(a: Gaussian, b: Gaussian) -> float:
 
 def fid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"]) -> float:
     """Fréchet distance between the Gaussians of two feature sets, in float64; see `frechet_distance`."""
-    return frechet_distance(fit_gaussian(real), fit_gaussian(generated))
+    # On a busy machine the linear algebra library's threads wait for one another: ten times slower than one.
+    with threadpool_limits(1, "blas"):
+        return frechet_distance(fit_gaussian(real), fit_gaussian(generated))
 
 
 @dataclass(frozen=True)

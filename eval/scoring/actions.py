@@ -57,7 +57,7 @@ def score_actions(
     if unknown := set(references) - {"", "train", "test"}:
         raise ValueError(f'references are named "", "train" or "test", not {sorted(unknown)}')
     tally = Tally()
-    # As in `score_text_motion`: one thread of the linear algebra library is fastest for matrices of this size.
+    # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         gaussians = {name: fit_gaussian(features) for name, features in references.items()}
         for replication in range(protocol.replications):

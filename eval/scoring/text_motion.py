@@ -73,7 +73,7 @@ def score_text_motion(
     for draw in draws:
         _check(real, draw, protocol)
     tally, fids = Tally(), _Fids(real, draws, protocol)
-    # The linear algebra library's threads wait for one another where the machine has other work: 30 times slower.
+    # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         for replication in range(protocol.replications):
             which = replication % len(draws)

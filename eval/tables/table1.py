@@ -117,7 +117,7 @@ def _models(request: TableRequest, missing: list[str]) -> tuple[_Model, ...]:
     fixed = request.run.with_name(request.run.name + FIXED_SUFFIX)
     for name, run, setting in ((NERM, request.run, ""), (FIXED, fixed, " --set field.fixed_fps=20")):
         if not run.is_dir():
-            missing.append(f"{name}: there is no run {str(run)!r} (motionkit train --run {run.name}{setting} makes it)")
+            missing.append(f"{name}: there is no run {run.name!r} (motionkit train --run {run.name}{setting} makes it)")
             continue
         try:
             model = load_model("nerm", run)
