@@ -25,6 +25,8 @@ PARTS_OF_SPEECH = (
 )
 OTHER = PARTS_OF_SPEECH.index("OTHER")
 START, END, UNKNOWN = "sos", "eos", "unk"
+# What an exported folder has for captions without tokens. A tagger says it of single words, hardly of whole sentences.
+UNTAGGED, UNTAGGED_WORDS = "X", 3
 
 _IMPORTANT = {
     "Loc_VIP": "left right clockwise counterclockwise anticlockwise forward back backward up down straight curve",
@@ -86,6 +88,11 @@ def _tokens(caption: Caption) -> list[tuple[str, str]]:
         if not slash or not word:
             raise GuoError(f"caption {caption.text!r}: token {token!r} is not of the form word/POS")
         pairs.append((word, part))
+    if len(pairs) >= UNTAGGED_WORDS and all(part == UNTAGGED for _, part in pairs):
+        raise GuoError(
+            f"caption {caption.text!r}: all its tokens are /X, as motionkit writes them for captions that nobody "
+            "tagged; take the tokens of HumanML3D's or KIT's own texts"
+        )
     return pairs
 
 

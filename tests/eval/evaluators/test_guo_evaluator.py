@@ -253,6 +253,9 @@ def test_what_it_cannot_read_is_explained(evaluator: GuoEvaluator) -> None:
     for tokens, message in (("", "has no word/POS tokens"), ("walk", "'walk' is not of the form"), ("/X", "'/X' is")):
         with pytest.raises(GuoError, match=f"caption 'somebody walks'.*{message}"):
             evaluator.embed_texts([Caption("somebody walks", tokens=tokens)])
+    with pytest.raises(GuoError, match="all its tokens are /X"):
+        evaluator.embed_texts([Caption("a man walks", tokens="a/X man/X walks/X")])
+    assert evaluator.embed_texts([Caption("hop", tokens="hop/X"), Caption("…", tokens="a/X man/NOUN walk/X")]).size
     with pytest.raises(GuoError, match="--glove DIR"):
         GuoEvaluator(evaluator.networks, evaluator.statistics).embed_texts([])
 
