@@ -15,8 +15,9 @@ class SampleSet:
     """Sequences of joint positions at one framerate, one after another in `positions` [rows, 22, 3] (metres, y up).
 
     Sequence i holds rows start_row[i] … start_row[i] + num_frames[i]; `sequence_ids`, `captions` and `actions` have one
-    entry each ("" where there is none). `local_rotations`, where motions have true ones, are unit quaternions
-    (w, x, y, z) of the same rows, relative to the parent; SMPL's own skeleton may give 24 joints, the hands last.
+    entry each ("" where there is none), and so have `groups`: motions of one group answer the same prompt.
+    `local_rotations`, where motions have true ones, are unit quaternions (w, x, y, z) of the same rows, relative to the
+    parent; SMPL's own skeleton may give 24 joints, the hands last.
     """
 
     name: str
@@ -27,11 +28,13 @@ class SampleSet:
     captions: tuple[str, ...] = ()
     actions: tuple[str, ...] = ()
     local_rotations: Float32[np.ndarray, "rows rotations 4"] | None = None
+    groups: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if int(self.num_frames.sum()) != len(self.positions):
             raise ValueError(f"{len(self.positions)} rows for sequences of {int(self.num_frames.sum())} frames in all")
-        for name, values in (("ids", self.sequence_ids), ("captions", self.captions), ("actions", self.actions)):
+        texts = {"captions": self.captions, "actions": self.actions, "groups": self.groups}
+        for name, values in {"ids": self.sequence_ids, **texts}.items():
             if len(values) not in ((len(self.num_frames),) if name == "ids" else (0, len(self.num_frames))):
                 raise ValueError(f"{len(values)} {name} for {len(self.num_frames)} sequences")
         if self.local_rotations is not None and len(self.local_rotations) != len(self.positions):
@@ -71,18 +74,26 @@ class SampleSet:
             [self.sequence_ids[index] for index in chosen],
             [self.captions[index] for index in chosen] if self.captions else (),
             [self.actions[index] for index in chosen] if self.actions else (),
+            [self.groups[index] for index in chosen] if self.groups else (),
         )
         if self.local_rotations is None:
             return made
         rows = np.concatenate([self.start_row[index] + np.arange(self.num_frames[index]) for index in chosen])
         return replace(made, local_rotations=self.local_rotations[rows])
 
+    def rows_by_group(self) -> dict[str, list[int]]:
+        """Which sequences answer each prompt, prompts in order of appearance; without groups each its own."""
+        found: dict[str, list[int]] = {}
+        for index, group in enumerate(self.groups or self.sequence_ids):
+            found.setdefault(group, []).append(index)
+        return found
+
     def with_positions(
         self, name: str, fps: Fraction, sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]]
     ) -> "SampleSet":
         """The same sequences by id, with other positions at another framerate and no rotations."""
         made = sample_set(name, fps, sequences, self.sequence_ids)
-        return replace(made, captions=self.captions, actions=self.actions)
+        return replace(made, captions=self.captions, actions=self.actions, groups=self.groups)
 
     def __repr__(self) -> str:
         return (
@@ -97,6 +108,7 @@ def sample_set(
     sequence_ids: Sequence[str],
     captions: Sequence[str] = (),
     actions: Sequence[str] = (),
+    groups: Sequence[str] = (),
 ) -> SampleSet:
     """Lay sequences one after another. Raises `ValueError` where there is none or one holds NaN."""
     if not len(sequences):
@@ -106,4 +118,5 @@ def sample_set(
         bad = next(i for i, sequence in enumerate(sequences) if not np.isfinite(sequence).all())
         raise ValueError(f"sample set {name!r}: sequence {sequence_ids[bad]!r} holds NaN or infinity")
     num_frames = np.array([len(sequence) for sequence in sequences], dtype=np.int64)
-    return SampleSet(name, fps, positions, num_frames, tuple(sequence_ids), tuple(captions), tuple(actions))
+    texts = (tuple(sequence_ids), tuple(captions), tuple(actions))
+    return SampleSet(name, fps, positions, num_frames, *texts, groups=tuple(groups))

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from eval.tables.registry import TableRequest
 
 DEFAULT_RUN = "nano"
+SHOWN_PROBLEMS = 10
 
 
 def evaluate(
@@ -45,8 +46,19 @@ def evaluate(
     replications: Annotated[int, typer.Option(min=1, help="Independent repetitions behind the intervals.")] = 20,
     sizes: Annotated[str, typer.Option(help="Clip sizes: poses 16:64, or seconds 0.4s:1.6s.")] = "16:64",
     samples: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=DIR", help="A folder of another system's motions, as a row.")
+        list[str] | None,
+        typer.Option(metavar="NAME=DIR", help="A folder of another system's motions, as a row (docs/samples.md)."),
     ] = None,
+    samples_fps: Annotated[
+        str | None,
+        typer.Option("--samples-fps", metavar="FPS", help="Framerate of samples whose files do not say it."),
+    ] = None,
+    allow_broken: Annotated[
+        bool,
+        typer.Option(
+            "--allow-broken", help="Exit with 0 although samples that cannot be read, or hold NaN, were left out."
+        ),
+    ] = False,
     low_pass: Annotated[
         float | None, typer.Option("--low-pass", min=0.1, metavar="HZ", help="Smooth every set, real ones too, first.")
     ] = None,
@@ -83,6 +95,7 @@ def evaluate(
 ) -> None:
     """Build one of the papers' tables or figures, or calibrate the features that clip-FID is computed on."""
     from eval.clip_fid import Protocol
+    from eval.sample_folder import SampleOptions
     from eval.tables.registry import TableRequest, installed_tables
 
     if sum((table is not None, figure is not None, calibrate)) != 1:
@@ -97,6 +110,7 @@ def evaluate(
         fps=_framerates(fps),
         protocol=Protocol(sizes=_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
         samples=_samples(samples or []),
+        sample_options=SampleOptions(_framerate(samples_fps)),
         features=tuple(evaluator.split(",")) if evaluator else None,
         guo=_guo_files(weights, glove, statistics),
         low_pass_hz=low_pass,
@@ -107,6 +121,25 @@ def evaluate(
         seed=seed,
     )
     _build(request, table if figure is None else f"figure{figure}", paper, as_json)
+    if not allow_broken:
+        _refuse_broken(request)
+
+
+def _refuse_broken(request: "TableRequest") -> None:
+    """Name every sample that the table does without, and end with exit code 1."""
+    from eval.sample_folder import SampleFolderError
+
+    incomplete = [folder for folder in request.sample_folders if folder.left_out]
+    for folder in incomplete:
+        for problem in folder.left_out[:SHOWN_PROBLEMS]:
+            stderr.print(f"left out of {folder.name!r}: {problem}", markup=False)
+        if len(folder.left_out) > SHOWN_PROBLEMS:
+            stderr.print(
+                f"… and {len(folder.left_out) - SHOWN_PROBLEMS:,} more: motionkit samples FOLDER", markup=False
+            )
+    if incomplete:
+        names = ", ".join(f"{len(folder.left_out):,} of {folder.name!r}" for folder in incomplete)
+        raise SampleFolderError(f"the table was built without broken samples ({names}); --allow-broken accepts that")
 
 
 def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool) -> None:
@@ -138,6 +171,15 @@ def _guo_files(weights: Path | None, glove: Path | None, statistics: Path | None
             raise UsageError(f"{unused} belongs to a published evaluator: name its weights with --weights finest.tar")
         return None
     return GuoFiles(weights, glove, statistics)
+
+
+def _framerate(text: str | None) -> "Fraction | None":
+    from motionkit.timegrid import parse_fps
+
+    try:
+        return None if text is None else parse_fps(text)
+    except ValueError as error:
+        raise UsageError(f"--samples-fps {text}: {error}") from None
 
 
 def _framerates(text: str | None) -> "tuple[Fraction, ...] | None":

@@ -6,13 +6,20 @@ A package adds its own table the same way; the entry point's name is `PAPER-NUMB
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from eval.clip_fid import Protocol
 from eval.evaluators.guo_files import GuoFiles
 from eval.report.results import Result
+from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
+from motionkit.console import progress
 from motionkit.errors import UsageError
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
 
 
 @dataclass(frozen=True)
@@ -34,6 +41,7 @@ class TableRequest:
     fps: tuple[Fraction, ...] | None = None
     protocol: Protocol = field(default_factory=Protocol)
     samples: Mapping[str, Path] = field(default_factory=dict)
+    sample_options: SampleOptions = field(default_factory=SampleOptions)
     features: tuple[str, ...] | None = None
     guo: GuoFiles | None = None
     low_pass_hz: float | None = None
@@ -47,6 +55,20 @@ class TableRequest:
     def restriction(self) -> str:
         """What `where` adds to a caption that names the split; empty without it."""
         return f" where {self.where}" if self.where else ""
+
+    @cached_property
+    def sample_folders(self) -> tuple[SampleFolder, ...]:
+        """The motions of every folder of samples, read when they are first asked for; raises `SampleFolderError`."""
+        folders = []
+        with progress() as display:
+            for name, path in self.samples.items():
+                task = display.add_task(f"reading {name}", total=None, note="")
+
+                def show(done: int, total: int, task: "TaskID" = task) -> None:
+                    display.update(task, completed=done, total=total)
+
+                folders.append(read_sample_folder(name, path, self.sample_options, show))
+        return tuple(folders)
 
 
 @dataclass(frozen=True)

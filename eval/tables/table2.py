@@ -1,10 +1,12 @@
 """NeRM's Table 2: clip-FID at 20, 40, 60, 100 and 120 fps."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from eval.baselines.low_pass import low_passed
 from eval.baselines.upsampled import upsampled
@@ -15,6 +17,7 @@ from eval.clip_fid import (
     ClipFid,
     Protocol,
     check_lengths,
+    gather_clips,
     score_disjoint_halves,
     score_rows,
 )
@@ -26,7 +29,7 @@ from eval.memorisation import SAMPLED_FPS
 from eval.real import NoRealMotionError, RealMotion, real_motion
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.reported import SOURCES, reported_figures
-from eval.sample_folder import SampleFolder, read_sample_folder
+from eval.sample_folder import SampleFolder
 from eval.samples import SampleSet
 from eval.tables.nearest_training import nearest_training_block
 from eval.tables.registry import Table, TableRequest
@@ -101,9 +104,9 @@ def build_table2(request: TableRequest) -> Result:
     from motionkit.store.reader import Store
 
     store = Store.open(request.store)
+    folders = request.sample_folders
     real = real_motion(store, request.split, request.where)
     train = _training_motion(store, real)
-    folders = [read_sample_folder(name, folder) for name, folder in request.samples.items()]
     notes = ROW_NOTES | {folder.name: folder.describe() for folder in folders}
     missing: list[str] = []
     with progress() as display:
@@ -183,7 +186,7 @@ def _column(
     real: RealMotion,
     train: RealMotion,
     fields: Mapping[Window, MotionField],
-    folders: list[SampleFolder],
+    folders: Sequence[SampleFolder],
     missing: list[str],
 ) -> _Column:
     reference = real.at(fps)
@@ -212,7 +215,7 @@ def _nearest_training(
     real: RealMotion,
     train: RealMotion,
     fields: Mapping[Window, MotionField],
-    folders: list[SampleFolder],
+    folders: Sequence[SampleFolder],
     notes: Mapping[str, str],
     missing: list[str],
 ) -> tuple[Block, ...]:
@@ -247,6 +250,7 @@ def _block(
     protocol = source.protocol(request.protocol)
     cells: dict[str, dict[str, Cell]] = {}
     fingerprints: dict[str, str] = {}
+    warnings: dict[str, None] = {}
     for column in columns:
         label = _label(column.fps)
         if column.train is None:
@@ -261,6 +265,7 @@ def _block(
         fingerprints[label] = features.fingerprint
         if isinstance(features, KinematicDescriptor):
             features.save(_made(request.results / "features") / f"kinematic-{features.fingerprint}.npz")
+        warnings |= dict.fromkeys(_too_few(column, features, protocol))
         for name, score in _scores(column, features, source, protocol, display, missing).items():
             cells.setdefault(name, {})[label] = clip_fid_cell(score)
     references = {P1, P2, SLERP, VECTORS}
@@ -275,9 +280,30 @@ def _block(
         source.title,
         labels,
         rows,
-        note=source.note,
+        note=" ".join((source.note, *warnings)).strip(),
         provenance={"fingerprints": fingerprints, "replications": protocol.replications},
     )
+
+
+def _too_few(column: _Column, features: FeatureSet, protocol: Protocol) -> list[str]:
+    """What must be said where there are no more samples than features: covariances are then singular."""
+    poses = gather_clips(column.real, np.zeros(1, dtype=np.int64), int(protocol.sizes.sizes(column.fps).min()))
+    num_features = features.describe(poses, column.fps).shape[1]
+    advice = "quote KID, precision and recall (in the JSON's details), and give more"
+    found = []
+    if protocol.num_clips <= num_features:
+        found.append(
+            f"With {protocol.num_clips} clips for {num_features} features every covariance is singular: clip-FID is "
+            f"still the distance of the two fitted Gaussians, and says little about the motions; {advice} clips."
+        )
+    few = {name: rows.num_sequences for name, rows in column.rows.items() if rows.num_sequences <= num_features}
+    few = {name: count for name, count in few.items() if name not in ROW_NOTES}
+    found += [
+        f"{name!r} has {count} motions, no more than there are features ({num_features}): its clips are parts of the "
+        f"same few motions, and its clip-FID says how those differ; {advice} motions."
+        for name, count in few.items()
+    ]
+    return found
 
 
 def _scores(

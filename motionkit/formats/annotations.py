@@ -2,7 +2,8 @@
 
 The first row names the columns: `file` (path from the CSV's folder) and any of `caption`, `caption_kit` (a second
 caption), `captions` (any number, as JSON), `action`, `style`, `subject`, `split`, `fps`, `stated_fps`, `licence`,
-`source`, `subset`; others are ignored.
+`source`, `subset`; of generated motions also `group` (those of one prompt share it) and `num_frames` (how many of the
+file's frames are motion, the rest being padding). Others are ignored.
 """
 
 import csv
@@ -23,7 +24,7 @@ from motionkit.timegrid import parse_fps
 COLUMNS = frozenset(
     (
         *("caption", "caption_kit", "captions", "action", "style", "subject", "split"),
-        *("fps", "stated_fps", "licence", "source", "subset"),
+        *("fps", "stated_fps", "licence", "source", "subset", "group", "num_frames"),
     )
 )
 CAPTION_COLUMNS = ("caption", "caption_kit")
@@ -45,6 +46,8 @@ class Annotation:
     licence: str = ""
     source: str = ""
     subset: str = ""
+    group: str = ""
+    num_frames: int | None = None
     line: int = 0
 
 
@@ -141,10 +144,20 @@ def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotat
         fps = parse_fps(cell["fps"]) if cell["fps"] else None
     except ValueError as error:
         raise FormatError(f"fps {cell['fps']!r}: {error}", path=path, reason="frame-time", line=line) from None
+    if cell["num_frames"] and not (cell["num_frames"].isdecimal() and int(cell["num_frames"])):
+        raise FormatError(
+            f"num_frames {cell['num_frames']!r}, expected how many frames are motion",
+            path=path,
+            reason="annotations",
+            line=line,
+        )
+    num_frames = int(cell["num_frames"]) if cell["num_frames"] else None
     sentences = dict.fromkeys(cell[name] for name in CAPTION_COLUMNS if cell[name])
     captions = (*(Caption(text) for text in sentences), *_captions(cell["captions"], path, line))
-    names = ("action", "style", "subject", "split", "stated_fps", "licence", "source", "subset")
-    return Annotation(captions=captions, fps=fps, line=line, **{name: cell[name] for name in names})
+    names = ("action", "style", "subject", "split", "stated_fps", "licence", "source", "subset", "group")
+    return Annotation(
+        captions=captions, fps=fps, num_frames=num_frames, line=line, **{name: cell[name] for name in names}
+    )
 
 
 def _captions(cell: str, path: Path, line: int) -> tuple[Caption, ...]:

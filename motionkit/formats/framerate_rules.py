@@ -67,7 +67,7 @@ def parse_rules(text: str, name: str) -> tuple[FramerateRule, ...]:
 def matching_rules(path: Path, root: Path, rules: tuple[FramerateRule, ...]) -> tuple[FramerateRule, ...]:
     """The rules whose globs fit a file, seen from the folder that holds its source."""
     place = f"{root.name}/{path.relative_to(root).as_posix()}"
-    return tuple(rule for rule in rules if any(_regex(glob).search(place) for glob in rule.files))
+    return tuple(rule for rule in rules if any(glob_pattern(glob).search(place) for glob in rule.files))
 
 
 def corrected(motion: Motion, rules: tuple[FramerateRule, ...]) -> Motion:
@@ -113,9 +113,11 @@ def _rate(value: Any, where: str, key: str) -> Fraction:
 
 
 @lru_cache(maxsize=1024)
-def _regex(glob: str) -> re.Pattern[str]:
-    # Fits the end of a path, from the beginning of a folder's or the file's name: * and ? stay inside a name, **/ is
-    # any number of folders, [abc] one of these characters.
+def glob_pattern(glob: str) -> re.Pattern[str]:
+    """A glob that fits the end of a path, from the beginning of a folder's or the file's name.
+
+    * and ? stay inside a name, **/ is any number of folders, [abc] one of these characters.
+    """
     pattern = ""
     for part in re.findall(r"\*\*/|\*|\?|\[[^\]/]+\]|.", glob, re.DOTALL):
         match part:

@@ -97,6 +97,11 @@ def read_exact(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -> 
     return _parse(archive, key, shape, npy.NUMBERS).astype(np.float64)
 
 
+def read_plain(archive: NpzArchive, key: str) -> np.ndarray:
+    """A numeric member as it is, of any shape and type; NaN is let through. Raises `FormatError` as `read_exact`."""
+    return _parse(archive, key, None, npy.NUMBERS)
+
+
 def read_strings(archive: NpzArchive, key: str) -> tuple[str, ...]:
     """A member of strings in one list (a single string is a list of one); raises `FormatError` as `read_exact`."""
     found = _parse(archive, key, None, npy.STRINGS).ravel()

@@ -1,0 +1,182 @@
+"""Motions in numpy files as other systems write them: any order of axes that cannot be mistaken, batches, dictionaries.
+
+An array is joint positions (21, 22 or 24 joints) with frames first (`[T, J, 3]`) or last (`[J, 3, T]`), or pose vectors
+of 263 or 251 numbers (`[T, D]`, or `[D, 1, T]`), or a batch of these. J · 3 beside the 3 tells joint axes apart: the 3
+stands last or before last.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motionkit.errors import FormatError
+from motionkit.formats import sourcefile
+from motionkit.formats.arrays import npy, npz_archive
+from motionkit.formats.arrays.pickled_data import is_pickled, read_pickled_dict
+from motionkit.timegrid import parse_fps
+
+JOINTS = frozenset({21, 22, 24})
+WIDTHS = frozenset({251, 263})
+MOTION_KEYS = ("motion", "motions", "joints", "joint_positions")
+TEXT_KEYS = ("text", "texts", "captions", "caption")
+ACTION_KEYS = ("action_text", "action")
+NAMES = "name", "sequence_id"
+EXPECTED = (
+    "expected frames × joints × 3 or joints × 3 × frames (21, 22 or 24 joints), frames × 263 or 251 pose vectors, or a "
+    "batch of these"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredMotion:
+    """One motion as it lies in a file: `numbers` are joints [T, J, 3] or pose vectors [T, D], a view where it can be.
+
+    `index` is its place in a batch, None where the file holds one motion.
+    """
+
+    numbers: np.ndarray
+    index: int | None = None
+    caption: str = ""
+    action: str = ""
+    group: str = ""
+    fps: Fraction | None = None
+
+    @property
+    def is_vectors(self) -> bool:
+        """Whether these are pose vectors, not joints."""
+        return self.numbers.ndim == 2
+
+
+def read_stored(path: Path) -> list[StoredMotion]:
+    """All motions of a .npy or .npz file. Raises `FormatError` for what holds none; NaN is let through."""
+    if path.suffix.lower() == ".npz":
+        return _of_dictionary(_archive(path), path)
+    if is_pickled(path):
+        return _of_dictionary(read_pickled_dict(path), path)
+    motions, batched = split_motions(npy.parse_npy(path, sourcefile.read_bytes(path), None), path)
+    return [StoredMotion(numbers, index if batched else None) for index, numbers in enumerate(motions)]
+
+
+def split_motions(array: np.ndarray, path: Path) -> tuple[list[np.ndarray], bool]:
+    """Motions [T, J, 3] or [T, D] in an array, frames first, and whether it is a batch of more than one.
+
+    Raises `FormatError` (`channel-count`, `no-frames`) for other shapes.
+    """
+    shape = array.shape
+    if 0 in shape:
+        raise FormatError(f"array of shape {shape}, expected at least one frame", path=path, reason="no-frames")
+    motions = _motions(array)
+    if motions is None:
+        raise FormatError(f"array of shape {shape}, {EXPECTED}", path=path, reason="channel-count")
+    return motions, len(motions) > 1
+
+
+def _motions(array: np.ndarray) -> list[np.ndarray] | None:
+    match array.shape:
+        case (_, width) if width in WIDTHS:
+            return [array]
+        case (_, joints, 3) if joints in JOINTS:
+            return [array]
+        case (joints, 3, _) if joints in JOINTS:
+            return [array.transpose(2, 0, 1)]
+        case (_, _, width) if width in WIDTHS:
+            return list(array)
+        case (width, 1, _) if width in WIDTHS:
+            return [array[:, 0].T]
+        case (_, _, joints, 3) if joints in JOINTS:
+            return list(array)
+        case (_, joints, 3, _) if joints in JOINTS:
+            return list(array.transpose(0, 3, 1, 2))
+        case (_, width, 1, _) if width in WIDTHS:
+            return list(array[:, :, 0].transpose(0, 2, 1))
+    return None
+
+
+def _archive(path: Path) -> dict[str, Any]:
+    """The members of an .npz file that are of use here: arrays as they are, texts as lists."""
+    archive = npz_archive.open_archive(path, sourcefile.read_bytes(path))
+    found: dict[str, Any] = {}
+    for key in archive.members:
+        if key in (*TEXT_KEYS, *ACTION_KEYS):
+            found[key] = list(npz_archive.read_strings(archive, key))
+        elif key in (*MOTION_KEYS, "lengths"):
+            found[key] = npz_archive.read_plain(archive, key)
+        elif key in ("num_samples", "num_repetitions", "fps"):
+            found[key] = npz_archive.read_scalar(archive, key)
+    return found
+
+
+def _of_dictionary(found: Mapping[str, Any], path: Path) -> list[StoredMotion]:
+    """Motions of a dictionary such as MDM's: a batch under `motion`, with lengths, texts and repetitions beside it.
+
+    Repetitions follow one another: motion r · num_samples + s is repetition r of prompt s (motion-diffusion-model,
+    sample/generate.py). What lies beyond a motion's length is padding.
+    """
+    array = next((found[key] for key in MOTION_KEYS if isinstance(found.get(key), np.ndarray)), None)
+    if array is None:
+        held = ", ".join(sorted(map(str, found)))[:200] or "nothing that is known"
+        raise FormatError(
+            f"no array 'motion'; it holds {held} (docs/samples.md says how to export)", path=path, reason="missing-key"
+        )
+    if array.dtype.kind not in "fiu":
+        raise FormatError(f"array of {array.dtype}, expected numbers", path=path, reason="not-a-number")
+    motions, batched = split_motions(array, path)
+    lengths = _lengths(found.get("lengths"), motions, path)
+    captions = _texts(found, TEXT_KEYS, len(motions), path)
+    actions = _texts(found, ACTION_KEYS, len(motions), path)
+    groups = _groups(found, len(motions), path)
+    fps = _fps(found.get("fps"), path)
+    return [
+        StoredMotion(numbers[:length], index if batched else None, caption, action, group, fps)
+        for index, (numbers, length, caption, action, group) in enumerate(
+            zip(motions, lengths, captions, actions, groups, strict=True)
+        )
+    ]
+
+
+def _lengths(stated: object, motions: Sequence[np.ndarray], path: Path) -> list[int]:
+    if stated is None:
+        return [len(numbers) for numbers in motions]
+    lengths = np.asarray(stated).ravel()
+    if lengths.dtype.kind not in "iu" or len(lengths) != len(motions):
+        raise FormatError(f"lengths of shape {lengths.shape} for {len(motions)} motions", path=path, reason="lengths")
+    frames = len(motions[0])
+    if lengths.min() < 1 or lengths.max() > frames:
+        raise FormatError(
+            f"lengths from {lengths.min()} to {lengths.max()} for {frames} frames", path=path, reason="lengths"
+        )
+    return [int(length) for length in lengths]
+
+
+def _texts(found: Mapping[str, Any], keys: Sequence[str], count: int, path: Path) -> list[str]:
+    values = next((found[key] for key in keys if key in found), None)
+    if values is None:
+        return [""] * count
+    texts = [values] if isinstance(values, str) else [str(value) for value in values]
+    if len(texts) != count:
+        raise FormatError(f"{len(texts)} texts for {count} motions", path=path, reason="channel-count")
+    return texts
+
+
+def _groups(found: Mapping[str, Any], count: int, path: Path) -> list[str]:
+    samples, repetitions = found.get("num_samples"), found.get("num_repetitions")
+    if samples is None or repetitions is None:
+        return [""] * count
+    if not isinstance(samples, int) or samples < 1 or samples * int(repetitions) != count:
+        raise FormatError(
+            f"{samples} samples × {repetitions} repetitions for {count} motions", path=path, reason="channel-count"
+        )
+    return [str(index % samples) for index in range(count)]
+
+
+def _fps(stated: object, path: Path) -> Fraction | None:
+    if stated is None:
+        return None
+    try:
+        return parse_fps(stated if isinstance(stated, (int, float, str)) else str(stated))
+    except ValueError as error:
+        raise FormatError(f"fps: {error}", path=path, reason="framerate") from None

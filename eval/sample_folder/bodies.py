@@ -1,0 +1,149 @@
+"""Whether positions are those of a human body in metres that stands along y: units, axes, padding."""
+
+import numpy as np
+from jaxtyping import Float, Float32, Int64
+
+from eval.sample_folder.folder import SampleFolder, SampleFolderError
+from eval.sample_folder.manifest import MANIFEST
+from motionkit.formats.body_frame import PLAUSIBLE_FACTOR, TRUNK_AND_LEGS, TYPICAL_HEIGHT_METRES, UNITS
+from motionkit.formats.pose_folders import kit
+from motionkit.skeleton import KIT21, SMPL22, Skeleton
+
+KIT_TRUNK_AND_LEGS = (
+    *(("LA", "LK"), ("LK", "LH"), ("root", "BP"), ("BP", "BT"), ("BT", "BLN"), ("BLN", "BUN")),
+    *(("RA", "RK"), ("RK", "RH")),
+)
+POSES_PER_MOTION = 8
+MOST_BONE_VARIATION = 0.25
+STILL_METRES = 1e-4
+PADDED_SECONDS = 0.5
+
+
+def _chain(skeleton: Skeleton, bones: tuple[tuple[str, str], ...]) -> list[tuple[int, int]]:
+    return [(skeleton.index(a), skeleton.index(b)) for a, b in bones]
+
+
+CHAINS = {SMPL22.num_joints: _chain(SMPL22, TRUNK_AND_LEGS), KIT21.num_joints: _chain(KIT21, KIT_TRUNK_AND_LEGS)}
+
+
+def _bones(joints: Float[np.ndarray, "poses joints 3"]) -> Float[np.ndarray, "poses bones"]:
+    first, second = np.array(CHAINS[joints.shape[1]]).T
+    lengths: Float[np.ndarray, "poses bones"] = np.linalg.norm(joints[:, first] - joints[:, second], axis=-1)
+    return lengths
+
+
+def standing_metres(joints: Float[np.ndarray, "poses joints 3"]) -> float:
+    """Median length from ankle to head along the bones; of KIT's 21 joints, to the neck with both legs averaged."""
+    lengths = _bones(joints)
+    if joints.shape[1] == KIT21.num_joints:
+        lengths = lengths * np.array([0.5, 0.5, 1, 1, 1, 1, 0.5, 0.5])
+    return float(np.median(lengths.sum(axis=1)))
+
+
+def bone_variation(joints: Float[np.ndarray, "poses joints 3"]) -> float:
+    """Median over the bones of std ÷ mean of a bone's length; 0 for a rigid body."""
+    lengths = _bones(joints)
+    return float(np.median(lengths.std(axis=0) / np.maximum(lengths.mean(axis=0), 1e-9)))
+
+
+def is_body(joints: Float[np.ndarray, "poses joints 3"]) -> bool:
+    """Whether the typical pose measures what a person does in metres, within a factor of 2.2."""
+    return _factor(standing_metres(joints)) <= PLAUSIBLE_FACTOR
+
+
+def _factor(metres: float) -> float:
+    return max(metres / TYPICAL_HEIGHT_METRES, TYPICAL_HEIGHT_METRES / metres) if metres > 0 else np.inf
+
+
+def some_poses(folder: SampleFolder) -> Float32[np.ndarray, "motions poses joints 3"]:
+    """A few poses of each motion, evenly spaced."""
+    share = np.linspace(0, 1, POSES_PER_MOTION)
+    rows = folder.start_row[:, None] + np.rint(share * (folder.num_frames[:, None] - 1)).astype(np.int64)
+    poses: Float32[np.ndarray, "motions poses joints 3"] = folder.positions[rows]
+    return poses
+
+
+def check_bodies(folder: SampleFolder) -> tuple[str, ...]:
+    """Remarks about bodies that are odd. Raises `SampleFolderError` where most are no human bodies in metres."""
+    poses = some_poses(folder)
+    lengths = _bones(poses.reshape(-1, SMPL22.num_joints, 3)).reshape(*poses.shape[:2], -1)
+    metres = np.median(lengths.sum(axis=2), axis=1)
+    typical = float(np.median(metres))
+    if _factor(typical) > PLAUSIBLE_FACTOR:
+        raise SampleFolderError(f"--samples {folder.name}: {_size_message(typical)}")
+    variation = float(np.median(lengths.std(axis=1) / np.maximum(lengths.mean(axis=1), 1e-9)))
+    if variation > MOST_BONE_VARIATION:
+        raise SampleFolderError(
+            f"--samples {folder.name}: the bones' lengths vary by {100 * variation:.0f} % within a motion, so these "
+            "are no positions of the 22 SMPL (or 21 KIT) joints in their order"
+        )
+    odd = np.count_nonzero((metres > PLAUSIBLE_FACTOR * typical) | (metres * PLAUSIBLE_FACTOR < typical))
+    return (f"the bodies of {odd:,} motions are {PLAUSIBLE_FACTOR} times larger or smaller than most",) if odd else ()
+
+
+def _size_message(metres: float) -> str:
+    found = f"the bodies measure {metres:.3g} m from ankle to head, people {TYPICAL_HEIGHT_METRES} m"
+    units = {**UNITS, "KIT-ML's unit": kit.UNIT_METRES}
+    name, unit = min(units.items(), key=lambda entry: _factor(metres * entry[1]))
+    if _factor(metres * unit) > PLAUSIBLE_FACTOR:
+        needed = TYPICAL_HEIGHT_METRES / metres if metres > 0 else np.inf
+        return (
+            f"{found}, and no usual unit mends it (unit_metres = {needed:.3g} in {MANIFEST} would): are these "
+            "positions of the 22 SMPL joints?"
+        )
+    return f"{found}; write unit_metres = {unit:.6g} into {MANIFEST} if they are in {name} ({metres * unit:.2f} m)"
+
+
+def turn_upright(positions: Float32[np.ndarray, "rows joints 3"], starts: Int64[np.ndarray, "motions"], up: str) -> str:
+    """Turn motions in place so that most bodies stand along +y, and say so; `up` states the axis, "" asks the bodies.
+
+    All motions are turned alike, because a body that lies down says nothing about the axes.
+    """
+    if not len(starts):
+        return ""
+    if not up:
+        head, feet = SMPL22.index("head"), [SMPL22.index("left_ankle"), SMPL22.index("right_ankle")]
+        upward = positions[starts, head] - positions[starts][:, feet].mean(axis=1)
+        _, y, z = upward.T
+        if 2 * np.count_nonzero(z > 2 * np.abs(y)) > len(starts):
+            up = "z"
+        elif 2 * np.count_nonzero(-y > 2 * np.abs(z)) > len(starts):
+            up = "-y"
+        else:
+            return ""
+    if up == "y":
+        return ""
+    if up == "z":
+        y = positions[..., 1].copy()
+        positions[..., 1] = positions[..., 2]
+        np.negative(y, out=positions[..., 2])
+        return "turned from z up to y up: (x, y, z) → (x, z, −y)"
+    np.negative(positions[..., 1:], out=positions[..., 1:])
+    return "turned from y down to y up: (x, y, z) → (x, −y, −z)"
+
+
+def padding_remark(folder: SampleFolder) -> tuple[str, ...]:
+    """A remark where motions end in a pose that stands still for half a second or more: padding, perhaps."""
+    seconds = []
+    for sequence, fps in zip(folder.sequences, folder.fps, strict=True):
+        still = _still_frames(sequence)
+        if PADDED_SECONDS * fps <= still < len(sequence) - 1:
+            seconds.append(still / float(fps))
+    if not seconds:
+        return ()
+    return (
+        f"{len(seconds):,} motions end in a frozen pose ({np.median(seconds):.1f} s in the median): if that is "
+        "padding, state their num_frames in a CSV beside them",
+    )
+
+
+def _still_frames(sequence: Float32[np.ndarray, "frames joints 3"]) -> int:
+    """Over how many last steps nothing but the root moves."""
+    tail = len(sequence)
+    for length in (3, 32, tail):
+        poses = sequence[-length:]
+        relative = poses - poses[:, :1]
+        moved = np.abs(np.diff(relative, axis=0)).max(axis=(1, 2)) > STILL_METRES
+        if moved.any():
+            return int(len(moved) - 1 - np.flatnonzero(moved)[-1])
+    return max(0, tail - 1)

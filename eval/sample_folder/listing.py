@@ -1,0 +1,177 @@
+"""What lies in a folder of samples: its arrays, its motions of known formats, the table beside them."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from eval.sample_folder.folder import SampleFolderError
+from eval.sample_folder.manifest import MANIFEST, Manifest, read_manifest
+from motionkit.errors import FormatError
+from motionkit.formats import annotations
+from motionkit.formats.annotations import Annotation
+from motionkit.formats.catalogue import FORMATS
+from motionkit.formats.folders import walk
+from motionkit.formats.framerate_rules import glob_pattern
+from motionkit.formats.items import SourceItem
+from motionkit.formats.registry import scan
+
+ARRAY_SUFFIXES = (".npy", ".npz")
+STATISTICS_NAMES = frozenset({"mean", "std"})
+# Copies that published code writes beside a sample X or X_pred: the real motion, the sample with its feet corrected.
+REFERENCE_ENDINGS, CORRECTED_ENDINGS = ("_gt", "_ref"), ("_ik",)
+GENERATED_ENDING = "_pred"
+PROGRAMS = frozenset({".pkl", ".pickle", ".pt", ".pth", ".joblib"})
+SHOWN_KINDS = 3
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The files of one folder of samples: `arrays` are read here, `items` by the formats that motionkit knows.
+
+    `rows` is what the CSV files beside them say, by file; `problems` are files that cannot be listed or told.
+    """
+
+    root: Path
+    manifest: Manifest
+    arrays: tuple[Path, ...]
+    items: tuple[SourceItem, ...]
+    rows: Mapping[Path, Annotation]
+    problems: tuple[FormatError, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def num_files(self) -> int:
+        """Number of files (of sequences, where a format's folder holds them) to read."""
+        return len(self.arrays) + len(self.items)
+
+    def place(self, path: Path) -> str:
+        """A file's path from the folder, without suffix: the id of the motion that it holds."""
+        return path.relative_to(self.root).with_suffix("").as_posix()
+
+
+def list_samples(name: str, source: Path) -> Listing:
+    """What a folder (or one file) of samples holds.
+
+    Raises `SampleFolderError` where there is nothing, `FormatError` for a broken manifest.
+    """
+    if not source.exists():
+        raise SampleFolderError(f"--samples {name}: there is no folder {str(source)!r}")
+    root = (source if source.is_dir() else source.parent).resolve()
+    manifest = read_manifest(root)
+    only = None if source.is_dir() else root / source.name
+    # What cannot be listed is one of the problems that `scan` finds below.
+    folders = list(walk(root, _is_claimed, lambda error: None)) if only is None else [(root, [only])]
+    rows, problems = _rows(folders)
+    items = _known_items(source, root, problems)
+    taken = {item.path for item in items}
+    arrays = [
+        path
+        for folder, files in folders
+        if only is not None or not _is_claimed(folder)
+        for path in files
+        if path.suffix.lower() in ARRAY_SUFFIXES and path not in taken and _may_be_motion(path, manifest)
+    ]
+    wanted = _Wanted(root, manifest)
+    arrays, items = wanted.among(arrays), [item for item in items if wanted(item.path)]
+    arrays, items, remarks = _without_copies(arrays, items, manifest)
+    if not arrays and not items and not problems:
+        raise SampleFolderError(f"--samples {name}: {_nothing(source, folders, manifest)}")
+    absent = [path for path in rows if not path.exists()]
+    if absent:
+        remarks.append(f"{len(absent):,} rows of the CSV describe files that are not there, first {absent[0].name!r}")
+    return Listing(root, manifest, tuple(arrays), tuple(items), rows, tuple(problems), tuple(remarks))
+
+
+class _Wanted:
+    """Whether the manifest's `files` and `exclude` let a file in."""
+
+    def __init__(self, root: Path, manifest: Manifest) -> None:
+        self._root = root
+        self._files = [glob_pattern(glob) for glob in manifest.files]
+        self._exclude = [glob_pattern(glob) for glob in manifest.exclude]
+
+    def __call__(self, path: Path) -> bool:
+        place = path.relative_to(self._root).as_posix()
+        included = not self._files or any(pattern.search(place) for pattern in self._files)
+        return included and not any(pattern.search(place) for pattern in self._exclude)
+
+    def among(self, paths: Iterable[Path]) -> list[Path]:
+        return [path for path in paths if self(path)]
+
+
+def _is_claimed(folder: Path) -> bool:
+    return any(entry.claims is not None and entry.claims(folder) for entry in FORMATS.values())
+
+
+def _rows(folders: Sequence[tuple[Path, list[Path]]]) -> tuple[dict[Path, Annotation], list[FormatError]]:
+    """All rows of the CSV files in these folders; one nearer to the file has the last word."""
+    rows: dict[Path, Annotation] = {}
+    problems: list[FormatError] = []
+    for folder, _ in folders:
+        for path in annotations.find_annotations(folder):
+            try:
+                table = annotations.read_annotations(path)
+            except FormatError as problem:
+                problems.append(problem)
+                continue
+            rows |= table.rows
+            problems += table.problems
+    return rows, problems
+
+
+def _known_items(source: Path, root: Path, problems: list[FormatError]) -> list[SourceItem]:
+    """The motions of formats that say everything themselves; plain arrays are none."""
+    found = scan([source])
+    told_here = ("caption-without-motion", "empty-folder", "unknown-format")
+    problems += [
+        problem
+        for problem in found.problems
+        if problem.reason not in told_here and problem.path not in {known.path for known in problems}
+    ]
+    return [item for item in found.items if item.format != "joints-npy"]
+
+
+def _may_be_motion(path: Path, manifest: Manifest) -> bool:
+    return path not in (manifest.mean, manifest.std) and path.stem.lower() not in STATISTICS_NAMES
+
+
+def _without_copies(
+    arrays: list[Path], items: list[SourceItem], manifest: Manifest
+) -> tuple[list[Path], list[SourceItem], list[str]]:
+    """Leave out what published code writes beside each sample, unless the manifest's `files` asks for it."""
+    remarks: list[str] = []
+    if manifest.files:
+        return arrays, items, remarks
+    stems = {path.with_suffix("") for path in (*arrays, *(item.path for item in items))}
+    dropped: Counter[str] = Counter()
+
+    def is_copy(path: Path) -> bool:
+        for kind, endings in (("real motions", REFERENCE_ENDINGS), ("foot-corrected copies", CORRECTED_ENDINGS)):
+            for ending in endings:
+                base = path.with_name(path.stem.removesuffix(ending))
+                if path.stem.endswith(ending) and stems & {base, base.with_name(base.name + GENERATED_ENDING)}:
+                    dropped[f"{kind} (*{ending})"] += 1
+                    return True
+        return False
+
+    arrays = [path for path in arrays if not is_copy(path)]
+    items = [item for item in items if not is_copy(item.path)]
+    named = {path.stem for path in arrays}
+    doubled = [item for item in items if item.path.stem in named and not item.key]
+    if doubled and len(doubled) == len([item for item in items if not item.key]):
+        items = [item for item in items if item.key]
+        dropped[f"{doubled[0].path.suffix} files of the same names as the arrays"] += len(doubled)
+    remarks += [f'{count:,} {what} left out (files = ["…"] chooses)' for what, count in dropped.items()]
+    return arrays, items, remarks
+
+
+def _nothing(source: Path, folders: Sequence[tuple[Path, list[Path]]], manifest: Manifest) -> str:
+    kinds = Counter(path.suffix.lower() or path.name for _, files in folders for path in files)
+    there = ", ".join(f"{count:,} {kind}" for kind, count in kinds.most_common(SHOWN_KINDS)) or "no files"
+    if manifest.files or manifest.exclude:
+        there += f"; files and exclude in {MANIFEST} choose among them"
+    pickles = " (a .pkl or .pt is a program: export its arrays, docs/samples.md)" if kinds.keys() & PROGRAMS else ""
+    return (
+        f"no motion was found in {str(source)!r}: it has {there}{pickles}; expected .npy, .npz, .bvh or another format"
+    )

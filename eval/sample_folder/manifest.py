@@ -1,0 +1,164 @@
+"""`samples.toml`: what a folder of samples cannot say by itself (docs/samples.md)."""
+
+import os
+import re
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from motionkit.errors import FormatError
+from motionkit.formats import sourcefile
+from motionkit.timegrid import parse_fps
+
+MANIFEST = "samples.toml"
+RAW, NORMALISED = "raw", "normalised"
+# Which numbers a name holds, by the words that may stand in `name`.
+NAME_FIELDS = {"group": ".+?", "repeat": r"\d+", "caption": ".+?", "action": ".+?", "num_frames": r"\d+", "any": ".*?"}
+
+
+@dataclass(frozen=True)
+class SampleOptions:
+    """What the command line says about all folders of samples: `fps` where nothing else does."""
+
+    fps: Fraction | None = None
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a folder's `samples.toml` says; every key may be left out where the files say it.
+
+    `files` and `exclude` are globs below the folder. `fps` and `unit_metres` replace what files say; `up` is the axis
+    that bodies stand along. `statistics` is `raw` or `normalised` for pose vectors, `mean` and `std` the .npy files
+    they were normalised with. `name` says what a file's name holds: `"sample{group}_repeat{repeat}_len{num_frames}"`.
+    `prompts` is a text file whose line k (from 0) is the caption of group k.
+    """
+
+    files: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    fps: Fraction | None = None
+    unit_metres: float | None = None
+    up: str = ""
+    statistics: str = ""
+    mean: Path | None = None
+    std: Path | None = None
+    name: re.Pattern[str] | None = None
+    prompts: Path | None = None
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read `folder/samples.toml`; an absent one says nothing. Raises `FormatError` (`manifest`) for what it cannot be.
+
+    Paths in it count from the folder and may not leave it.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        return Manifest()
+    try:
+        stated = tomllib.loads(sourcefile.decode(sourcefile.read_bytes(path), path))
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"not TOML ({error})", path=path, reason="manifest") from None
+    unknown = sorted(stated.keys() - READERS.keys())
+    if unknown:
+        raise FormatError(
+            f"unknown key {unknown[0]!r}, expected any of {', '.join(READERS)}", path=path, reason="manifest"
+        )
+    values: dict[str, Any] = {}
+    for key, value in stated.items():
+        try:
+            values[key] = READERS[key](value, folder)
+        except (ValueError, TypeError) as error:
+            raise FormatError(f"{key} = {value!r}: {error}"[:400], path=path, reason="manifest") from None
+    manifest = Manifest(**values)
+    if (manifest.statistics == NORMALISED) != (manifest.mean is not None and manifest.std is not None):
+        raise FormatError(
+            'statistics = "normalised" goes with mean = "….npy" and std = "….npy", the files that the model was '
+            "trained with, and only that goes with them",
+            path=path,
+            reason="manifest",
+        )
+    return manifest
+
+
+def _fps(value: Any, folder: Path) -> Fraction:
+    if not isinstance(value, (int, float, str)) or isinstance(value, bool):
+        raise TypeError('expected a framerate such as 20, 12.5 or "30000/1001"')
+    return parse_fps(value)
+
+
+def _globs(value: Any, folder: Path) -> tuple[str, ...]:
+    globs = [value] if isinstance(value, str) else value
+    if not isinstance(globs, list) or not all(isinstance(glob, str) and glob for glob in globs):
+        raise TypeError('expected a glob or a list of globs, such as ["*_pred.npy"]')
+    for glob in globs:
+        _relative(glob)
+    return tuple(globs)
+
+
+def _unit(value: Any, folder: Path) -> float:
+    if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 < value < 1e6:
+        raise TypeError("expected the length of the files' unit in metres, such as 0.01")
+    return float(value)
+
+
+def _one_of(*known: str) -> Callable[[Any, Path], str]:
+    def read(value: Any, folder: Path) -> str:
+        if value not in known:
+            raise ValueError(f"expected {' or '.join(repr(word) for word in known)}")
+        return str(value)
+
+    return read
+
+
+def _file(value: Any, folder: Path) -> Path:
+    if not isinstance(value, str):
+        raise TypeError("expected the name of a file in this folder")
+    path = Path(os.path.normpath(folder / _relative(value)))
+    if not path.is_file():
+        raise ValueError("there is no such file in this folder; copy it here")
+    return path
+
+
+def _relative(name: str) -> PurePosixPath:
+    # A path from a file's content is used only where it stays inside the folder.
+    relative = PurePosixPath(name.replace("\\", "/"))
+    if "\0" in name or relative.is_absolute() or ".." in relative.parts:
+        raise ValueError("leaves the folder; expected a path inside it")
+    return relative
+
+
+def name_pattern(value: Any, folder: Path | None = None) -> re.Pattern[str]:
+    """What a file's name (without suffix) holds, as an expression with named groups; raises for what is none."""
+    if not isinstance(value, str) or not value:
+        raise TypeError('expected a pattern such as "sample{group}_repeat{repeat}"')
+    found = []
+    for number, part in enumerate(re.split(r"\{(\w*)\}", value)):
+        if number % 2 == 0:
+            found.append(re.escape(part))
+        elif part == "any":
+            found.append(NAME_FIELDS[part])
+        elif part in NAME_FIELDS:
+            found.append(f"(?P<{part}>{NAME_FIELDS[part]})")
+        else:
+            raise ValueError(f"unknown field {{{part}}}, expected {', '.join(f'{{{name}}}' for name in NAME_FIELDS)}")
+    try:
+        return re.compile("".join(found))
+    except re.error as error:
+        raise ValueError(str(error)) from None
+
+
+READERS: dict[str, Callable[[Any, Path], Any]] = {
+    "files": _globs,
+    "exclude": _globs,
+    "fps": _fps,
+    "unit_metres": _unit,
+    "up": _one_of("y", "z"),
+    "statistics": _one_of(RAW, NORMALISED),
+    "mean": _file,
+    "std": _file,
+    "name": name_pattern,
+    "prompts": _file,
+}
+assert READERS.keys() == {field.name for field in fields(Manifest)}

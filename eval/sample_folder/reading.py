@@ -1,0 +1,243 @@
+"""Reading a folder of samples: every motion that can be read, and a list of those that cannot."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from eval.sample_folder.arrays import StoredMotion, read_stored
+from eval.sample_folder.bodies import check_bodies, padding_remark, turn_upright
+from eval.sample_folder.folder import Packer, SampleFolder, SampleFolderError, SampleText, left_out_line
+from eval.sample_folder.listing import Listing, list_samples
+from eval.sample_folder.manifest import MANIFEST, SampleOptions
+from eval.sample_folder.names import NamedParts, named_parts, read_prompts
+from eval.sample_folder.vectors import JOINTS_BY_WIDTH, check_vectors, load_statistics, positions_of
+from motionkit.errors import FormatError, MotionkitError
+from motionkit.features.statistics import Statistics
+from motionkit.formats.annotations import Annotation
+from motionkit.formats.arrays import joints_npy
+from motionkit.formats.arrays.plausible import MAX_NUMBER
+from motionkit.formats.items import ReadOptions, SourceItem
+from motionkit.formats.pose_folders import texts
+from motionkit.formats.reading import read
+from motionkit.motion import Motion
+from motionkit.skeleton import KIT21, SMPL22
+from motionkit.skeleton_map import map_joints
+from motionkit.timegrid import TimeGrid
+
+MOST_SIDECAR_BYTES = 1 << 16
+LOOKED_AT_FILES = 64
+OnRead = Callable[[int, int], None]
+"""Called with the number of files read and of all files."""
+
+
+def read_sample_folder(
+    name: str,
+    source: Path,
+    options: SampleOptions | None = None,
+    on_read: OnRead = lambda done, total: None,
+) -> SampleFolder:
+    """Read every motion of a folder, or of one file; those that cannot be read or hold NaN are in `left_out`.
+
+    Raises `SampleFolderError` where there is no motion at all, or a thing that must be known is not (framerate,
+    statistics of pose vectors, unit of length), and `FormatError` for a broken `samples.toml`.
+    """
+    listing = list_samples(name, source)
+    reader = _Reader(name, listing, options or SampleOptions())
+    packer, left_out = Packer(), list(listing.problems)
+    array_rows = 0
+    files: tuple[Path | SourceItem, ...] = (*listing.arrays, *listing.items)
+    for number, file in enumerate(files):
+        for found in reader.motions(file):
+            if isinstance(found, FormatError):
+                left_out.append(found)
+            else:
+                packer.add(*found)
+        if number + 1 == len(listing.arrays):
+            array_rows = len(packer)
+        on_read(number + 1, listing.num_files)
+    if not len(packer):
+        raise SampleFolderError(f"--samples {name}: no motion can be read: {left_out_line(left_out, 0)}")
+    padded = f"of {reader.num_trimmed:,} motions the last frames, all zeros, were dropped"
+    remarks = (*listing.remarks, *([padded] if reader.num_trimmed else []))
+    return _checked(packer.finish(name, left_out, remarks), array_rows, listing)
+
+
+def _checked(folder: SampleFolder, num_of_arrays: int, listing: Listing) -> SampleFolder:
+    """The folder turned upright; raises `SampleFolderError` where bodies are none."""
+    end = int(folder.num_frames[:num_of_arrays].sum())
+    starts = folder.start_row[:num_of_arrays]
+    turned = turn_upright(folder.positions[:end], starts, listing.manifest.up)
+    remarks = (*folder.remarks, *([turned] if turned else []), *check_bodies(folder), *padding_remark(folder))
+    return replace(folder, remarks=remarks)
+
+
+Read = tuple[Float32[np.ndarray, "frames joints 3"], Fraction, SampleText]
+
+
+@dataclass
+class _Reader:
+    """Reads files of one listing; owns what is the same for all of them: statistics, prompts, framerates of folders."""
+
+    name: str
+    listing: Listing
+    options: SampleOptions
+    _statistics: dict[int, Statistics | None] = field(default_factory=dict)
+    num_trimmed: int = 0
+
+    def __post_init__(self) -> None:
+        prompts = self.listing.manifest.prompts
+        self._prompts = read_prompts(prompts) if prompts else ()
+        self._beside = cache(lambda folder: joints_npy.read_manifest(folder / joints_npy.MANIFEST))
+
+    def motions(self, source: Path | SourceItem) -> Iterator[Read | FormatError]:
+        """The motions of one file with their framerates and texts, and what is wrong with the others."""
+        try:
+            if isinstance(source, SourceItem):
+                yield self._of_format(source)
+                return
+            for stored in read_stored(source):
+                try:
+                    yield self._of_array(source, stored)
+                except FormatError as problem:
+                    yield problem
+        except FormatError as problem:
+            yield problem
+        except SampleFolderError:
+            raise
+        except MotionkitError as problem:
+            path = source.path if isinstance(source, SourceItem) else source
+            yield FormatError(str(problem), path=path, reason="skeleton")
+
+    def _of_format(self, item: SourceItem) -> Read:
+        manifest = self.listing.manifest
+        motion = read(item, ReadOptions(fps=manifest.fps, unit_metres=manifest.unit_metres))
+        row = self.listing.rows.get(item.path, Annotation())
+        # A folder format names a sequence by its key, not by its file.
+        place = item.key or self.listing.place(item.path)
+        parts = self._parts(item.path)
+        positions = map_joints(motion, SMPL22.name)[: row.num_frames or parts.num_frames]
+        caption = motion.captions[0].text if motion.captions else ""
+        group = row.group or parts.group
+        text = SampleText(place, caption or parts.caption, motion.action or parts.action, group)
+        return positions, motion.fps, self._with_prompt(text)
+
+    def _of_array(self, path: Path, stored: StoredMotion) -> Read:
+        row = self.listing.rows.get(path, Annotation())
+        parts = self._parts(path)
+        numbers = self._trimmed(stored.numbers[: row.num_frames or parts.num_frames], path)
+        _check_finite(numbers, path, stored.index)
+        place = self.listing.place(path) + ("" if stored.index is None else f"/{stored.index:04d}")
+        caption = row.captions[0].text if row.captions else stored.caption
+        if not caption and stored.index is None:
+            caption = _sidecar(path)
+        text = SampleText(
+            place,
+            caption or parts.caption,
+            row.action or stored.action or parts.action,
+            row.group or stored.group or parts.group,
+        )
+        fps = self._fps(path, stored, row)
+        return self._positions(numbers, path, fps), fps, self._with_prompt(text)
+
+    def _trimmed(self, numbers: np.ndarray, path: Path) -> np.ndarray:
+        """Without last frames that are all zeros, which are no pose but what short motions were filled up with."""
+        if numbers[-1].any():
+            return numbers
+        kept = np.flatnonzero(numbers.reshape(len(numbers), -1).any(axis=1))
+        if not len(kept):
+            raise FormatError("all numbers are 0", path=path, reason="no-frames")
+        self.num_trimmed += 1
+        return numbers[: kept[-1] + 1]
+
+    def _positions(self, numbers: np.ndarray, path: Path, fps: Fraction) -> Float32[np.ndarray, "frames joints 3"]:
+        if numbers.ndim == 2:
+            positions = positions_of(numbers, self._stated(numbers), self.listing.manifest.unit_metres)
+        else:
+            # The hands of SMPL's 24 joints are dropped.
+            positions = numbers[:, : SMPL22.num_joints].astype(np.float32, copy=False)
+            unit = self.listing.manifest.unit_metres or self._beside(path.parent).unit_metres
+            positions = positions if unit == 1.0 else positions * np.float32(unit)
+        if positions.shape[1] == KIT21.num_joints:
+            positions = map_joints(Motion(positions, KIT21, TimeGrid(fps, len(positions))), SMPL22.name)
+        return positions
+
+    def _fps(self, path: Path, stored: StoredMotion, row: Annotation) -> Fraction:
+        beside = self._beside(path.parent).fps
+        fps = self.listing.manifest.fps or row.fps or stored.fps or beside or self.options.fps
+        if fps is None and stored.is_vectors:
+            fps = JOINTS_BY_WIDTH[stored.numbers.shape[1]].fps
+        if fps is None:
+            raise SampleFolderError(
+                f"--samples {self.name}: nothing says the framerate of {path.name}; write fps = 20 (or what it is) "
+                f"into {self.listing.root / MANIFEST}, or give --samples-fps 20 (HumanML3D's models have 20, KIT-ML's "
+                "12.5)"
+            )
+        return fps
+
+    def _stated(self, vectors: np.ndarray) -> Statistics | None:
+        """The statistics of vectors like these, once a few files agree with them. Raises `SampleFolderError`."""
+        width = vectors.shape[1]
+        if width not in self._statistics:
+            try:
+                statistics = load_statistics(self.listing.manifest, width)
+            except FormatError as problem:
+                raise SampleFolderError(f"--samples {self.name}: {problem}") from None
+            check_vectors(self.name, self._some_like(vectors), self.listing.manifest, statistics)
+            self._statistics[width] = statistics
+        return self._statistics[width]
+
+    def _some_like(self, vectors: np.ndarray) -> Float32[np.ndarray, "rows numbers"]:
+        """These pose vectors and those of some files, evenly spaced over the folder."""
+        arrays = self.listing.arrays
+        chosen = np.unique(np.linspace(0, len(arrays) - 1, LOOKED_AT_FILES).astype(int))
+        found = [vectors]
+        for index in chosen.tolist():
+            try:
+                motions = read_stored(arrays[index])[:LOOKED_AT_FILES]
+            except FormatError:
+                continue  # told when all are read
+            alike = [motion.numbers for motion in motions if motion.numbers.shape[1:] == vectors.shape[1:]]
+            found += [numbers for numbers in alike if np.isfinite(numbers).all()]
+        return np.concatenate(found).astype(np.float32)
+
+    def _parts(self, path: Path) -> NamedParts:
+        parts = named_parts(path.stem, self.listing.manifest)
+        if parts is None:
+            raise FormatError(f"its name does not fit the pattern of {MANIFEST}", path=path, reason="name")
+        return parts
+
+    def _with_prompt(self, text: SampleText) -> SampleText:
+        """The caption of the text's group, where it has none and there are prompts."""
+        if text.caption or not text.group.isdecimal() or int(text.group) >= len(self._prompts):
+            return text
+        return SampleText(text.sequence_id, self._prompts[int(text.group)], text.action, text.group)
+
+
+def _check_finite(numbers: np.ndarray, path: Path, index: int | None) -> None:
+    """Raise `FormatError` (`nan`, `range`) with the first frame that is no pose."""
+    if np.isfinite(numbers.sum(dtype=np.float64)) and max(numbers.max(), -numbers.min()) <= MAX_NUMBER:
+        return
+    flat = numbers.reshape(len(numbers), -1)
+    bad = ~(np.abs(flat) <= MAX_NUMBER)
+    frame = int(np.flatnonzero(bad.any(axis=1))[0])
+    value = flat[frame][bad[frame]][0]
+    which = "" if index is None else f"motion {index}: "
+    reason = "range" if np.isfinite(value) else "nan"
+    raise FormatError(f"{which}{value} where a number of a body was expected", path=path, reason=reason, frame=frame)
+
+
+def _sidecar(path: Path) -> str:
+    """The first caption in a text file of the same name, as MLD's demo writes it; empty where there is none."""
+    beside = path.with_suffix(".txt")
+    if not beside.is_file() or beside.stat().st_size > MOST_SIDECAR_BYTES:
+        return ""
+    try:
+        captions = texts.read_texts(beside)
+        return captions[0].text if captions else ""
+    except FormatError:
+        return ""
