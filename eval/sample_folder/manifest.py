@@ -1,9 +1,10 @@
 """`samples.toml`: what a folder of samples cannot say by itself (docs/samples.md)."""
 
+import json
 import os
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
@@ -162,3 +163,40 @@ READERS: dict[str, Callable[[Any, Path], Any]] = {
     "prompts": _file,
 }
 assert READERS.keys() == {field.name for field in fields(Manifest)}
+
+
+def manifest_text(values: Mapping[str, object]) -> str:
+    """A `samples.toml` with these values; every other key stands in it as a comment that says what it is for."""
+    rows = []
+    for key, (example, purpose) in EXPLAINED.items():
+        stated = f"{key} = {_toml(values[key])}" if key in values else f"# {key} = {example}"
+        rows.append(f"{stated:<44}  # {purpose}")
+    head = (
+        "# What the motions in this folder are. Lines that begin with # are not set; docs/samples.md explains them.\n"
+    )
+    return head + "\n".join(rows) + "\n"
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, Fraction):
+        return str(value) if value.denominator == 1 else f'"{value}"'
+    # JSON's strings, numbers and lists are TOML's.
+    return json.dumps(value, ensure_ascii=False)
+
+
+EXPLAINED = {
+    "fps": ("20", 'framerate: 20, 12.5, "30000/1001"'),
+    "files": ('["**/*_pred.npy"]', "which files are samples; all motions there are, without this line"),
+    "exclude": ('["old/*"]', "which are not"),
+    "unit_metres": ("0.01", "how long the files' unit is; they are in metres without this line"),
+    "up": ('"z"', "the axis bodies stand along; found by looking at most of them without this line"),
+    "statistics": ('"raw"', 'of pose vectors (263 or 251 numbers): "raw", or "normalised" with mean and std'),
+    "mean": ('"mean.npy"', "what they were normalised with, copied into this folder"),
+    "std": ('"std.npy"', ""),
+    "name": (
+        '"sample{group}_repeat{repeat}"',
+        "what names say: group, repeat, caption, action, num_frames, any",
+    ),
+    "prompts": ('"prompts.txt"', "line k, from 0, is the caption of group k"),
+}
+assert EXPLAINED.keys() == READERS.keys()

@@ -1,0 +1,88 @@
+"""`motionkit samples`: what a folder of samples holds, before a table is built from it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.errors import UsageError
+
+STATISTICS_FILES = {"mean": "mean.npy", "std": "std.npy"}
+
+
+def samples(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder, or file, of another system's motions.")],
+    init: Annotated[
+        bool, typer.Option("--init", help="Write DIR/samples.toml first, with what is given here, to be completed.")
+    ] = False,
+    fps: Annotated[str | None, typer.Option(metavar="FPS", help="Framerate, where the files do not say it.")] = None,
+    unit_metres: Annotated[
+        float | None, typer.Option("--unit-metres", metavar="M", help="With --init: metres per unit of the files.")
+    ] = None,
+    statistics: Annotated[
+        str | None, typer.Option(help="With --init: pose vectors are raw, or normalised (with --mean and --std).")
+    ] = None,
+    mean: Annotated[Path | None, typer.Option(help="With --init: mean of the vectors, .npy; copied into DIR.")] = None,
+    std: Annotated[Path | None, typer.Option(help="With --init: their standard deviation; copied into DIR.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+) -> None:
+    """Say what a folder of samples holds: motions, framerates, captions, prompts, bodies, and what is wrong."""
+    from dataclasses import asdict
+
+    from eval.sample_folder import SampleFolderError, SampleOptions, read_sample_folder
+    from eval.sample_folder.findings import lines, summarise
+    from motionkit.timegrid import parse_fps
+
+    try:
+        framerate = None if fps is None else parse_fps(fps)
+    except ValueError as error:
+        raise UsageError(f"--fps {fps}: {error}") from None
+    given = {"fps": framerate, "unit_metres": unit_metres, "statistics": statistics, "mean": mean, "std": std}
+    stated: dict[str, object] = {key: value for key, value in given.items() if value is not None}
+    if init:
+        _write_manifest(folder, stated)
+    elif stated.keys() - {"fps"}:
+        raise UsageError(f"--{sorted(stated.keys() - {'fps'})[0].replace('_', '-')} goes with --init")
+    with progress() as display:
+        task = display.add_task("reading", total=None, note="")
+
+        def show(done: int, total: int) -> None:
+            display.update(task, completed=done, total=total)
+
+        read = read_sample_folder(folder.name, folder, SampleOptions(framerate), show)
+    found = summarise(read)
+    if as_json:
+        print_json(asdict(found))
+    else:
+        for name, text in lines(found):
+            stdout.print(f"{name:12}{text}", markup=False)
+    if found.left_out:
+        raise SampleFolderError(f"{len(found.left_out):,} motions of {str(folder)!r} are left out of every table")
+
+
+def _write_manifest(folder: Path, stated: dict[str, object]) -> None:
+    """Write `samples.toml` where there is none, with the statistics' files beside it."""
+    import shutil
+
+    from eval.sample_folder.manifest import MANIFEST, NORMALISED, RAW, manifest_text
+
+    if not folder.is_dir():
+        raise UsageError(f"--init writes into a folder, and {str(folder)!r} is none")
+    path = folder / MANIFEST
+    if path.exists():
+        raise UsageError(f"{path} is there already: edit it, or remove it first")
+    if stated.get("statistics") not in (None, RAW, NORMALISED):
+        raise UsageError(f"--statistics {stated['statistics']}: expected {RAW} or {NORMALISED}")
+    if not (stated.get("statistics") == NORMALISED) == ("mean" in stated) == ("std" in stated):
+        raise UsageError("--statistics normalised goes with --mean FILE and --std FILE, and they with it")
+    for key, name in STATISTICS_FILES.items():
+        source = stated.get(key)
+        if isinstance(source, Path):
+            if not source.is_file():
+                raise UsageError(f"--{key} {source}: there is no such file")
+            if source.resolve() != (folder / name).resolve():
+                shutil.copyfile(source, folder / name)
+            stated[key] = name
+    path.write_text(manifest_text(stated), encoding="utf-8")
+    stderr.print(f"written: {path}", markup=False)
