@@ -1,5 +1,6 @@
 """A set known at a low framerate, fairly brought to a high one: by SLERP on joint rotations, or any other encoder."""
 
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 
 import numpy as np
@@ -10,7 +11,12 @@ from motionkit.completion import SLERP, upsample
 from motionkit.motion import Motion
 from motionkit.motionfield import MotionEncoder
 from motionkit.skeleton import SMPL22
-from motionkit.timegrid import TimeGrid
+from motionkit.timegrid import TimeGrid, num_frames_within
+
+# So many frames are turned into rotations at once: below, what each call costs by itself outweighs the frames.
+FRAMES_AT_ONCE = 2048
+# Framerates whose common instants are farther apart than so many frames are not worth laying one after another.
+MOST_PADDING = 16
 
 
 def upsampled(samples: SampleSet, fps: Fraction, name: str, encoder: MotionEncoder = SLERP) -> SampleSet:
@@ -19,7 +25,10 @@ def upsampled(samples: SampleSet, fps: Fraction, name: str, encoder: MotionEncod
     SLERP: joint rotations (from inverse kinematics) on great arcs, the root on straight lines, positions by forward
     kinematics. Raises `ValueError` where `fps` is below the set's.
     """
-    made = [upsampled_positions(sequence, samples.fps, fps, encoder) for sequence in samples.sequences()]
+    sequences = list(samples.sequences())
+    if encoder is SLERP:
+        return samples.with_positions(name, fps, list(each_upsampled(sequences, samples.fps, fps)))
+    made = [upsampled_positions(sequence, samples.fps, fps, encoder) for sequence in sequences]
     return samples.with_positions(name, fps, made)
 
 
@@ -32,3 +41,32 @@ def upsampled_positions(
     """Joint positions of the 22-joint layout at a higher framerate; raises `ValueError` for a lower one."""
     motion = Motion(positions, SMPL22, TimeGrid(fps_from, len(positions)))
     return upsample(motion, fps_to, encoder).joint_positions
+
+
+def each_upsampled(
+    sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]], fps_from: Fraction, fps_to: Fraction
+) -> Iterator[Float32[np.ndarray, "_new_frames joints 3"]]:
+    """Sequences of one framerate, each upsampled by SLERP as `upsampled_positions` does, but many at a time.
+
+    They are laid one after another, each from an instant of both grids on. SLERP looks at the two neighbouring poses
+    only, so what lies between two sequences is computed for nothing, and nothing of it is handed on.
+    """
+    step = (fps_to / fps_from).denominator
+    start = 0
+    while start < len(sequences):
+        stop, places, length = start, [], 0
+        room = FRAMES_AT_ONCE if step <= MOST_PADDING else 0
+        while stop < len(sequences) and (stop == start or length + len(sequences[stop]) <= room):
+            length = -(-length // step) * step
+            places.append(length)
+            length += len(sequences[stop])
+            stop += 1
+        joined = np.empty((length, *sequences[start].shape[1:]), dtype=np.float32)
+        for place, following, sequence in zip(places, [*places[1:], length], sequences[start:stop], strict=True):
+            joined[place : place + len(sequence)] = sequence
+            joined[place + len(sequence) : following] = sequence[-1]
+        made = upsampled_positions(joined, fps_from, fps_to)
+        for place, sequence in zip(places, sequences[start:stop], strict=True):
+            first = int(place * fps_to / fps_from)
+            yield made[first : first + num_frames_within((len(sequence) - 1) / float(fps_from), fps_to)]
+        start = stop

@@ -2,16 +2,17 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from eval.baselines.upsampled import upsampled_positions
-from eval.samples import SampleSet, sample_set
+from eval.baselines.upsampled import each_upsampled
+from eval.samples import SampleSet
 from motionkit.errors import FormatError, MotionkitError
 from motionkit.resample import resample_positions
 from motionkit.skeleton import SMPL22
@@ -84,16 +85,30 @@ class SampleFolder:
         digest.update(np.ascontiguousarray(self.positions, dtype="<f4").data)
         return digest.hexdigest()[:16]
 
-    def at(self, fps: Fraction) -> SampleSet:
+    def at(self, fps: Fraction, on_motion: Callable[[], None] = lambda: None) -> SampleSet:
         """All motions at one framerate: those that are slower are upsampled by SLERP, faster ones are anti-aliased.
 
-        Motions that are all at that framerate are handed on as they lie in memory.
+        Motions that are all at that framerate are handed on as they lie in memory. `on_motion` is called after each.
         """
-        texts = {"captions": self.captions, "actions": self.actions, "groups": self.groups}
-        if all(own == fps for own in self.fps):
-            return SampleSet(self.name, fps, self.positions, self.num_frames, self.sequence_ids, **texts)
-        made = [_at(sequence, own, fps) for sequence, own in zip(self.sequences, self.fps, strict=True)]
-        return sample_set(self.name, fps, made, self.sequence_ids, **texts)
+        positions, num_frames = self.positions, self.num_frames
+        if any(own != fps for own in self.fps):
+            rows, lengths = Rows(), []
+            for sequence in self._resampled(fps):
+                rows.add(sequence)
+                lengths.append(len(sequence))
+                on_motion()
+            positions, num_frames = rows.finish(), np.array(lengths, dtype=np.int64)
+        texts = (self.sequence_ids, self.captions, self.actions)
+        return SampleSet(self.name, fps, positions, num_frames, *texts, groups=self.groups)
+
+    def _resampled(self, fps: Fraction) -> Iterator[Float32[np.ndarray, "_frames joints 3"]]:
+        sequences = self.sequences
+        for own, places in groupby(range(self.num_motions), key=self.fps.__getitem__):
+            run = [sequences[place] for place in places]
+            if own < fps:
+                yield from each_upsampled(run, own, fps)
+            else:
+                yield from (resample_positions(sequence, own, fps) for sequence in run)
 
     def require_captions(self) -> None:
         """Raise `SampleFolderError` where a motion has no caption: text metrics need them all."""
@@ -132,12 +147,35 @@ def left_out_line(left_out: Sequence[FormatError], num_kept: int) -> str:
     return f"{len(left_out):,} of {len(left_out) + num_kept:,} motions left out ({reasons}); first: {left_out[0]}"
 
 
-class Packer:
-    """Collects motions of any lengths in one array that grows in place, so that nothing is held twice."""
+class Rows:
+    """Poses of any number of motions in one array that grows in place, so that nothing is held twice."""
 
     def __init__(self) -> None:
         self._rows = np.empty((FIRST_CAPACITY, SMPL22.num_joints, 3), dtype=np.float32)
         self._used = 0
+
+    def add(self, positions: Float32[np.ndarray, "_frames joints 3"]) -> None:
+        """Copy one motion to the end."""
+        needed = self._used + len(positions)
+        if needed > len(self._rows):
+            # `resize` moves memory pages instead of copying them.
+            self._rows.resize((max(needed, 2 * len(self._rows)), *self._rows.shape[1:]), refcheck=False)
+        self._rows[self._used : needed] = positions
+        self._used = needed
+
+    def finish(self) -> Float32[np.ndarray, "rows joints 3"]:
+        """All of them, and nothing is left here."""
+        rows, used = self._rows, self._used
+        self._rows, self._used = np.empty((0, SMPL22.num_joints, 3), dtype=np.float32), 0
+        rows.resize((used, *rows.shape[1:]), refcheck=False)
+        return rows
+
+
+class Packer:
+    """Collects motions with their framerates and texts."""
+
+    def __init__(self) -> None:
+        self._rows = Rows()
         self._lengths: list[int] = []
         self._fps: list[Fraction] = []
         self._texts: list[SampleText] = []
@@ -147,23 +185,16 @@ class Packer:
 
     def add(self, positions: Float32[np.ndarray, "_frames joints 3"], fps: Fraction, text: SampleText) -> None:
         """Copy one motion to the end."""
-        needed = self._used + len(positions)
-        if needed > len(self._rows):
-            # `resize` moves memory pages instead of copying them.
-            self._rows.resize((max(needed, 2 * len(self._rows)), *self._rows.shape[1:]), refcheck=False)
-        self._rows[self._used : needed] = positions
-        self._used = needed
+        self._rows.add(positions)
         self._lengths.append(len(positions))
         self._fps.append(fps)
         self._texts.append(text)
 
     def finish(self, name: str, left_out: Sequence[FormatError], remarks: Sequence[str]) -> SampleFolder:
         """Everything that was added; the packer is empty afterwards."""
-        rows, self._rows = self._rows, np.empty((0, SMPL22.num_joints, 3), dtype=np.float32)
-        rows.resize((self._used, *rows.shape[1:]), refcheck=False)
         return SampleFolder(
             name,
-            rows,
+            self._rows.finish(),
             np.array(self._lengths, dtype=np.int64),
             tuple(self._fps),
             tuple(text.sequence_id for text in self._texts),
@@ -173,11 +204,3 @@ class Packer:
             tuple(left_out),
             tuple(remarks),
         )
-
-
-def _at(
-    positions: Float32[np.ndarray, "frames joints 3"], fps_from: Fraction, fps_to: Fraction
-) -> Float32[np.ndarray, "new_frames joints 3"]:
-    if fps_from < fps_to:
-        return upsampled_positions(positions, fps_from, fps_to)
-    return resample_positions(positions, fps_from, fps_to)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -114,8 +115,11 @@ def build_table2(request: TableRequest) -> Result:
         rates = _usable_rates(request.fps or COLUMNS, real, missing)
         display.update(task, description="generating", total=1)
         fields = _nerm_fields(request, real, rates, missing)
-        columns = [_column(fps, real, train, fields, folders, missing).low_passed(request.low_pass_hz) for fps in rates]
         display.remove_task(task)
+        columns = [
+            _column(fps, real, train, fields, _at(folders, fps, display), missing).low_passed(request.low_pass_hz)
+            for fps in rates
+        ]
         blocks = tuple(
             _block(source, columns, request, notes, display, missing)
             for source in feature_sources(request.run, request.features, missing, request.guo)
@@ -186,7 +190,7 @@ def _column(
     real: RealMotion,
     train: RealMotion,
     fields: Mapping[Window, MotionField],
-    folders: Sequence[SampleFolder],
+    samples: Mapping[str, SampleSet],
     missing: list[str],
 ) -> _Column:
     reference = real.at(fps)
@@ -203,12 +207,22 @@ def _column(
     coarse = sample_fields(fields, reference.sequence_ids, LOW_FPS, NERM_SLERP)
     if coarse is not None and fps >= LOW_FPS:
         rows[NERM_SLERP] = upsampled(coarse, fps, NERM_SLERP)
-    rows |= {folder.name: folder.at(fps) for folder in folders}
+    rows |= samples
     try:
         training = train.at(fps)
     except NoRealMotionError:
         training = None
     return _Column(fps, reference, rows, training)
+
+
+def _at(folders: Sequence[SampleFolder], fps: Fraction, display: "Progress") -> dict[str, SampleSet]:
+    """Every folder's motions at a framerate, by name."""
+    made = {}
+    for folder in folders:
+        task = display.add_task(f"{folder.name}, {_label(fps)}", total=folder.num_motions, note="")
+        made[folder.name] = folder.at(fps, partial(display.advance, task))
+        display.remove_task(task)
+    return made
 
 
 def _nearest_training(

@@ -1,12 +1,14 @@
 """`motionkit samples`: what a folder holds, and the manifest that says what it cannot."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from eval.commands.samples import samples as command
+from eval.sample_folder.manifest import READERS, manifest_text, read_manifest
 from motionkit.errors import MotionkitError, UsageError
 from tests.eval.sample_folder import published_layouts as published
 
@@ -68,8 +70,6 @@ def test_a_manifest_is_written_and_read(samples, tmp_path):
 
 
 def test_every_line_of_a_manifest_can_be_set(samples, tmp_path):
-    from eval.sample_folder.manifest import manifest_text, read_manifest
-
     text = manifest_text({"statistics": "normalised"})
     for name in ("mean.npy", "std.npy", "prompts.txt"):
         (tmp_path / name).write_bytes(b"")
@@ -102,3 +102,16 @@ def test_motions_that_are_left_out_are_named_and_cost_the_exit_code(samples, tmp
     with pytest.raises(MotionkitError, match=r"1 motions of .* are left out of every table"):
         command(folder, **{**DEFAULTS, "fps": "20"}, as_json=False)
     assert "left out    " in capsys.readouterr().out
+
+
+def test_the_manifests_of_the_page_are_manifests(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "samples.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert len(blocks) == 2
+    for name in ("mean.npy", "std.npy", "prompts.txt", "text_prompt.txt"):
+        (tmp_path / name).write_bytes(b"")
+    for block in blocks:
+        (tmp_path / "samples.toml").write_text(block, encoding="utf-8")
+        assert read_manifest(tmp_path).fps == 20
+    whole = set(re.findall(r"^(\w+) = ", blocks[0], re.MULTILINE)) | {"exclude"}
+    assert whole == set(READERS)

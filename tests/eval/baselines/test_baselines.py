@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.baselines.low_pass import low_passed
-from eval.baselines.upsampled import upsampled
+from eval.baselines.upsampled import each_upsampled, upsampled, upsampled_positions
 from eval.baselines.vectors import upsample_as_vectors
 from eval.samples import SampleSet, sample_set
 from motionkit.skeleton import SMPL22
@@ -73,3 +73,16 @@ def test_vectors_at_the_same_framerate_restore_the_motion() -> None:
     same = upsample_as_vectors(low, Fraction(20), "same")
     before, after = low.sequence(0), same.sequence(0)
     np.testing.assert_allclose(after - after[:, :1], before[: len(after)] - before[: len(after), :1], atol=1e-4)
+
+
+@pytest.mark.parametrize(("fps_from", "fps_to"), [("20", "60"), ("20", "50"), ("25/2", "20"), ("20", "30000/1001")])
+def test_upsampling_many_at_a_time_is_upsampling_each(fps_from: str, fps_to: str) -> None:
+    rng = np.random.default_rng(0)
+    take = walkers(20, 8.0).sequence(0)
+    cuts = [(int(rng.integers(0, 100)), int(rng.integers(1, 60))) for _ in range(50)]
+    sequences = [take[start : start + length] for start, length in cuts]
+    slow, fast = Fraction(fps_from), Fraction(fps_to)
+    made = list(each_upsampled(sequences, slow, fast))
+    assert len(made) == len(sequences)
+    for found, sequence in zip(made, sequences, strict=True):
+        np.testing.assert_allclose(found, upsampled_positions(sequence, slow, fast), rtol=0, atol=1e-6)

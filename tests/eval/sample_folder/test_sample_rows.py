@@ -1,0 +1,54 @@
+"""Samples in memory: one array, at any framerate."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from eval.baselines.upsampled import upsampled_positions
+from eval.sample_folder.folder import FIRST_CAPACITY, Packer, Rows, SampleText
+from motionkit.resample import resample_positions
+from tests.eval.sample_folder import published_layouts as published
+
+
+def test_rows_grow_and_keep_what_they_hold() -> None:
+    rng = np.random.default_rng(0)
+    parts = [rng.normal(size=(n, 22, 3)).astype(np.float32) for n in (1, FIRST_CAPACITY, 7, 3 * FIRST_CAPACITY)]
+    rows = Rows()
+    for part in parts:
+        rows.add(part)
+    np.testing.assert_array_equal(rows.finish(), np.concatenate(parts))
+    assert len(rows.finish()) == 0
+
+
+def test_a_folder_of_mixed_framerates_at_one() -> None:
+    rates = (Fraction(20), Fraction(20), Fraction(60), Fraction(30), Fraction(25, 2), Fraction(20))
+    packer = Packer()
+    for index, (joints, fps) in enumerate(zip(published.motions(), rates, strict=True)):
+        packer.add(joints, fps, SampleText(f"m{index}", caption=f"c{index}", group="g"))
+    folder = packer.finish("mine", (), ())
+    seen: list[int] = []
+    samples = folder.at(Fraction(30), lambda: seen.append(1))
+    assert len(seen) == 6
+    assert samples.rows_by_group() == {"g": [0, 1, 2, 3, 4, 5]}
+    assert samples.captions == tuple(f"c{index}" for index in range(6))
+    for found, joints, fps in zip(samples.sequences(), published.motions(), rates, strict=True):
+        slower = fps < 30
+        expected = (upsampled_positions if slower else resample_positions)(joints, fps, Fraction(30))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+    assert folder.fingerprint != packer_of_one_rate().fingerprint
+    chosen = samples.select([3, 1])
+    assert (chosen.groups, chosen.sequence_ids) == (("g", "g"), ("m3", "m1"))
+
+
+def packer_of_one_rate():
+    packer = Packer()
+    for index, joints in enumerate(published.motions()):
+        packer.add(joints, Fraction(20), SampleText(f"m{index}"))
+    return packer.finish("mine", (), ())
+
+
+def test_motions_at_the_framerate_asked_for_are_not_copied() -> None:
+    folder = packer_of_one_rate()
+    samples = folder.at(Fraction(20))
+    assert samples.positions is folder.positions
+    assert samples.rows_by_group() == {f"m{index}": [index] for index in range(6)}
