@@ -3,12 +3,11 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
+from motionkit.cli import ingest_options as option
+from motionkit.cli.ingest_options import Compat, OnError
 from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.errors import FormatError, MotionkitError, UsageError
 from motionkit.settings import default_path, optional_path
@@ -20,89 +19,26 @@ if TYPE_CHECKING:
     from motionkit.store.ingest import DatasetCount, IngestReport
 
 
-class Compat(StrEnum):
-    """Whose frames are to be reproduced."""
-
-    HUMANML3D_20FPS = "humanml3d-20fps"
-
-
-class OnError(StrEnum):
-    """What a bad file does."""
-
-    SKIP = "skip"
-    STOP = "stop"
-
-
 def ingest(
-    sources: Annotated[list[Path], typer.Argument(help="Files and folders of motions.", show_default=False)],
-    store: Annotated[Path | None, typer.Option(help="Store to make or to add to.", show_default="./store")] = None,
-    format: Annotated[str, typer.Option(help="auto tells formats by name and content; or one format's name.")] = "auto",
-    captions: Annotated[
-        Path | None, typer.Option(help="CSV with a column 'file' and any of caption, action, split, fps …")
-    ] = None,
-    index: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Index of stretches of the source's files: HumanML3D's index.csv, TMR's annotations.json (KIT-ML), "
-            "BABEL's train.json. May be given several times."
-        ),
-    ] = None,
-    texts: Annotated[Path | None, typer.Option(help="Folder of the index's captions: 000000.txt …")] = None,
-    splits: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the index's train.txt, val.txt, test.txt; by default the index's, or the one above --texts."
-        ),
-    ] = None,
-    mirrored: Annotated[bool, typer.Option("--mirrored", help="The index's mirrored sequences too, M000000 …")] = False,
-    compat: Annotated[
-        Compat | None,
-        typer.Option(help="Of the index's stretches the frames that HumanML3D published, not every native one."),
-    ] = None,
-    fps: Annotated[str | None, typer.Option(help="Framerate that replaces what files say: 120, 30000/1001.")] = None,
-    fps_rules: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="TOML of framerates that files state wrongly (docs/formats.md); goes before the shipped one. "
-            "May be given several times."
-        ),
-    ] = None,
-    unit_metres: Annotated[
-        float | None, typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.")
-    ] = None,
-    skeleton_map: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="TOML that says how a rig becomes the 22 joints (docs/formats.md). May be given several times."
-        ),
-    ] = None,
-    body_models: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of your own SMPL, SMPL-H or SMPL-X models (.npz), for AMASS's joints. "
-            "[default: MOTIONKIT_BODY_MODELS, else SMPL's mean shape]",
-            show_default=False,
-        ),
-    ] = None,
-    on_error: Annotated[
-        OnError,
-        typer.Option(
-            help="skip: good sequences are stored, bad ones are told, exit code 0. "
-            "stop: the first bad one ends it, the store stays as it was, exit code 1."
-        ),
-    ] = OnError.SKIP,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the store instead of adding to it, once all is read.")
-    ] = False,
-    workers: Annotated[
-        int | None,
-        typer.Option(min=1, help="Processes that read; by default all cores, one for few files.", show_default=False),
-    ] = None,
-    engine: Annotated[
-        str,
-        typer.Option(help="local; ray: a Ray on this machine, or that of RAY_ADDRESS; ray://HOST:PORT: a Ray cluster."),
-    ] = "local",
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+    sources: option.Sources,
+    store: option.StorePath = None,
+    format: option.FormatName = "auto",
+    captions: option.CaptionsTable = None,
+    index: option.Indexes = None,
+    texts: option.TextsFolder = None,
+    splits: option.SplitsFolder = None,
+    mirrored: option.Mirrored = False,
+    compat: option.Published = None,
+    fps: option.GivenFps = None,
+    fps_rules: option.FpsRules = None,
+    unit_metres: option.UnitMetres = None,
+    skeleton_map: option.SkeletonMaps = None,
+    body_models: option.BodyModels = None,
+    on_error: option.OnErrorChoice = OnError.SKIP,
+    overwrite: option.Overwrite = False,
+    workers: option.Workers = None,
+    engine: option.EngineName = "local",
+    as_json: option.AsJson = False,
 ) -> None:
     """Read motions of any known format into a store, at their native framerates.
 
