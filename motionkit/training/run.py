@@ -16,7 +16,6 @@ from types import MappingProxyType
 from typing import Any
 
 from motionkit.errors import MotionkitError, UsageError
-from motionkit.store.files import sha256_of
 from motionkit.training.config import ConfigLike, flatten, to_plain
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
@@ -152,6 +151,8 @@ class RunFolder:
     def fingerprints(self, stages: Iterable[str]) -> dict[str, str]:
         """Hexadecimal sha256 of the trained results of those of the stages that have one."""
         paths = {name: self.stage(name).model_path for name in stages}
+        from motionkit.store.files import sha256_of  # loads pyarrow, which `--help` must not
+
         return {name: sha256_of(path) for name, path in paths.items() if path.is_file()}
 
 
