@@ -57,9 +57,9 @@ class Tally:
     def remark_on_draws(self, draws: int, replications: int) -> None:
         """Say what an interval does not hold where there are fewer sets of motions than replications."""
         if draws < replications:
-            sets = "one set" if draws == 1 else f"{draws} sets"
+            sets = "is one set" if draws == 1 else f"are {draws} sets"
             self.remark(
-                f"there is {sets} of motions: the intervals over {replications} replications hold the draws of pools "
+                f"there {sets} of motions: the intervals over {replications} replications hold the draws of pools "
                 "and pairs, not how much another generation would differ"
             )
 

@@ -14,12 +14,14 @@ from eval.evaluators.text_motion import TextMotionEvaluator
 from eval.protocols.text_motion import TextMotionProtocol, find_text_motion_protocol
 from eval.real import NoRealMotionError
 from eval.report.results import Block, Result, environment
+from eval.sample_folder import SampleFolder
 from eval.scoring.scores import Scores
 from eval.scoring.text_motion import TextMotionPairs, score_text_motion
 from eval.tables.registry import Table, TableRequest
 from eval.tables.text_motion_blocks import ScoredRow, paper_block, scored_blocks
 from eval.text_motion.model_motions import ModelMotions
 from eval.text_motion.real_pairs import CaptionedMotions, captioned_motions, limited
+from eval.text_motion.sample_motions import sample_embeddings
 from eval.text_motion.sources import text_motion_evaluators
 from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError
@@ -54,6 +56,7 @@ class _Job:
     request: TableRequest
     protocol: TextMotionProtocol
     models: tuple[_Model, ...]
+    folders: tuple[SampleFolder, ...]
     display: "Progress"
     missing: list[str]
 
@@ -68,15 +71,14 @@ def build_table1(request: TableRequest) -> Result:
 
     protocol = find_text_motion_protocol(request.published)
     missing: list[str] = []
-    store = Store.open(request.store)
+    store, folders = Store.open(request.store), request.sample_folders
     with progress() as display:
         task = display.add_task("loading", total=None, note="")
         evaluators = text_motion_evaluators(request, protocol, missing)
         models = _models(request, missing)
         for each in models:
             protocol = replace(protocol, lengths=limited(protocol.lengths, each.model.max_duration_seconds))
-        missing.extend(f"{name}: rows of sample folders need their captions" for name in request.samples)
-        job = _Job(request, protocol, models, display, missing)
+        job = _Job(request, protocol, models, folders, display, missing)
         real: dict[Fraction, CaptionedMotions] = {}
         for evaluator in evaluators:
             fps = _fps(request, evaluator)
@@ -84,7 +86,7 @@ def build_table1(request: TableRequest) -> Result:
                 real[fps] = captioned_motions(store, request.split, request.where, fps, protocol.lengths)
                 _check_pool(real[fps], protocol, request)
         display.remove_task(task)
-        blocks = [block for each in evaluators for block in _blocks(job, each, real[_fps(request, each)])]
+        blocks = _all_blocks(job, evaluators, real)
     return Result(
         task="nerm-table1",
         version=VERSION,
@@ -97,6 +99,7 @@ def build_table1(request: TableRequest) -> Result:
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "runs": {each.run.name: each.identity for each in models},
+            "samples": {folder.name: folder.fingerprint for folder in folders},
             "seed": request.seed,
             "environment": environment(),
         },
@@ -151,6 +154,26 @@ def _check_pool(real: CaptionedMotions, protocol: TextMotionProtocol, request: T
         )
 
 
+def _all_blocks(
+    job: _Job, evaluators: list[TextMotionEvaluator], real: Mapping[Fraction, CaptionedMotions]
+) -> list[Block]:
+    """Every evaluator's blocks; one that cannot read the real motions or captions is named in `missing`.
+
+    Raises its `MotionkitError` where none can.
+    """
+    blocks: list[Block] = []
+    for evaluator in evaluators:
+        try:
+            blocks += _blocks(job, evaluator, real[_fps(job.request, evaluator)])
+        except MotionkitError as error:
+            if len(evaluators) == 1:
+                raise
+            job.missing.append(f"evaluator {evaluator.name!r}: {error}")
+    if not blocks:
+        raise UsageError("; ".join(job.missing))
+    return blocks
+
+
 def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -> tuple[Block, ...]:
     """One evaluator's numbers."""
     protocol, request = job.protocol, job.request
@@ -165,6 +188,11 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
             rows.append(_model_row(job, each, real, pairs, chosen, embedder))
         except (MotionkitError, ValueError) as error:
             job.missing.append(f"{each.name}, {evaluator.name}: {error}")
+    for folder in job.folders:
+        try:
+            rows.append(_sample_row(job, folder, real, pairs, embedder))
+        except (MotionkitError, ValueError) as error:
+            job.missing.append(f"{folder.name}, {evaluator.name}: {error}")
     head = f"{evaluator.name} evaluator, protocol {protocol.name}, {float(real.samples.fps):g} fps"
     provenance = {"evaluator": evaluator.name, "fingerprint": evaluator.fingerprint, "protocol": protocol.name}
     return scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
@@ -211,6 +239,15 @@ def _model_row(
         job.display.remove_task(task)
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
     return ScoredRow(each.name, "ours", _score(job, reference, draws, repeated), f"run {each.run.name!r}")
+
+
+def _sample_row(
+    job: _Job, folder: SampleFolder, real: CaptionedMotions, pairs: TextMotionPairs, embedder: Embedder
+) -> ScoredRow:
+    found = sample_embeddings(folder, real, job.protocol, embedder)
+    reference = pairs if found.real_rows is None else pairs.select(found.real_rows)
+    scores = _score(job, reference, list(found.draws), found.repeated)
+    return ScoredRow(folder.name, "ours", scores, folder.describe())
 
 
 def _score(
