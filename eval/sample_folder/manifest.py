@@ -192,7 +192,7 @@ EXPLAINED = {
     "up": ('"z"', "the axis bodies stand along; found by looking at most of them without this line"),
     "statistics": ('"raw"', 'of pose vectors (263 or 251 numbers): "raw", or "normalised" with mean and std'),
     "mean": ('"mean.npy"', "what they were normalised with, copied into this folder"),
-    "std": ('"std.npy"', ""),
+    "std": ('"std.npy"', "the same"),
     "name": (
         '"sample{group}_repeat{repeat}"',
         "what names say: group, repeat, caption, action, num_frames, any",
