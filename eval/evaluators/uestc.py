@@ -24,7 +24,8 @@ from motionkit.errors import MotionkitError
 from motionkit.formats.smpl import uestc
 from motionkit.formats.smpl.layouts import SMPL
 from motionkit.skeleton import SMPL22
-from motionkit.training.foreign import fill_checked, foreign_tensors, read_foreign
+from motionkit.training.foreign import fill_checked, read_foreign
+from motionkit.training.tensors import CheckpointError
 
 VERSION = "uestc-stgcn/1"
 TITLE = "ACTOR's ST-GCN for UESTC"
@@ -90,6 +91,11 @@ def load_uestc(path: Path) -> UestcRecogniser:
     Raises `CheckpointError` for a file that is no such checkpoint: names missing or too many, other shapes.
     """
     network = StgcnNetwork(SMPL.parents, NUM_CHANNELS, len(uestc.ACTIONS)).eval().requires_grad_(False)
-    tensors = foreign_tensors({"weights": read_foreign(path)}, "weights", path, TITLE)
-    fill_checked(network.state_dict(), tensors, "weights", path, TITLE)
+    found = read_foreign(path)
+    if not found or not all(isinstance(tensor, torch.Tensor) for tensor in found.values()):
+        raise CheckpointError(
+            f"{path}: not {TITLE}, whose file is a bare state dict (fcn.weight, data_bn.weight …); this one holds "
+            f"{', '.join(found) or 'nothing'}"
+        )
+    fill_checked(network.state_dict(), found, "weights", path, TITLE)
     return UestcRecogniser(network, weights_digest(VERSION, network.state_dict()))

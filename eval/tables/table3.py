@@ -16,10 +16,11 @@ from eval.action_sets import (
 )
 from eval.evaluators.action_recogniser import ActionRecogniser
 from eval.metrics.accuracy import accuracy
+from eval.metrics.kernel import kid
 from eval.protocols.actions import ActionProtocol, find_action_protocol
 from eval.real import RealMotion, real_motion
 from eval.recognisers import RecogniserSource, find_recogniser
-from eval.report.results import Block, Cell, Result, Row, environment
+from eval.report.results import Block, Cell, Origin, Result, Row, environment
 from eval.reported import SOURCES, reported_figures
 from eval.sample_folder import read_sample_folder
 from eval.samples import SampleSet
@@ -54,7 +55,8 @@ PAPER_COLUMNS = {
 }
 PAPER_NOTE = (
     "The paper words its protocol as 20 evaluations of 1,000 motions with 95 % intervals. What stands after ± in "
-    "ACTOR's row is 1.96 · variance, which is no interval, and ACTOR counts whole sets: the table mixes both."
+    "ACTOR's row is 1.96 · variance, which is no interval, and ACTOR counts whole sets: the table mixes both. These "
+    "are other motions: nothing above compares with them."
 )
 BEST_WHERE_REAL = "Diversity and MultiModality are best where real motion has them."
 SMALL_MOTIONS = 1000
@@ -175,7 +177,8 @@ def _real_system(real: _Real, recogniser: ActionRecogniser, request: TableReques
     return _System(
         f"real ({request.split})",
         (real.compared.recognised(recogniser),),
-        _counted(real.compared.samples.num_sequences, 1) + "; FID (train) of real motion is what other takes leave",
+        _counted(real.compared.samples.num_sequences, 1)
+        + ("" if real.train is None else "; its FID (train) is what other takes leave"),
         is_reference=True,
     )
 
@@ -257,27 +260,45 @@ def _block(
         except ValueError as error:
             missing.append(f"{system.name}, protocol {protocol.name!r}: {error}")
             continue
-        own = [line for line in scores.remarks if line not in protocol.remarks]
-        rows.append(
-            Row(
-                system.name,
-                "reference" if system.is_reference else "ours",
-                _cells(scores, fids | COLUMN_OF),
-                "; ".join((system.note, *own)),
-            )
-        )
-    columns = (*(fids[f"fid_{name}"] for name in ("train", "test") if name in references), ACCURACY)
+        origin: Origin = "reference" if system.is_reference else "ours"
+        cells = _with_kid(_cells(scores, fids | COLUMN_OF), fids, against, system)
+        rows.append(Row(system.name, origin, cells, _note(system, scores, protocol)))
+    columns = (*fids.values(), ACCURACY, DIVERSITY, MULTIMODALITY)
     return Block(
         f"Protocol {protocol.name!r}: {source.title}",
-        (*columns, DIVERSITY, MULTIMODALITY),
+        tuple(column for column in columns if any(column in row.cells for row in rows)),
         tuple(rows),
         note=" ".join((source.note, BEST_WHERE_REAL, *protocol.remarks)),
         provenance={"protocol": asdict(protocol)},
     )
 
 
+def _note(system: _System, scores: Scores, protocol: ActionProtocol) -> str:
+    """What is said below the table: how many motions, and where they are fewer than the protocol or FID needs."""
+    lines = [system.note]
+    if not system.is_reference:
+        lines += [line for line in scores.remarks if line not in protocol.remarks]
+    motions, features = system.draws[0].recognition.features.shape
+    if motions <= features:
+        lines.append(
+            f"no more motions than the recogniser's {features} features: FID says little, KID (below) has no bias"
+        )
+    return "; ".join(lines)
+
+
 def _cells(scores: Scores, columns: dict[str, str]) -> dict[str, Cell]:
     return {columns[metric]: _cell(score) for metric, score in scores.values.items()}
+
+
+def _with_kid(
+    cells: dict[str, Cell], fids: dict[str, str], against: dict[str, np.ndarray], system: _System
+) -> dict[str, Cell]:
+    """KID beside every FID, of the first draw: without bias where motions are few."""
+    for name, features in against.items():
+        column = fids[f"fid_{name}"]
+        found = kid(features, system.draws[0].recognition.features)
+        cells[column] = replace(cells[column], details={**cells[column].details, "KID": found})
+    return cells
 
 
 def _cell(score: Score) -> Cell:

@@ -152,6 +152,9 @@ def test_other_motions_and_other_files_are_refused(tmp_path: Path) -> None:
     torch.save(tensors | {"fcn.weight": torch.zeros(12, 256, 1, 1)}, path)
     with pytest.raises(CheckpointError, match=r"fcn.weight is \(12, 256, 1, 1\), expected \(40, 256, 1, 1\)"):
         load_uestc(path)
+    torch.save({"model": tensors, "iteration": 1}, path)
+    with pytest.raises(CheckpointError, match=r"whose file is a bare state dict .*; this one holds model, iteration"):
+        load_uestc(path)
     del tensors["edge_importance.9"]
     torch.save(tensors, path)
     with pytest.raises(CheckpointError, match=r"lacks weights/edge_importance\.9"):
