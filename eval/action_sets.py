@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -95,14 +94,6 @@ def _left_out(
     if short:
         lines.append(f"{short} motions of fewer than {LEAST_FRAMES} frames")
     return tuple(lines)
-
-
-def action_of_files(folder: Path) -> dict[str, str]:
-    """The action of every motion of a folder by its id, "" where neither the file nor a CSV beside it says one."""
-    from motionkit.formats.registry import read, scan
-
-    motions = [read(item) for item in scan([folder]).items]
-    return {motion.sequence_id: motion.action for motion in motions}
 
 
 def with_rotations(store: "Store", samples: SampleSet) -> SampleSet:

@@ -9,7 +9,6 @@ import numpy as np
 from eval.action_sets import (
     ActionSet,
     NoActionsError,
-    action_of_files,
     generated_like,
     known_actions,
     with_rotations,
@@ -22,7 +21,6 @@ from eval.real import RealMotion, real_motion
 from eval.recognisers import RecogniserSource, find_recogniser
 from eval.report.results import Block, Cell, Origin, Result, Row, environment
 from eval.reported import SOURCES, reported_figures
-from eval.sample_folder import read_sample_folder
 from eval.samples import SampleSet
 from eval.scoring.actions import LabelledRecognition, score_actions
 from eval.scoring.scores import Score, Scores
@@ -217,19 +215,17 @@ def _folders(
     source: RecogniserSource, recogniser: ActionRecogniser, request: TableRequest, missing: list[str]
 ) -> list[_System]:
     systems = []
-    for name, path in request.samples.items():
-        folder = read_sample_folder(name, path)
-        actions = action_of_files(path)
-        samples = replace(folder.at(source.fps), actions=tuple(actions.get(each, "") for each in folder.sequence_ids))
+    for folder in request.sample_folders:
+        folder.require_actions()
         try:
-            known = known_actions(samples, recogniser.actions)
+            known = known_actions(folder.at(source.fps), recogniser.actions)
             recognised = known.recognised(recogniser)
         except MotionkitError as error:
-            missing.append(f"{name}: {error}")
+            missing.append(f"{folder.name}: {error}")
             continue
-        missing += [f"{name}: {line}" for line in known.left_out]
+        missing += [f"{folder.name}: {line}" for line in known.left_out]
         note = f"{_counted(known.samples.num_sequences, 1)}; {folder.describe()}"
-        systems.append(_System(name, (recognised,), note))
+        systems.append(_System(folder.name, (recognised,), note))
     return systems
 
 

@@ -14,6 +14,7 @@ from eval.evaluators.guo_files import GuoFiles
 from eval.evaluators.stgcn_network import StgcnNetwork
 from eval.report.render import to_markdown
 from eval.report.results import Result, read_result, write_result
+from eval.sample_folder import SampleFolderError
 from eval.samples import sample_set
 from eval.tables import table3
 from eval.tables.registry import TableRequest
@@ -99,7 +100,7 @@ def build(store: Path, folder: Path, **changes: object) -> Result:
 def with_model(monkeypatch: pytest.MonkeyPatch, folder: Path, model: Actor) -> Path:
     class Told(Actor):
         # The store spells its actions in its own way; a model knows them as the store does.
-        def generate(self, requests: Sequence[GenerationRequest], **options: object) -> list[Acting]:  # type: ignore[override]
+        def generate(self, requests: Sequence[GenerationRequest], **options: object) -> list[Acting]:
             told = [replace(each, action=each.action.replace("_", " ").lower()) for each in requests]
             return model.generate(told, **options)  # type: ignore[arg-type]
 
@@ -162,6 +163,9 @@ def test_samples_of_another_system_are_a_row(store: Path, tmp_path: Path) -> Non
     (folder / "actions.csv").write_text("\n".join(lines) + "\n")
     rows = rows_of(build(store, tmp_path, samples={"theirs": folder}))
     assert rows["theirs"]["Accuracy"] > 0.8
+    (folder / "actions.csv").unlink()
+    with pytest.raises(SampleFolderError, match="--samples theirs: 9 of 9 motions have no action"):
+        build(store, tmp_path, samples={"theirs": folder})
 
 
 def test_what_cannot_be_scored_is_said(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
