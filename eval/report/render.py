@@ -13,6 +13,15 @@ if TYPE_CHECKING:
 
 SIGNIFICANT_DIGITS = 3
 MAX_DECIMALS = 6
+LATEX_SYMBOLS = {
+    "±": r"$\pm$",
+    "–": "--",
+    "∞": r"$\infty$",
+    "×": r"$\times$",
+    "↑": r"$\uparrow$",
+    "↓": r"$\downarrow$",
+    "→": r"$\rightarrow$",
+}
 
 
 def to_markdown(result: Result) -> str:
@@ -117,4 +126,6 @@ def _escape_latex(text: object) -> str:
         if character in "{}" and "\\textbackslash{}" in replaced:
             continue
         replaced = replaced.replace(character, f"\\{character}")
-    return replaced.replace("±", "$\\pm$").replace("–", "--").replace("∞", "$\\infty$").replace("×", "$\\times$")
+    for symbol, command in LATEX_SYMBOLS.items():
+        replaced = replaced.replace(symbol, command)
+    return replaced

@@ -11,7 +11,7 @@ import pytest
 
 from eval.commands.eval import evaluate
 from eval.real import NoRealMotionError
-from eval.report.render import to_markdown
+from eval.report.render import to_latex, to_markdown
 from eval.report.results import Result, read_result, write_result
 from eval.samples import SampleSet
 from eval.tables import registry, table1
@@ -180,6 +180,7 @@ def test_the_result_says_what_its_numbers_mean(
     assert "N = 64 against 64 real motions, 30 motions of 13 texts" in text
     assert "protocol t2m" in text and "There is one set of motions" in text
     assert "| MDM (paper) | 0.611 ± 0.007 | 5.566 ± 0.027 | 0.544 ± 0.044 |" in text
+    assert r"R-Precision, top 1 $\uparrow$ & " in to_latex(result)
     assert read_result(write_result(result, tmp_path)).blocks == result.blocks
 
 
