@@ -235,8 +235,13 @@ def _acceleration_block(acceleration: Float64[np.ndarray, "clips samples 66"]) -
 
 
 def _peak_block(acceleration: Float64[np.ndarray, "clips samples 66"]) -> Float64[np.ndarray, "clips 10"]:
-    """Log quantiles over the clip of each group's root-mean-square acceleration (m/s²)."""
-    group = np.sort(np.square(acceleration) @ GROUP_MEANS, axis=1)
+    """Log quantiles over the clip of each group's root-mean-square acceleration, two frames averaged (m/s²).
+
+    The mean of two neighbours has no gain at the Nyquist frequency, where the height of a peak is an accident of where
+    the frames fall: without it half a frame's shift of a capture at its native rate doubles the score of sampling.
+    """
+    smooth = 0.5 * (acceleration[:, 1:] + acceleration[:, :-1])
+    group = np.sort(np.square(smooth) @ GROUP_MEANS, axis=1)
     quantiles = np.sqrt(_sorted_quantiles(group, PEAK_QUANTILES))
     logarithm: Float64[np.ndarray, "clips quantiles groups"] = np.log(quantiles + ACCELERATION_FLOOR)
     return logarithm.reshape(len(acceleration), -1)
