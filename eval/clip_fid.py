@@ -194,7 +194,8 @@ def score_rows(
     """clip-FID of every row's sample set against the real one at the same framerate.
 
     `parts` names slices of the features whose own FID is wanted; `on_replication` is called after each replication.
-    Raises `ClipError` where clips do not fit and `ValueError` where framerates differ.
+    Raises `ClipError` where clips do not fit or the real set's features are constant, and `ValueError` where framerates
+    differ.
     """
     for samples in rows.values():
         if samples.fps != real.fps:
@@ -202,6 +203,11 @@ def score_rows(
 
     def replicate(replication: int) -> dict[str, Scores]:
         reference = _features(real, features, protocol, replication, REAL)
+        if (reference == reference[0]).all():
+            raise ClipError(
+                f"{real.name} at {real.fps} fps: every clip has the same {features.name} features, so there is no "
+                "distribution to compare with; is the motion frozen?"
+            )
         scores = {}
         for name, samples in rows.items():
             described = _features(samples, features, protocol, replication, OTHER)

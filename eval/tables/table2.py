@@ -32,6 +32,7 @@ from eval.report.results import Block, Cell, Result, Row, environment
 from eval.reported import SOURCES, reported_figures
 from eval.sample_folder import SampleFolder
 from eval.samples import SampleSet
+from eval.set_remarks import set_remarks
 from eval.tables.nearest_training import nearest_training_block
 from eval.tables.registry import Table, TableRequest
 from motionkit.console import progress
@@ -50,6 +51,7 @@ P1 = "real, independent draws (P1)"
 P2 = "real, disjoint halves of the takes (P2)"
 SLERP = "real kept at 20 fps, SLERP"
 VECTORS = "real kept at 20 fps, as vectors (handicapped)"
+REFERENCES = (P1, P2, SLERP, VECTORS)
 NERM = "NeRM"
 NERM_SLERP = "NeRM generated at 20 fps, SLERP"
 ROW_NOTES = {
@@ -83,6 +85,11 @@ class _Column:
     real: SampleSet
     rows: Mapping[str, SampleSet]
     train: SampleSet | None
+
+    @property
+    def others(self) -> dict[str, SampleSet]:
+        """The rows that are not made of the real set."""
+        return {name: samples for name, samples in self.rows.items() if name not in REFERENCES}
 
     def low_passed(self, cutoff_hz: float | None) -> "_Column":
         """The same column with every set smoothed alike; itself where no cut-off is given."""
@@ -120,6 +127,7 @@ def build_table2(request: TableRequest) -> Result:
             _column(fps, real, train, fields, _at(folders, fps, display), missing).low_passed(request.low_pass_hz)
             for fps in rates
         ]
+        remarks = [remark for column in columns for remark in set_remarks(column.real, column.others)]
         blocks = tuple(
             _block(source, columns, request, notes, display, missing)
             for source in feature_sources(request.run, request.features, missing, request.guo)
@@ -133,7 +141,7 @@ def build_table2(request: TableRequest) -> Result:
         caption=_caption(columns, request),
         blocks=(*(block for block in (*blocks, *nearest) if block.rows), _paper_block()),
         definition=_definition(columns, request),
-        notes=_notes(columns),
+        notes=(*_notes(columns), *dict.fromkeys(remarks)),
         missing=tuple(dict.fromkeys(missing)),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
@@ -273,6 +281,7 @@ def _block(
         try:
             check_lengths(column.real, protocol)
             features = source.fit(column.train)
+            scores = _scores(column, features, source, protocol, display, missing)
         except MotionkitError as error:
             missing.append(f"{label}, {source.name}: {error}")
             continue
@@ -280,12 +289,11 @@ def _block(
         if isinstance(features, KinematicDescriptor):
             features.save(_made(request.results / "features") / f"kinematic-{features.fingerprint}.npz")
         warnings |= dict.fromkeys(_too_few(column, features, protocol))
-        for name, score in _scores(column, features, source, protocol, display, missing).items():
+        for name, score in scores.items():
             cells.setdefault(name, {})[label] = clip_fid_cell(score)
-    references = {P1, P2, SLERP, VECTORS}
-    order = [P1, P2, SLERP, VECTORS, *(name for name in cells if name not in references)]
+    order = [*REFERENCES, *(name for name in cells if name not in REFERENCES)]
     rows = tuple(
-        Row(name, "reference" if name in references else "ours", cells[name], notes.get(name, ""))
+        Row(name, "reference" if name in REFERENCES else "ours", cells[name], notes.get(name, ""))
         for name in order
         if name in cells
     )
