@@ -101,6 +101,8 @@ def evaluate(
     if sum((table is not None, figure is not None, calibrate)) != 1:
         known = ", ".join(installed_tables())
         raise UsageError(f"give --table NUMBER, --figure NUMBER or --calibrate; installed tables: {known}")
+    if calibrate and (low_pass is not None or samples):
+        raise UsageError("--calibrate damages real motion by itself: leave out --low-pass and --samples")
     request = TableRequest(
         store=store or default_path("store"),
         results=results or default_path("results"),
@@ -153,13 +155,19 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
     build = build_calibration if table is None else find_table(paper, table).build
     result = build(request)
     path = write_result(result, request.results)
+    if result.figure:
+        from eval.report.calibration_figure import calibration_figure
+        from eval.report.figures import save
+
+        save(calibration_figure(result), request.results / result.figure)
     text = to_markdown(result)
     path.with_suffix(".md").write_text(text, encoding="utf-8")
     if as_json:
         print_json(asdict(result))
     else:
         print(text, end="")
-    stderr.print(f"written: {path} and {path.with_suffix('.md').name}", markup=False)
+    beside = " and ".join(filter(None, (path.with_suffix(".md").name, result.figure)))
+    stderr.print(f"written: {path}, beside it {beside}", markup=False)
 
 
 def _guo_files(weights: Path | None, glove: Path | None, statistics: Path | None) -> "GuoFiles | None":

@@ -49,7 +49,9 @@ def report(
 
 
 def _pictures(results: "list[Result]", folder: Path) -> list[Path]:
-    """Draw every result with columns of framerates, or of seconds and a quality, as FOLDER/TASK.png; what was drawn."""
+    """Draw the calibration and every result with columns of framerates, or of seconds and a quality; what was drawn."""
+    from eval.calibration import TASK
+    from eval.report.calibration_figure import calibration_figure
     from eval.report.cost_curves import cost_curve_of, cost_figure
     from eval.report.figures import curves_figure, save
     from eval.report.table_curves import panels_of
@@ -57,7 +59,13 @@ def _pictures(results: "list[Result]", folder: Path) -> list[Path]:
     drawn = []
     for result in results:
         panels, cost = panels_of(result), cost_curve_of(result)
-        figure = curves_figure(panels) if panels else cost_figure(cost) if cost else None
-        if figure is not None:
-            drawn.append(save(figure, folder / f"{result.task}.png"))
+        if result.task == TASK:
+            figure = calibration_figure(result)
+        elif panels:
+            figure = curves_figure(panels)
+        elif cost:
+            figure = cost_figure(cost)
+        else:
+            continue
+        drawn.append(save(figure, folder / f"{result.task}.png"))
     return drawn

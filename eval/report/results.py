@@ -59,7 +59,7 @@ class Result:
     """One table: blocks of rows, the definition of its numbers, what is missing, and where everything came from.
 
     `task` names it ("nerm-table2"), `version` is raised when its meaning changes. `provenance` holds store, run, seed,
-    environment.
+    environment. `figure` is the name of a picture beside the file, "" where there is none.
     """
 
     task: str
@@ -71,6 +71,7 @@ class Result:
     notes: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    figure: str = ""
 
 
 def environment() -> dict[str, Any]:

@@ -1,9 +1,22 @@
 """The calibration table: how clip-FID on each feature set answers graded damage, and transforms that change nothing."""
 
+from collections.abc import Mapping
 from fractions import Fraction
 from functools import partial
 
-from eval.calibration import MAX_FLAT_RATIO, MIN_SPEARMAN, VERSION, Calibration, calibrate
+from eval.calibration import (
+    CLEAN,
+    DISJOINT,
+    FLAT,
+    MAX_FLAT_RATIO,
+    MIN_SPEARMAN,
+    TASK,
+    VERSION,
+    Calibration,
+    Graded,
+    calibrate,
+    level_name,
+)
 from eval.corruptions import families
 from eval.feature_sources import FeatureSource, feature_sources
 from eval.real import RealMotion, real_motion
@@ -12,7 +25,8 @@ from eval.tables.registry import TableRequest
 from motionkit.console import progress
 from motionkit.errors import MotionkitError
 
-COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 120))
+COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
+FIGURE = f"{TASK}.png"
 
 
 def build_calibration(request: TableRequest) -> Result:
@@ -30,17 +44,17 @@ def build_calibration(request: TableRequest) -> Result:
     calibrations = {source.name: _calibrate(source, request, held_out, train, missing) for source in sources}
     blocks: list[Block] = []
     for source in sources:
-        blocks += _blocks(source, calibrations[source.name])
+        blocks += _blocks(source, request, calibrations[source.name])
     return Result(
-        task="calibration",
+        task=TASK,
         version=VERSION,
         title="Calibration of clip-FID's features",
         caption=(
-            "Scores of damaged real motion against clean real motion, in multiples of the score of clean against clean "
-            f"(first row, absolute): N = {request.protocol.num_clips:,} clips, {request.protocol.replications} "
-            f"replications, split {request.split!r}{request.restriction}, features fitted on the training split. A "
-            f"feature set may be quoted where every family's Spearman correlation is at least {MIN_SPEARMAN} and no "
-            f"harmless transform exceeds {MAX_FLAT_RATIO:g} times the floor."
+            "Scores of damaged real motion against clean real motion of the same takes, in multiples of what clean "
+            f"motion scores (first row, absolute): N = {request.protocol.num_clips:,} clips, split {request.split!r}"
+            f"{request.restriction}, features fitted on the training split. A feature set may be quoted where every "
+            f"family's Spearman correlation is at least {MIN_SPEARMAN} and no harmless transform exceeds "
+            f"{MAX_FLAT_RATIO:g} times the floor."
         ),
         blocks=tuple(blocks),
         definition={
@@ -49,12 +63,14 @@ def build_calibration(request: TableRequest) -> Result:
             "min_spearman": MIN_SPEARMAN,
             "max_flat_ratio": MAX_FLAT_RATIO,
         },
+        notes=_notes(calibrations),
         missing=tuple(missing),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "seed": request.seed,
             "environment": environment(),
         },
+        figure=FIGURE if blocks else "",
     )
 
 
@@ -65,7 +81,7 @@ def _calibrate(
     protocol = source.protocol(request.protocol)
     with progress() as display:
         for fps in request.fps or COLUMNS:
-            task = display.add_task(f"{source.name}, {fps} fps", total=protocol.replications, note="")
+            task = display.add_task(f"{source.name}, {fps} fps", total=2 * protocol.replications, note="")
             try:
                 real, shifted = held_out.at(fps), held_out.at(fps, first_frame=1)
                 features = source.fit(train.at(fps))
@@ -77,58 +93,77 @@ def _calibrate(
     return results
 
 
-def _blocks(source: FeatureSource, calibrations: list[Calibration]) -> list[Block]:
+def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Calibration]) -> list[Block]:
     """One block of ratios to the floor, one of rank correlations."""
     columns = tuple(f"{each.fps} fps" for each in calibrations)
-    ratios: dict[str, dict[str, Cell]] = {"clean (absolute)": {}}
+    by_column = list(zip(columns, calibrations, strict=True))
+    ratios: dict[str, dict[str, Cell]] = {CLEAN: {}, DISJOINT: {}}
     spearman: dict[str, dict[str, Cell]] = {}
-    visible: dict[str, dict[str, str]] = {}
-    for column, each in zip(columns, calibrations, strict=True):
-        ratios["clean (absolute)"][column] = Cell(each.floor.mean, each.floor.ci95)
+    for column, each in by_column:
+        floor = each.floor.mean
+        ratios[CLEAN][column] = Cell(floor, each.floor.ci95)
+        ratios[DISJOINT][column] = Cell(each.disjoint_floor.mean / floor, each.disjoint_floor.ci95 / floor)
         for name, score in each.flat.items():
-            ratios.setdefault(f"flat: {name}", {})[column] = Cell(score.mean / each.floor.mean)
-        for family in each.graded:
-            spearman.setdefault(family.family, {})[column] = Cell(family.spearman)
-            seen = family.first_visible
-            visible.setdefault(family.family, {})[column] = "none" if seen is None else f"{seen:g} {family.unit}"
-            for strength, score in zip(family.strengths, family.scores[1:], strict=True):
-                row = f"{family.family} {strength:g} {family.unit}"
-                ratios.setdefault(row, {})[column] = Cell(score.mean / each.floor.mean)
-    ratios = {name: ratios[name] for name in _row_order(list(ratios))}
+            ratios.setdefault(FLAT + name, {})[column] = Cell(score.mean / floor, score.ci95 / floor)
+        for graded in each.graded:
+            spearman.setdefault(graded.family, {})[column] = Cell(graded.spearman)
+            for strength, score in zip(graded.strengths, graded.scores[1:], strict=True):
+                row = f"{graded.family} {strength:g} {graded.unit}"
+                ratios.setdefault(row, {})[column] = Cell(score.mean / floor, score.ci95 / floor)
+    replications = source.protocol(request.protocol).replications
     provenance = {
-        "fingerprints": {column: each.fingerprint for column, each in zip(columns, calibrations, strict=True)},
-        "passes": {column: each.passes for column, each in zip(columns, calibrations, strict=True)},
+        "features": source.name,
+        "replications": replications,
+        "fingerprints": {column: each.fingerprint for column, each in by_column},
+        "passes": {column: each.passes for column, each in by_column},
     }
-    passed = ", ".join(
-        f"{column} {'passes' if each.passes else 'FAILS'}" for column, each in zip(columns, calibrations, strict=True)
-    )
+    verdict = ", ".join(f"{column} {'passes' if each.passes else 'FAILS'}" for column, each in by_column)
     return [
         Block(
             f"{source.name}: multiples of the floor",
             columns,
-            tuple(Row(name, "reference", cells) for name, cells in ratios.items()),
-            note=f"{passed}.",
-            provenance=provenance,
+            tuple(Row(name, "reference", ratios[name]) for name in _row_order(list(ratios)) if ratios[name]),
+            note=f"{verdict} ({replications} replications).",
+            provenance=provenance | {"shows": "scores"},
         ),
         Block(
             f"{source.name}: Spearman correlation of severity and score",
             columns,
-            tuple(
-                Row(
-                    name,
-                    "reference",
-                    cells,
-                    "first visible at " + ", ".join(f"{seen} ({column})" for column, seen in visible[name].items()),
-                )
-                for name, cells in spearman.items()
-            ),
+            tuple(Row(name, "reference", cells, _visible(name, by_column)) for name, cells in spearman.items()),
             lower_is_better=False,
-            provenance=provenance,
+            provenance=provenance | {"shows": "spearman"},
         ),
     ]
 
 
+def _visible(family: str, by_column: list[tuple[str, Calibration]]) -> str:
+    """From which level on a family's damage is told from real motion at 95 %, over either floor."""
+    over_same, over_disjoint = [], []
+    for column, each in by_column:
+        for graded in each.graded:
+            if graded.family == family:
+                over_same.append(f"{_level(graded, graded.first_visible)} ({column})")
+                over_disjoint.append(f"{_level(graded, graded.first_above(each.disjoint_floor))} ({column})")
+    return (
+        f"told from real motion of the same takes from {', '.join(over_same)}; scores above other takes (P2) from "
+        f"{', '.join(over_disjoint)}"
+    )
+
+
+def _level(graded: Graded, strength: float | None) -> str:
+    return "none" if strength is None else f"{strength:g} {graded.unit}"
+
+
+def _notes(calibrations: Mapping[str, list[Calibration]]) -> tuple[str, ...]:
+    """What every framerate's real set holds."""
+    held = {each.fps: each for some in calibrations.values() for each in some}
+    sets = (
+        f"{fps} fps: {held[fps].num_sequences} sequences, {held[fps].duration_seconds:.0f} s" for fps in sorted(held)
+    )
+    return (f"Real sets: {'; '.join(sets)}.",) if held else ()
+
+
 def _row_order(names: list[str]) -> list[str]:
     """Clean, harmless, then family by family from mild to severe, whichever framerates the levels exist at."""
-    levels = [f"{family.name} {level:g} {family.unit}" for family in families() for level in family.levels]
+    levels = [level_name(family, level) for family in families() for level in family.levels]
     return [name for name in names if name not in levels] + [name for name in levels if name in names]

@@ -142,3 +142,30 @@ def test_half_a_frame_twice_is_one_frame() -> None:
     assert np.allclose(half[60:-60, 0, 0], np.sin(2 * np.pi * 9.0 * (seconds + 0.005))[60:-60], atol=2e-3)
     once = corruptions.shift_between_frames(half, 0.5)
     assert np.allclose(once[60:-60], wave[61:-59], atol=5e-3)
+
+
+def test_a_shift_of_no_frame_or_a_whole_one_is_exact_and_clips_of_a_batch_have_their_own() -> None:
+    clips = swinging()
+    shifted = corruptions.shift_between_frames(clips, np.array([0.0, 1.0, 0.5]))
+    assert np.allclose(shifted[0], clips[0], atol=1e-6)
+    assert np.allclose(shifted[1, :-1], clips[1, 1:], atol=1e-5)
+    assert np.allclose(shifted[2], corruptions.shift_between_frames(clips[2], 0.5), atol=1e-6)
+
+
+def test_a_shift_carries_a_glitch_no_further_than_its_kernel() -> None:
+    still = np.zeros((400, 22, 3))
+    glitch = still.copy()
+    glitch[200, 3, 1] = 1.0
+    moved = np.abs(corruptions.shift_between_frames(glitch, 0.5)).max(axis=(1, 2))
+    assert moved[199] > 0.5
+    assert moved[: 199 - corruptions.SHIFT_REACH_FRAMES].max() < 1e-12
+    assert moved[201 + corruptions.SHIFT_REACH_FRAMES :].max() < 1e-12
+
+
+def test_a_shift_keeps_what_lies_below_the_nyquist_frequency() -> None:
+    frames = np.arange(600)
+    for cycles_per_frame in (0.05, 0.3, 0.45, 0.475):
+        wave = np.cos(2 * np.pi * cycles_per_frame * frames)[:, None, None] * np.ones((1, 2, 3))
+        expected = np.cos(2 * np.pi * cycles_per_frame * (frames + 0.5))
+        found = corruptions.shift_between_frames(wave, 0.5)[100:-100, 0, 0]
+        assert np.abs(found - expected[100:-100]).max() < 0.01

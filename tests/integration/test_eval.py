@@ -126,6 +126,40 @@ def test_calibration(store: Path, tmp_path: Path) -> None:
     assert values["flat: yaw"] == pytest.approx(1.0, abs=0.05)
     correlations = {row["name"]: row["cells"]["60 fps"]["value"] for row in spearman["rows"]}
     assert correlations["jitter"] == pytest.approx(1.0)
+    assert values["disjoint halves of the takes (P2)"] > 1.0
+    jitter = next(row for row in spearman["rows"] if row["name"] == "jitter")
+    assert "told from real motion of the same takes from 0.0005 m (60 fps)" in jitter["note"]
+    assert "scores above other takes (P2) from " in jitter["note"]
+    assert result["notes"] == ["Real sets: 60 fps: 4 sequences, 20 s."]
+    assert "](calibration.png)" in (tmp_path / "calibration.md").read_text()
+    drawn = (tmp_path / "calibration.png").read_bytes()
+    assert drawn.startswith(b"\x89PNG")
+    (tmp_path / "calibration.png").unlink()
+    again = run("report", "--results", tmp_path, "--format", "png")
+    assert again.stdout.split() == [str(tmp_path / "calibration.png")]
+    assert (tmp_path / "calibration.png").read_bytes() == drawn
+
+
+def test_sets_that_mislead_are_named_under_the_table(store: Path, tmp_path: Path) -> None:
+    """The real files as another system's, statues as a third's, fewer clips than features; sizes in seconds."""
+    for name in ("copy", "statues"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "motions.json").write_text('{"fps": 120}')
+    for index in (5, 11):
+        np.save(tmp_path / "copy" / f"walk-{index}.npy", walk(index, 120, 5.0))
+        np.save(tmp_path / "statues" / f"{index}.npy", np.repeat(walk(index, 120, 0.02)[:1], 600, axis=0))
+    samples = [part for name in ("copy", "statues") for part in ("--samples", f"{name}={tmp_path / name}")]
+    arguments = ("--clips", "64", "--replications", "2", "--features", "kinematic", "--sizes", "0.2s:0.5s", "--json")
+    done = run("eval", "--table", "2", "--store", store, "--results", tmp_path, "--fps", "120", *samples, *arguments)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    notes = "\n".join(result["notes"])
+    assert "copy, 120 fps: 2 of 2 sequences are copies of sequences of real (test)" in notes
+    assert "statues, 120 fps: nothing moves in any of the 2 sequences" in notes
+    assert "With 64 clips for 65 features every covariance is singular" in result["blocks"][0]["note"]
+    details = result["blocks"][0]["rows"][0]["cells"]["120 fps"]["details"]
+    assert {"KID", "FID_∞", "precision", "recall", "density", "coverage"} < set(details)
+    assert result["definition"]["protocol"]["sizes"]["kind"] == "SecondsRange"
 
 
 @pytest.mark.parametrize(
@@ -137,6 +171,7 @@ def test_calibration(store: Path, tmp_path: Path) -> None:
         (("eval", "--table", "2", "--fps", "20,x"), 2, "--fps 20,x"),
         (("eval", "--table", "2", "--sizes", "64:16"), 2, "--sizes 64:16"),
         (("eval", "--table", "2", "--samples", "mine"), 2, "give NAME=DIR"),
+        (("eval", "--calibrate", "--low-pass", "10"), 2, "leave out --low-pass and --samples"),
         (("eval", "--table", "2", "--store", "nowhere"), 1, "nowhere"),
         (("report", "--results", "nowhere"), 2, "there is no result in 'nowhere'"),
     ],
