@@ -29,7 +29,7 @@ FEET = ((7, 10), (8, 11))
 BAND_EDGES = (0.0, 0.17, 0.34, 0.5, 0.75, 1.0)
 """Edges of the acceleration bands as fractions of the Nyquist frequency."""
 NUM_POSE_COMPONENTS = 10
-PEAK_QUANTILES = (0.9, 1.0)
+LEVEL_QUANTILES = (0.25, 0.75)
 SLIP_QUANTILES = (0.0, 0.25, 0.5, 0.75)
 SLIP_SECONDS = 0.1
 MIN_POSES = 8
@@ -51,7 +51,7 @@ CHUNK_CLIPS = 256
 BLOCKS: Mapping[str, slice] = {
     "pose": slice(0, 20),
     "acceleration": slice(20, 45),
-    "peaks": slice(45, 55),
+    "level": slice(45, 55),
     "speed": slice(55, 60),
     "slip": slice(60, 65),
 }
@@ -176,7 +176,7 @@ def _raw_features(
         velocity = (positions[:, 1:] - positions[:, :-1]) * float(fps)
         acceleration = ((velocity[:, 1:] - velocity[:, :-1]) * float(fps)).reshape(len(positions), -1, 3 * NUM_JOINTS)
         rows[:, BLOCKS["acceleration"]] = _acceleration_block(acceleration)
-        rows[:, BLOCKS["peaks"]] = _peak_block(acceleration)
+        rows[:, BLOCKS["level"]] = _level_block(acceleration)
         rows[:, BLOCKS["speed"]] = _speed_block(velocity)
         rows[:, BLOCKS["slip"]] = _slip_block(positions, fps)
     return result
@@ -234,15 +234,16 @@ def _acceleration_block(acceleration: Float64[np.ndarray, "clips samples 66"]) -
     return 0.5 * logarithm.reshape(len(acceleration), -1)
 
 
-def _peak_block(acceleration: Float64[np.ndarray, "clips samples 66"]) -> Float64[np.ndarray, "clips 10"]:
-    """Log quantiles over the clip of each group's root-mean-square acceleration, two frames averaged (m/s²).
+def _level_block(acceleration: Float64[np.ndarray, "clips samples 66"]) -> Float64[np.ndarray, "clips 10"]:
+    """Log quartiles over the clip of each group's root-mean-square acceleration, two frames averaged (m/s²).
 
-    The mean of two neighbours has no gain at the Nyquist frequency, where the height of a peak is an accident of where
-    the frames fall: without it half a frame's shift of a capture at its native rate doubles the score of sampling.
+    Quartiles, not peaks: between two known poses an upsampled motion hardly accelerates, and the fewer they are the
+    longer it doesn't, while its kinks soon reach their full height. The mean of two frames has no gain at the Nyquist
+    frequency, where what a native capture holds depends on where the frames fell.
     """
     smooth = 0.5 * (acceleration[:, 1:] + acceleration[:, :-1])
     group = np.sort(np.square(smooth) @ GROUP_MEANS, axis=1)
-    quantiles = np.sqrt(_sorted_quantiles(group, PEAK_QUANTILES))
+    quantiles = np.sqrt(_sorted_quantiles(group, LEVEL_QUANTILES))
     logarithm: Float64[np.ndarray, "clips quantiles groups"] = np.log(quantiles + ACCELERATION_FLOOR)
     return logarithm.reshape(len(acceleration), -1)
 
