@@ -101,43 +101,6 @@ def normalise_seconds(
     return -1.0 + 2.0 * seconds / max_duration_seconds
 
 
-def denormalise_coordinates(
-    coordinates: Float64[np.ndarray, "*shape"], max_duration_seconds: float
-) -> Float64[np.ndarray, "*shape"]:
-    """Coordinates in [−1, 1] → seconds since the start of a window of l_max seconds."""
-    return (coordinates + 1.0) * (max_duration_seconds / 2.0)
-
-
 def num_frames_within(span_seconds: float, fps: Fraction) -> int:
     """Number of frames k / fps that lie in [0, span_seconds], the end included within a microsecond."""
     return int(np.floor((span_seconds + 1e-6) * float(fps))) + 1
-
-
-@dataclass(frozen=True)
-class ClipWindow:
-    """A clip of `num_poses` (m) poses at `fps` (s) around `centre_seconds` (v), in seconds of its sequence."""
-
-    centre_seconds: float
-    num_poses: int
-    fps: Fraction
-
-    @property
-    def start_seconds(self) -> float:
-        """Time of the clip's first pose."""
-        return self.centre_seconds - float((self.num_poses - 1) / self.fps) / 2
-
-    def seconds(self) -> Float64[np.ndarray, "poses"]:
-        """Time stamps of the clip's poses."""
-        return TimeGrid(self.fps, self.num_poses, self.start_seconds).seconds()
-
-    def normalised(self, max_duration_seconds: float) -> Float64[np.ndarray, "poses"]:
-        """t_{v,s}: the clip's coordinates, spanning (2 / l_max)·(m / s) around its centre (NeRM §3.1, Eq. 2)."""
-        return normalise_seconds(self.seconds(), max_duration_seconds)
-
-
-def clip_centre_bounds(span_seconds: float, num_poses: int, fps: Fraction) -> tuple[float, float] | None:
-    """The interval of centres v for which a clip of m poses lies inside [0, span_seconds]; None where none does."""
-    half = float((num_poses - 1) / fps) / 2
-    if 2 * half > span_seconds + 1e-9:
-        return None
-    return half, max(half, span_seconds - half)

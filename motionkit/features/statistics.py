@@ -1,21 +1,18 @@
-"""Mean and standard deviation of pose vectors, kept in one file that names its convention."""
+"""Mean and standard deviation of pose vectors, with the convention that they are of."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-from motionkit.errors import FormatError
 from motionkit.features.layout import layout_of, vector_layout
 from motionkit.moments import Moments
 
 Signature = Literal["published", "evaluator"]
 
-# The published evaluators divide four root numbers and four contacts by feat_bias = 5, in place, twice.
-EVALUATOR_FACTOR = 25.0
-# Root speed and joint speeds vary alike (0.87 for HumanML3D), 25 times less so after that division (0.035; KIT 0.040).
+# Root speed and joint speeds vary alike (0.87 for HumanML3D). The published evaluators divide four root numbers and
+# four contacts by feat_bias = 5, in place, twice: 25 times less (0.035; KIT 0.040).
 _ROOT_TO_JOINT_SPEED = 0.17
 
 
@@ -56,16 +53,6 @@ def block_statistics(found: Moments, convention: str, num_joints: int) -> Statis
     return Statistics(convention, found.mean, std)
 
 
-def evaluator_statistics(published: Statistics, num_joints: int) -> Statistics:
-    """The published evaluators' weighting of these statistics: root and contact std divided by 25."""
-    check_statistics(published, num_joints, "published")
-    layout = vector_layout(num_joints)
-    std = published.std.copy()
-    for block in (slice(0, layout.root_height.stop), layout.contacts):
-        std[block] /= EVALUATOR_FACTOR
-    return Statistics(published.convention, published.mean, std)
-
-
 def check_statistics(found: Statistics, num_joints: int, expected: Signature) -> None:
     """Raise `ValueError` unless statistics carry the signature asked for.
 
@@ -89,25 +76,3 @@ def check_statistics(found: Statistics, num_joints: int, expected: Signature) ->
             f"these are {signature} statistics (std of root speed is {ratio:.3f} of the joints'), but {expected} ones "
             "are needed: the evaluator's weight root and contacts 25 times as much as Std.npy does"
         )
-
-
-def save_statistics(path: Path, statistics: Statistics) -> None:
-    """Write an .npz with the convention's name, mean and std."""
-    with path.open("wb") as file:
-        np.savez(file, convention=np.array(statistics.convention), mean=statistics.mean, std=statistics.std)
-
-
-def load_statistics(path: Path, convention: str) -> Statistics:
-    """Read statistics of a convention; raises `FormatError` where the file is not such a file or is of another one."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            name = str(file["convention"])
-            mean, std = file["mean"].astype(np.float64), file["std"].astype(np.float64)
-        statistics = Statistics(name, mean, std)
-    except (ValueError, KeyError, EOFError, OSError, TypeError, AttributeError) as error:
-        raise FormatError(f"not a file of statistics: {error}", path=path, reason="statistics") from error
-    if name != convention:
-        raise FormatError(
-            f"holds statistics of {name!r} vectors, {convention!r} ones are needed", path=path, reason="convention"
-        )
-    return statistics

@@ -6,10 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.timegrid import (
-    ClipWindow,
     TimeGrid,
-    clip_centre_bounds,
-    denormalise_coordinates,
     num_frames_within,
     parse_fps,
 )
@@ -54,7 +51,7 @@ def test_coordinates_round_trip(fps: int, num_frames: int) -> None:
     grid = TimeGrid(Fraction(fps), num_frames)
     coordinates = grid.normalised(10.0)
     assert coordinates[0] == -1.0
-    assert np.allclose(denormalise_coordinates(coordinates, 10.0), grid.seconds(), atol=1e-9)
+    assert np.allclose((coordinates + 1.0) * 5.0, grid.seconds(), atol=1e-9)
     assert num_frames_within(grid.span_seconds, grid.fps) == num_frames
 
 
@@ -62,14 +59,3 @@ def test_a_whole_window_has_one_point_more_than_its_intervals() -> None:
     # NeRM prints s·l_max coordinates from −1 to 1; both ends are in only with s·l_max + 1 points.
     coordinates = TimeGrid(Fraction(20), 201).normalised(10.0)
     assert coordinates[[0, -1]].tolist() == [-1.0, 1.0]
-
-
-def test_clip_windows_lie_inside_their_sequence() -> None:
-    fps = Fraction(60)
-    bounds = clip_centre_bounds(1.0, 32, fps)
-    assert bounds is not None
-    for centre in bounds:
-        seconds = ClipWindow(centre, 32, fps).seconds()
-        assert seconds[0] >= -1e-9
-        assert seconds[-1] <= 1.0 + 1e-9
-    assert clip_centre_bounds(0.5, 32, fps) is None
