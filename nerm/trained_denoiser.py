@@ -1,5 +1,6 @@
 """A trained denoiser as it rests in a run folder, and sampling latents with it."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -80,10 +81,15 @@ class TrainedDenoiser:
             raise UsageError(f"{steps} sampling steps: this model's diffusion has 1 … {own.num_steps}")
         if sampling.sampler not in (None, *SAMPLERS):
             raise UsageError(f"no sampler is called {sampling.sampler!r}; there are {', '.join(SAMPLERS)}")
+        guidance_scale = self.config.guidance_scale if sampling.guidance_scale is None else sampling.guidance_scale
+        if not math.isfinite(guidance_scale):
+            raise UsageError(
+                f"a guidance scale is a finite number (1 follows the condition as the data does), not {guidance_scale}"
+            )
         return replace(
             self.config,
             diffusion=replace(own, sampler=sampling.sampler or own.sampler, sampling_steps=steps),
-            guidance_scale=self.config.guidance_scale if sampling.guidance_scale is None else sampling.guidance_scale,
+            guidance_scale=guidance_scale,
         )
 
     @torch.inference_mode()

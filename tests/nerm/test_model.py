@@ -1,5 +1,6 @@
 """NeRM as a generative model, over a field whose decoding is known in closed form."""
 
+import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -137,7 +138,12 @@ def test_seeds_and_requests_decide(encoder):
 
 @pytest.mark.parametrize(
     ("sampling", "why"),
-    [(SamplingOptions(sampler="euler"), "ddim, ddpm"), (SamplingOptions(steps=1001), "has 1 … 1000")],
+    [
+        (SamplingOptions(sampler="euler"), "ddim, ddpm"),
+        (SamplingOptions(steps=1001), "has 1 … 1000"),
+        (SamplingOptions(guidance_scale=math.nan), "a finite number .*, not nan"),
+        (SamplingOptions(guidance_scale=-math.inf), "a finite number .*, not -inf"),
+    ],
 )
 def test_sampling_that_there_is_not_is_explained(sampling, why):
     with pytest.raises(UsageError, match=why):
