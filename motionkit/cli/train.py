@@ -11,7 +11,7 @@ from motionkit.conditions import conjunction
 from motionkit.console import print_json, stderr, stdout
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
-from motionkit.training.config import apply_overrides, flatten, parse_override
+from motionkit.training.config import apply_overrides, flatten, parse_override, unknown_setting
 from motionkit.training.run import RunFolder, concerns
 from motionkit.training.stage import Stage, StageContext, choose_stages, registered_stages
 
@@ -104,7 +104,7 @@ def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str])
     for override in overrides:
         key, _ = parse_override(override)
         if key not in known:
-            raise UsageError(f"no setting is called {key!r}; recipe {recipe!r} has: {', '.join(known)}")
+            raise UsageError(f"{unknown_setting(key, known)}; recipe {recipe!r} has: {', '.join(known)}")
     return [
         apply_overrides(config, [override for override in overrides if parse_override(override)[0] in flatten(config)])
         for config in configs

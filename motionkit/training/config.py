@@ -4,6 +4,7 @@ Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]`
 """
 
 import dataclasses
+import difflib
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -63,6 +64,13 @@ def parse_override(override: str) -> tuple[str, str]:
     return key.strip(), text.strip()
 
 
+def unknown_setting(key: str, known: Sequence[str]) -> str:
+    """What to say of a key that is no setting: first those that may have been meant, of a hundred that there are."""
+    of_that_name = [each for each in known if each.rpartition(".")[2] == key.rpartition(".")[2]]
+    meant = list(dict.fromkeys([*difflib.get_close_matches(key, known, n=3, cutoff=0.85), *of_that_name]))
+    return f"no setting is called {key!r}" + (f", perhaps {' or '.join(meant)}" if meant else "")
+
+
 def apply_overrides(config: ConfigT, overrides: Sequence[str]) -> ConfigT:
     """The configuration with all of `a.b=c` applied at once, so that settings which must agree can change together.
 
@@ -72,7 +80,7 @@ def apply_overrides(config: ConfigT, overrides: Sequence[str]) -> ConfigT:
     changes = dict(parse_override(override) for override in overrides)
     for key in changes:
         if key not in flatten(config):
-            raise UsageError(f"no setting is called {key!r}; there are: {', '.join(flatten(config))}")
+            raise UsageError(f"{unknown_setting(key, list(flatten(config)))}; there are: {', '.join(flatten(config))}")
     return _replaced(config, changes, "")
 
 

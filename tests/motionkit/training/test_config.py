@@ -37,7 +37,7 @@ def test_overrides_reach_nested_settings_by_their_types() -> None:
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("field.step=1", r"no setting is called 'field.step'; there are: name, fast, field.steps"),
+        ("field.step=1", r"no setting is called 'field.step', perhaps field.steps; there are: name, fast, field.steps"),
         ("field.steps=many", r"field.steps must be a whole number, not 'many'"),
         ("field.steps=1.5", r"field.steps must be a whole number"),
         ("field.activation=gelu", r"field.activation must be one of relu, silu"),
