@@ -44,9 +44,18 @@ class RealMotion:
         start = int(self.start_row[index])
         return self.positions[start : start + int(self.num_frames[index])]
 
-    def indices_at(self, fps: Fraction) -> npt.NDArray[np.int64]:
-        """Sequences whose native framerate is at least `fps`."""
-        return np.array([index for index, native in enumerate(self.fps) if native >= fps], dtype=np.int64)
+    def indices_at(self, fps: Fraction, first_frame: int = 0) -> npt.NDArray[np.int64]:
+        """Sequences whose native framerate is at least `fps`, with two frames or more after the first ones.
+
+        Raises `NoRealMotionError` where fewer than two are.
+        """
+        chosen = [i for i, native in enumerate(self.fps) if native >= fps and self.num_frames[i] > first_frame + 1]
+        if len(chosen) < 2:
+            raise NoRealMotionError(
+                f"{self.name}: {len(chosen)} of {len(self.fps)} sequences were captured at {fps} fps or faster; at "
+                "least two are needed"
+            )
+        return np.array(chosen, dtype=np.int64)
 
     def at(self, fps: Fraction, first_frame: int = 0) -> SampleSet:
         """Every sequence of native rate ≥ fps at exactly fps, anti-aliased; slower ones are left out.
@@ -56,12 +65,7 @@ class RealMotion:
         """
         key = (fps, first_frame)
         if key not in self._made:
-            chosen = [index for index in self.indices_at(fps).tolist() if self.num_frames[index] > first_frame + 1]
-            if len(chosen) < 2:
-                raise NoRealMotionError(
-                    f"{self.name}: {len(chosen)} of {len(self.fps)} sequences were captured at {fps} fps or faster; at "
-                    "least two are needed"
-                )
+            chosen = self.indices_at(fps, first_frame).tolist()
             self._made[key] = sample_set(
                 self.name,
                 fps,
@@ -71,6 +75,11 @@ class RealMotion:
                 [self.actions[index] for index in chosen],
             )
         return self._made[key]
+
+    def forget_all_but(self, fps: Fraction) -> None:
+        """Let go of what was made for other framerates: `at` makes it again."""
+        for key in [key for key in self._made if key[0] != fps]:
+            del self._made[key]
 
 
 def of_split(split: str) -> str:

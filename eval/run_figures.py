@@ -32,8 +32,9 @@ from eval.real import NoRealMotionError, RealMotion, real_motion
 from eval.reconstruction_errors import mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Cell
 from eval.samples import SampleSet
+from eval.tables.clip_fid_column import P1, P2
 from eval.tables.registry import TableRequest
-from eval.tables.table2 import P1, P2, clip_fid_cell
+from eval.tables.table2 import clip_fid_cell
 from eval.tables.table4 import VERSION as RECONSTRUCTION_VERSION
 from eval.tables.table4 import held_out_windows, training_windows
 from motionkit.errors import UsageError

@@ -15,8 +15,9 @@ from eval.parts import Part
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.reported import SOURCES, Reported, reported_figures
 from eval.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
+from eval.tables.clip_fid_column import P1, P2
 from eval.tables.registry import Table, TableRequest
-from eval.tables.table2 import P1, P2, ROW_NOTES
+from eval.tables.table2 import ROW_NOTES
 from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.training.config import parse_override

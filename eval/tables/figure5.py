@@ -4,8 +4,9 @@ from fractions import Fraction
 
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
+from eval.tables.clip_fid_column import P1, P2
 from eval.tables.registry import Table, TableRequest
-from eval.tables.table2 import COLUMNS, P1, P2, ROW_NOTES
+from eval.tables.table2 import COLUMNS, ROW_NOTES
 from motionkit.errors import UsageError
 
 VERSION = "unconditional/1"

@@ -4,7 +4,7 @@ A package adds its own table the same way; the entry point's name is `PAPER-NUMB
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from importlib.metadata import entry_points
@@ -60,6 +60,8 @@ class TableRequest:
     def sample_folders(self) -> tuple[SampleFolder, ...]:
         """The motions of every folder of samples, read when they are first asked for; raises `SampleFolderError`."""
         folders = []
+        # Guo's evaluator alone reads pose vectors.
+        options = replace(self.sample_options, keep_vectors=self.guo is not None)
         with progress() as display:
             for name, path in self.samples.items():
                 task = display.add_task(f"reading {name}", total=None, note="")
@@ -67,7 +69,7 @@ class TableRequest:
                 def show(done: int, total: int, task: "TaskID" = task) -> None:
                     display.update(task, completed=done, total=total)
 
-                folders.append(read_sample_folder(name, path, self.sample_options, show))
+                folders.append(read_sample_folder(name, path, options, show))
         return tuple(folders)
 
 

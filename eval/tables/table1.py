@@ -247,7 +247,8 @@ def _sample_row(
     found = sample_embeddings(folder, real, job.protocol, embedder)
     reference = pairs if found.real_rows is None else pairs.select(found.real_rows)
     scores = _score(job, reference, list(found.draws), found.repeated)
-    return ScoredRow(folder.name, "ours", scores, folder.describe())
+    note = "; ".join(filter(None, (folder.describe(), found.path)))
+    return ScoredRow(folder.name, "ours", scores, note)
 
 
 def _score(

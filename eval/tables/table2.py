@@ -1,17 +1,13 @@
 """NeRM's Table 2: clip-FID at 20, 40, 60, 100 and 120 fps."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eval.baselines.low_pass import low_passed
-from eval.baselines.upsampled import upsampled
-from eval.baselines.vectors import upsample_as_vectors
 from eval.clip_fid import (
     VERSION,
     ClipError,
@@ -31,8 +27,22 @@ from eval.real import NoRealMotionError, RealMotion, real_motion
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.reported import SOURCES, reported_figures
 from eval.sample_folder import SampleFolder
-from eval.samples import SampleSet
 from eval.set_remarks import set_remarks
+from eval.tables.clip_fid_column import (
+    LOW_FPS,
+    NERM,
+    NERM_SLERP,
+    P1,
+    P2,
+    REFERENCES,
+    SLERP,
+    VECTORS,
+    Column,
+    ColumnSize,
+    framerate_label,
+    make_column,
+    samples_at,
+)
 from eval.tables.nearest_training import nearest_training_block
 from eval.tables.registry import Table, TableRequest
 from motionkit.console import progress
@@ -46,14 +56,6 @@ if TYPE_CHECKING:
     from motionkit.store.reader import Store
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
-LOW_FPS = Fraction(20)
-P1 = "real, independent draws (P1)"
-P2 = "real, disjoint halves of the takes (P2)"
-SLERP = "real kept at 20 fps, SLERP"
-VECTORS = "real kept at 20 fps, as vectors (handicapped)"
-REFERENCES = (P1, P2, SLERP, VECTORS)
-NERM = "NeRM"
-NERM_SLERP = "NeRM generated at 20 fps, SLERP"
 ROW_NOTES = {
     P1: "two draws from the same takes: what sampling alone leaves",
     P2: "takes of one half against takes of the other: what a faithful model of other takes could reach",
@@ -77,30 +79,16 @@ SMALL_SECONDS = 3600.0
 """Less real motion than this at any framerate makes a table a small-scale one, and its caption says so."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Column:
-    """Everything that one framerate's numbers are made of; `train` is None where there is no training motion."""
+@dataclass(frozen=True)
+class _Sheet:
+    """One feature set's numbers, filled a column at a time: cells by row and column, and what is to be said of them."""
 
-    fps: Fraction
-    real: SampleSet
-    rows: Mapping[str, SampleSet]
-    train: SampleSet | None
-
-    @property
-    def others(self) -> dict[str, SampleSet]:
-        """The rows that are not made of the real set."""
-        return {name: samples for name, samples in self.rows.items() if name not in REFERENCES}
-
-    def low_passed(self, cutoff_hz: float | None) -> "_Column":
-        """The same column with every set smoothed alike; itself where no cut-off is given."""
-        if cutoff_hz is None:
-            return self
-        return _Column(
-            self.fps,
-            low_passed(self.real, cutoff_hz),
-            {name: low_passed(samples, cutoff_hz) for name, samples in self.rows.items()},
-            None if self.train is None else low_passed(self.train, cutoff_hz),
-        )
+    source: FeatureSource
+    protocol: Protocol
+    cells: dict[str, dict[str, Cell]] = field(default_factory=dict)
+    fingerprints: dict[str, str] = field(default_factory=dict)
+    warnings: dict[str, None] = field(default_factory=dict)
+    missing: list[str] = field(default_factory=list)
 
 
 def build_table2(request: TableRequest) -> Result:
@@ -123,25 +111,34 @@ def build_table2(request: TableRequest) -> Result:
         display.update(task, description="generating", total=1)
         fields = _nerm_fields(request, real, rates, missing)
         display.remove_task(task)
-        columns = [
-            _column(fps, real, train, fields, _at(folders, fps, display), missing).low_passed(request.low_pass_hz)
-            for fps in rates
-        ]
-        remarks = [remark for column in columns for remark in set_remarks(column.real, column.others)]
-        blocks = tuple(
-            _block(source, columns, request, notes, display, missing)
-            for source in feature_sources(request.run, request.features, missing, request.guo)
-        )
+        without: list[str] = []
+        sources = feature_sources(request.run, request.features, without, request.guo)
+        sheets = [_Sheet(source, source.protocol(request.protocol)) for source in sources]
+        sizes: list[ColumnSize] = []
+        remarks: list[str] = []
+        for fps in rates:
+            # One column's motions at a time: those of all framerates together are three times as many.
+            samples = samples_at(folders, fps, display)
+            column = make_column(fps, real, train, fields, samples, missing).low_passed(request.low_pass_hz)
+            sizes.append(column.size)
+            remarks += set_remarks(column.real, column.others)
+            for sheet in sheets:
+                _fill(sheet, column, request.results, display)
+            del samples, column
+            for motion in (real, train):
+                motion.forget_all_but(LOW_FPS)
+        missing += [*without, *(line for sheet in sheets for line in sheet.missing)]
+        blocks = tuple(_block(sheet, sizes, notes) for sheet in sheets)
         display.add_task("nearest training motion", total=None, note="")
         nearest = _nearest_training(real, train, fields, folders, notes, missing)
     return Result(
         task="nerm-table2",
         version=VERSION,
         title="Table 2: clip-FID by framerate",
-        caption=_caption(columns, request),
+        caption=_caption(sizes, request),
         blocks=(*(block for block in (*blocks, *nearest) if block.rows), _paper_block()),
-        definition=_definition(columns, request),
-        notes=(*_notes(columns), *dict.fromkeys(remarks)),
+        definition=_definition(sizes, request),
+        notes=(*_notes(sizes), *dict.fromkeys(remarks)),
         missing=tuple(dict.fromkeys(missing)),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
@@ -166,7 +163,7 @@ def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion, missing: list[s
     usable = []
     for fps in rates:
         try:
-            real.at(fps)
+            real.indices_at(fps)
         except NoRealMotionError as error:
             missing.append(f"{fps} fps: {error}")
         else:
@@ -193,46 +190,6 @@ def _nerm_fields(
         return {}
 
 
-def _column(
-    fps: Fraction,
-    real: RealMotion,
-    train: RealMotion,
-    fields: Mapping[Window, MotionField],
-    samples: Mapping[str, SampleSet],
-    missing: list[str],
-) -> _Column:
-    reference = real.at(fps)
-    rows = {P1: reference}
-    if fps >= LOW_FPS:
-        low = _same_sequences(real.at(LOW_FPS), reference)
-        rows[SLERP] = upsampled(low, fps, SLERP)
-        rows[VECTORS] = upsample_as_vectors(low, fps, VECTORS)
-    native = sample_fields(fields, reference.sequence_ids, fps, NERM)
-    if native is not None:
-        rows[NERM] = native
-    elif fields:
-        missing.append(f"{NERM}, {_label(fps)}: no generated motion is for a sequence this fast")
-    coarse = sample_fields(fields, reference.sequence_ids, LOW_FPS, NERM_SLERP)
-    if coarse is not None and fps >= LOW_FPS:
-        rows[NERM_SLERP] = upsampled(coarse, fps, NERM_SLERP)
-    rows |= samples
-    try:
-        training = train.at(fps)
-    except NoRealMotionError:
-        training = None
-    return _Column(fps, reference, rows, training)
-
-
-def _at(folders: Sequence[SampleFolder], fps: Fraction, display: "Progress") -> dict[str, SampleSet]:
-    """Every folder's motions at a framerate, by name."""
-    made = {}
-    for folder in folders:
-        task = display.add_task(f"{folder.name}, {_label(fps)}", total=folder.num_motions, note="")
-        made[folder.name] = folder.at(fps, partial(display.advance, task))
-        display.remove_task(task)
-    return made
-
-
 def _nearest_training(
     real: RealMotion,
     train: RealMotion,
@@ -255,59 +212,45 @@ def _nearest_training(
         return ()
 
 
-def _same_sequences(low: SampleSet, reference: SampleSet) -> SampleSet:
-    place = {sequence_id: index for index, sequence_id in enumerate(low.sequence_ids)}
-    return low.select([place[sequence_id] for sequence_id in reference.sequence_ids])
+def _fill(sheet: _Sheet, column: Column, results: Path, display: "Progress") -> None:
+    """Score a column's rows; numbers that cannot be had are named in the sheet's `missing`."""
+    label, source = column.label, sheet.source
+    if column.train is None:
+        sheet.missing.append(f"{label}, {source.name}: the training split has no motion at this framerate")
+        return
+    try:
+        check_lengths(column.real, sheet.protocol)
+        features = source.fit(column.train)
+        scores = _scores(column, features, source, sheet.protocol, display, sheet.missing)
+    except MotionkitError as error:
+        sheet.missing.append(f"{label}, {source.name}: {error}")
+        return
+    sheet.fingerprints[label] = features.fingerprint
+    if isinstance(features, KinematicDescriptor):
+        features.save(_made(results / "features") / f"kinematic-{features.fingerprint}.npz")
+    sheet.warnings.update(dict.fromkeys(_too_few(column, features, sheet.protocol)))
+    for name, score in scores.items():
+        sheet.cells.setdefault(name, {})[label] = clip_fid_cell(score)
 
 
-def _block(
-    source: FeatureSource,
-    columns: list[_Column],
-    request: TableRequest,
-    notes: Mapping[str, str],
-    display: "Progress",
-    missing: list[str],
-) -> Block:
-    """All rows in one feature set, a column at a time; numbers that cannot be had are named in `missing`."""
-    protocol = source.protocol(request.protocol)
-    cells: dict[str, dict[str, Cell]] = {}
-    fingerprints: dict[str, str] = {}
-    warnings: dict[str, None] = {}
-    for column in columns:
-        label = _label(column.fps)
-        if column.train is None:
-            missing.append(f"{label}, {source.name}: the training split has no motion at this framerate")
-            continue
-        try:
-            check_lengths(column.real, protocol)
-            features = source.fit(column.train)
-            scores = _scores(column, features, source, protocol, display, missing)
-        except MotionkitError as error:
-            missing.append(f"{label}, {source.name}: {error}")
-            continue
-        fingerprints[label] = features.fingerprint
-        if isinstance(features, KinematicDescriptor):
-            features.save(_made(request.results / "features") / f"kinematic-{features.fingerprint}.npz")
-        warnings |= dict.fromkeys(_too_few(column, features, protocol))
-        for name, score in scores.items():
-            cells.setdefault(name, {})[label] = clip_fid_cell(score)
+def _block(sheet: _Sheet, columns: Sequence[ColumnSize], notes: Mapping[str, str]) -> Block:
+    cells = sheet.cells
     order = [*REFERENCES, *(name for name in cells if name not in REFERENCES)]
     rows = tuple(
         Row(name, "reference" if name in REFERENCES else "ours", cells[name], notes.get(name, ""))
         for name in order
         if name in cells
     )
-    labels = tuple(_label(column.fps) for column in columns)
     return Block(
-        source.title,
-        labels,
+        sheet.source.title,
+        tuple(column.label for column in columns),
         rows,
-        note=" ".join((source.note, *warnings)).strip(),
-        provenance={"fingerprints": fingerprints, "replications": protocol.replications},
+        note=" ".join((sheet.source.note, *sheet.warnings)).strip(),
+        provenance={"fingerprints": sheet.fingerprints, "replications": sheet.protocol.replications},
     )
 
 
-def _too_few(column: _Column, features: FeatureSet, protocol: Protocol) -> list[str]:
+def _too_few(column: Column, features: FeatureSet, protocol: Protocol) -> list[str]:
     """What must be said where there are no more samples than features: covariances are then singular."""
     poses = gather_clips(column.real, np.zeros(1, dtype=np.int64), int(protocol.sizes.sizes(column.fps).min()))
     num_features = features.describe(poses, column.fps).shape[1]
@@ -329,14 +272,14 @@ def _too_few(column: _Column, features: FeatureSet, protocol: Protocol) -> list[
 
 
 def _scores(
-    column: _Column,
+    column: Column,
     features: FeatureSet,
     source: FeatureSource,
     protocol: Protocol,
     display: "Progress",
     missing: list[str],
 ) -> dict[str, ClipFid]:
-    label = _label(column.fps)
+    label = column.label
     task = display.add_task(f"{source.name}, {label}", total=2 * protocol.replications, note="")
 
     def advance() -> None:
@@ -370,10 +313,10 @@ def _paper_block() -> Block:
     figures = reported_figures("nerm", "2")
     for figure in figures:
         if figure.value is not None:
-            cells.setdefault(figure.method, {})[_label(figure.setting)] = Cell(figure.value, figure.ci95)
+            cells.setdefault(figure.method, {})[framerate_label(figure.setting)] = Cell(figure.value, figure.ci95)
     return Block(
         title="Printed in the NeRM paper (HumanML3D)",
-        columns=tuple(dict.fromkeys(_label(figure.setting) for figure in figures)),
+        columns=tuple(dict.fromkeys(framerate_label(figure.setting) for figure in figures)),
         rows=tuple(Row(f"{method} (paper)", "paper", found) for method, found in cells.items()),
         note=(
             "These numbers cannot be compared with ours: they are from another feature extractor on another data set, "
@@ -384,9 +327,9 @@ def _paper_block() -> Block:
     )
 
 
-def _caption(columns: list[_Column], request: TableRequest) -> str:
+def _caption(columns: Sequence[ColumnSize], request: TableRequest) -> str:
     protocol = request.protocol
-    seconds = [column.real.duration_seconds for column in columns]
+    seconds = [column.duration_seconds for column in columns]
     caption = (
         f"clip-FID ({VERSION}), lower is better: mean ± half the 95 % interval over {protocol.replications} "
         f"replications of N = {protocol.num_clips:,} random clips on each side, "
@@ -402,21 +345,21 @@ def _caption(columns: list[_Column], request: TableRequest) -> str:
     return caption
 
 
-def _definition(columns: list[_Column], request: TableRequest) -> dict[str, Any]:
+def _definition(columns: Sequence[ColumnSize], request: TableRequest) -> dict[str, Any]:
     protocol = asdict(request.protocol)
     kind = type(request.protocol.sizes).__name__
     return {
         "version": VERSION,
         "protocol": protocol | {"sizes": {"kind": kind, **protocol["sizes"]}},
         "real_sets": {
-            _label(column.fps): {
-                "sequences": column.real.num_sequences,
-                "seconds": round(column.real.duration_seconds, 3),
+            column.label: {
+                "sequences": column.num_sequences,
+                "seconds": round(column.duration_seconds, 3),
             }
             for column in columns
         },
         "generated_motions": {
-            _label(column.fps): column.rows[NERM].num_sequences for column in columns if NERM in column.rows
+            column.label: column.num_generated for column in columns if column.num_generated is not None
         },
         "sequences": "native framerate at least the column's, brought to it by anti-aliased resampling",
         "clips": "both sides share sizes and centre quantiles; each draws sequences in proportion to duration",
@@ -426,9 +369,9 @@ def _definition(columns: list[_Column], request: TableRequest) -> dict[str, Any]
     }
 
 
-def _notes(columns: list[_Column]) -> tuple[str, ...]:
+def _notes(columns: Sequence[ColumnSize]) -> tuple[str, ...]:
     sets = "; ".join(
-        f"{_label(column.fps)}: {column.real.num_sequences} sequences, {column.real.duration_seconds / 60:.1f} min"
+        f"{column.label}: {column.num_sequences} sequences, {column.duration_seconds / 60:.1f} min"
         for column in columns
     )
     return (
@@ -441,8 +384,3 @@ def _notes(columns: list[_Column]) -> tuple[str, ...]:
 def _made(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     return folder
-
-
-def _label(fps: Fraction | str) -> str:
-    """`20 fps` for a framerate, or for the paper's `20fps`."""
-    return f"{str(fps).removesuffix('fps').strip()} fps"

@@ -10,7 +10,7 @@ import pytest
 from eval import feature_sources
 from eval.clip_fid import PoseRange, Protocol
 from eval.report.results import Result
-from eval.tables import table2
+from eval.tables import clip_fid_column, table2
 from eval.tables.registry import TableRequest, find_table, installed_tables
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest, SamplingOptions
@@ -101,11 +101,11 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
     (tmp_path / "run").mkdir()
     result = build(store, tmp_path, run=tmp_path / "run")
     rows = rows_of(result)
-    floor = rows[table2.P1]
+    floor = rows[clip_fid_column.P1]
     for column in ("20 fps", "60 fps"):
-        assert rows[table2.NERM][column] < 2 * floor[column]
-    assert rows[table2.NERM_SLERP]["60 fps"] > 10 * floor["60 fps"]
-    assert rows[table2.NERM_SLERP]["60 fps"] == pytest.approx(rows[table2.SLERP]["60 fps"], rel=0.3)
+        assert rows[clip_fid_column.NERM][column] < 2 * floor[column]
+    assert rows[clip_fid_column.NERM_SLERP]["60 fps"] > 10 * floor["60 fps"]
+    assert rows[clip_fid_column.NERM_SLERP]["60 fps"] == pytest.approx(rows[clip_fid_column.SLERP]["60 fps"], rel=0.3)
     assert not result.missing
     assert result.definition["generated_motions"] == {"20 fps": 12, "60 fps": 12}
     assert result.provenance["run"] == "run"
@@ -115,7 +115,7 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
 
 def test_a_missing_run_leaves_its_rows_out(store: Path, tmp_path: Path) -> None:
     result = build(store, tmp_path, run=tmp_path / "nowhere")
-    assert table2.NERM not in rows_of(result)
+    assert clip_fid_column.NERM not in rows_of(result)
     assert any("there is no run" in line for line in result.missing)
 
 
@@ -123,14 +123,14 @@ def test_smoothing_every_set_hides_what_upsampling_loses(store: Path, tmp_path: 
     plain = rows_of(build(store, tmp_path, fps=FPS[1:]))
     result = build(store, tmp_path, fps=FPS[1:], low_pass_hz=4.0)
     smooth = rows_of(result)
-    assert smooth[table2.SLERP]["60 fps"] < 0.7 * plain[table2.SLERP]["60 fps"]
+    assert smooth[clip_fid_column.SLERP]["60 fps"] < 0.7 * plain[clip_fid_column.SLERP]["60 fps"]
     assert "low-passed at 4 Hz" in result.caption
 
 
 def test_clips_that_fit_nowhere_leave_the_column_out(store: Path, tmp_path: Path) -> None:
     protocol = Protocol(sizes=PoseRange(16, 200), num_clips=100, replications=1)
     result = build(store, tmp_path, protocol=protocol)
-    assert set(rows_of(result)[table2.P1]) == {"60 fps"}
+    assert set(rows_of(result)[clip_fid_column.P1]) == {"60 fps"}
     assert any("no sequence has the 200 poses that a clip at 20 fps" in line for line in result.missing)
 
 
