@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
@@ -78,6 +78,15 @@ def fingerprint_of(samples: SampleSet) -> str:
     digest = hashlib.sha256(f"{samples.fps} {samples.positions.shape[1]} ".encode())
     digest.update(samples.num_frames.astype("<i8").tobytes())
     digest.update(np.ascontiguousarray(samples.positions, dtype="<f4").data.cast("B"))
+    return digest.hexdigest()
+
+
+def fingerprint_of_vectors(motions: Sequence[Float32[np.ndarray, "_frames numbers"]]) -> str:
+    """Hex sha256 over the pose vectors of motions and their lengths."""
+    digest = hashlib.sha256()
+    for motion in motions:
+        digest.update(repr(motion.shape).encode())
+        digest.update(np.ascontiguousarray(motion, dtype="<f4").data.cast("B"))
     return digest.hexdigest()
 
 

@@ -50,7 +50,7 @@ def samples(
         def show(done: int, total: int) -> None:
             display.update(task, completed=done, total=total)
 
-        read = read_sample_folder(folder.name, folder, SampleOptions(framerate), show)
+        read = read_sample_folder(folder.name, folder, SampleOptions(framerate, "--fps"), show)
     found = summarise(read)
     if as_json:
         print_json(asdict(found))

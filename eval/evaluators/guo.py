@@ -61,6 +61,11 @@ class GuoEvaluator:
         """The only framerate at which motions may be given: 20, or 12.5 for KIT."""
         return self.kind.fps
 
+    @property
+    def vector_size(self) -> int:
+        """Numbers of the pose vectors that it reads: 263, or 251 for KIT."""
+        return self.kind.vector_size
+
     @cached_property
     def fingerprint(self) -> str:
         """First 16 hex digits of the sha256 over version, padding, weights, statistics and word vectors."""

@@ -5,7 +5,7 @@ from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from eval.samples import SampleSet
 from motionkit.motion import Caption
@@ -39,4 +39,20 @@ class TextMotionEvaluator(Protocol):
 
     def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
         """One row per caption, in order. Raises `MotionkitError` where one cannot be read."""
+        ...
+
+
+@runtime_checkable
+class PoseVectorEvaluator(TextMotionEvaluator, Protocol):
+    """One that reads pose vectors: motions that come as such reach it as they are, as in published comparisons."""
+
+    @property
+    def vector_size(self) -> int:
+        """Numbers of the pose vectors that it reads."""
+        ...
+
+    def embed_vectors(
+        self, motions: Sequence[Float32[np.ndarray, "_frames numbers"]]
+    ) -> Float64[np.ndarray, "motions features"]:
+        """One row per motion given as pose vectors in their own units. Raises `MotionkitError` for what are none."""
         ...

@@ -41,6 +41,9 @@ class SampleFolder:
     Sequence i holds rows start_row[i] … start_row[i] + num_frames[i] of `positions`. Motions of one group answer the
     same prompt (MultiModality); where nothing says so, each is its own group. `left_out` are the motions that could not
     be read or hold NaN, `remarks` what was found and done, for people.
+
+    `vectors` are the pose vectors of every motion, in their own units, as many frames as its positions: where all came
+    as vectors of one size and were to be kept (`SampleOptions.keep_vectors`); else empty.
     """
 
     name: str
@@ -53,6 +56,7 @@ class SampleFolder:
     groups: tuple[str, ...]
     left_out: tuple[FormatError, ...] = ()
     remarks: tuple[str, ...] = ()
+    vectors: tuple[Float32[np.ndarray, "_frames numbers"], ...] = ()
 
     @property
     def num_motions(self) -> int:
@@ -179,16 +183,25 @@ class Packer:
         self._lengths: list[int] = []
         self._fps: list[Fraction] = []
         self._texts: list[SampleText] = []
+        self._vectors: list[Float32[np.ndarray, "_frames numbers"]] = []
 
     def __len__(self) -> int:
         return len(self._lengths)
 
-    def add(self, positions: Float32[np.ndarray, "_frames joints 3"], fps: Fraction, text: SampleText) -> None:
-        """Copy one motion to the end."""
+    def add(
+        self,
+        positions: Float32[np.ndarray, "_frames joints 3"],
+        fps: Fraction,
+        text: SampleText,
+        vectors: Float32[np.ndarray, "_frames numbers"] | None = None,
+    ) -> None:
+        """Copy one motion to the end; its pose vectors, where there are any, are kept as they are."""
         self._rows.add(positions)
         self._lengths.append(len(positions))
         self._fps.append(fps)
         self._texts.append(text)
+        if vectors is not None:
+            self._vectors.append(vectors)
 
     def finish(self, name: str, left_out: Sequence[FormatError], remarks: Sequence[str]) -> SampleFolder:
         """Everything that was added; the packer is empty afterwards."""
@@ -203,4 +216,9 @@ class Packer:
             tuple(text.group or text.sequence_id for text in self._texts),
             tuple(left_out),
             tuple(remarks),
+            self._all_vectors(),
         )
+
+    def _all_vectors(self) -> tuple[Float32[np.ndarray, "_frames numbers"], ...]:
+        sizes = {motion.shape[1] for motion in self._vectors}
+        return tuple(self._vectors) if len(self._vectors) == len(self) and len(sizes) == 1 else ()

@@ -22,9 +22,15 @@ NAME_FIELDS = {"group": ".+?", "repeat": r"\d+", "caption": ".+?", "action": ".+
 
 @dataclass(frozen=True)
 class SampleOptions:
-    """What the command line says about all folders of samples: `fps` where nothing else does."""
+    """What the command line says about all folders of samples: `fps` where nothing else does.
+
+    `fps_option` is the option that says it, for messages. `keep_vectors` keeps pose vectors beside the positions made
+    of them, for evaluators that read these: four times the memory.
+    """
 
     fps: Fraction | None = None
+    fps_option: str = "--samples-fps"
+    keep_vectors: bool = False
 
 
 @dataclass(frozen=True)

@@ -72,11 +72,14 @@ def _checked(folder: SampleFolder, num_of_arrays: int, listing: Listing) -> Samp
     end = int(folder.num_frames[:num_of_arrays].sum())
     starts = folder.start_row[:num_of_arrays]
     turned = turn_upright(folder.positions[:end], starts, listing.manifest.up)
+    # Vectors stand along y by definition: of bodies that had to be turned they mean something else.
+    vectors = () if turned else folder.vectors
     remarks = (*folder.remarks, *([turned] if turned else []), *check_bodies(folder), *padding_remark(folder))
-    return replace(folder, remarks=remarks)
+    return replace(folder, remarks=remarks, vectors=vectors)
 
 
-Read = tuple[Float32[np.ndarray, "frames joints 3"], Fraction, SampleText]
+Vectors = Float32[np.ndarray, "frames numbers"]
+Read = tuple[Float32[np.ndarray, "frames joints 3"], Fraction, SampleText, Vectors | None]
 
 
 @dataclass
@@ -124,7 +127,7 @@ class _Reader:
         caption = motion.captions[0].text if motion.captions else ""
         group = row.group or parts.group
         text = SampleText(place, caption or parts.caption, motion.action or parts.action, group)
-        return positions, motion.fps, self._with_prompt(text)
+        return positions, motion.fps, self._with_prompt(text), None
 
     def _of_array(self, path: Path, stored: StoredMotion) -> Read:
         row = self.listing.rows.get(path, Annotation())
@@ -142,7 +145,11 @@ class _Reader:
             row.group or stored.group or parts.group,
         )
         fps = self._fps(path, stored, row)
-        return self._positions(numbers, path, fps), fps, self._with_prompt(text)
+        vectors = self._restored(numbers) if stored.is_vectors else None
+        positions = self._joints(numbers, path) if vectors is None else self._joints_of(vectors)
+        if positions.shape[1] == KIT21.num_joints:
+            positions = map_joints(Motion(positions, KIT21, TimeGrid(fps, len(positions))), SMPL22.name)
+        return positions, fps, self._with_prompt(text), vectors if self.options.keep_vectors else None
 
     def _trimmed(self, numbers: np.ndarray, path: Path) -> np.ndarray:
         """Without last frames that are all zeros, which are no pose but what short motions were filled up with."""
@@ -154,17 +161,19 @@ class _Reader:
         self.num_trimmed += 1
         return numbers[: kept[-1] + 1]
 
-    def _positions(self, numbers: np.ndarray, path: Path, fps: Fraction) -> Float32[np.ndarray, "frames joints 3"]:
-        if numbers.ndim == 2:
-            positions = positions_of(numbers, self._stated(numbers), self.listing.manifest.unit_metres)
-        else:
-            # The hands of SMPL's 24 joints are dropped.
-            positions = numbers[:, : SMPL22.num_joints].astype(np.float32, copy=False)
-            unit = self.listing.manifest.unit_metres or self._beside(path.parent).unit_metres
-            positions = positions if unit == 1.0 else positions * np.float32(unit)
-        if positions.shape[1] == KIT21.num_joints:
-            positions = map_joints(Motion(positions, KIT21, TimeGrid(fps, len(positions))), SMPL22.name)
-        return positions
+    def _joints(self, numbers: np.ndarray, path: Path) -> Float32[np.ndarray, "frames joints 3"]:
+        # The hands of SMPL's 24 joints are dropped.
+        positions = numbers[:, : SMPL22.num_joints].astype(np.float32, copy=False)
+        unit = self.listing.manifest.unit_metres or self._beside(path.parent).unit_metres
+        return positions if unit == 1.0 else positions * np.float32(unit)
+
+    def _restored(self, numbers: np.ndarray) -> Vectors:
+        """Pose vectors in their own units."""
+        statistics = self._stated(numbers)
+        return (numbers if statistics is None else statistics.restore(numbers)).astype(np.float32, copy=False)
+
+    def _joints_of(self, vectors: Vectors) -> Float32[np.ndarray, "frames joints 3"]:
+        return positions_of(vectors, self.listing.manifest.unit_metres)
 
     def _fps(self, path: Path, stored: StoredMotion, row: Annotation) -> Fraction:
         beside = self._beside(path.parent).fps
@@ -174,8 +183,8 @@ class _Reader:
         if fps is None:
             raise SampleFolderError(
                 f"--samples {self.name}: nothing says the framerate of {path.name}; write fps = 20 (or what it is) "
-                f"into {self.listing.root / MANIFEST}, or give --samples-fps 20 (HumanML3D's models have 20, KIT-ML's "
-                "12.5)"
+                f"into {self.listing.root / MANIFEST}, or give {self.options.fps_option} 20 (HumanML3D's models have "
+                "20, KIT-ML's 12.5)"
             )
         return fps
 

@@ -120,12 +120,11 @@ def root_disagreement(vectors: Float[np.ndarray, "rows numbers"]) -> float:
 
 
 def positions_of(
-    vectors: Float[np.ndarray, "frames numbers"], statistics: Statistics | None, unit_metres: float | None = None
+    vectors: Float[np.ndarray, "frames numbers"], unit_metres: float | None = None
 ) -> Float32[np.ndarray, "frames joints 3"]:
     """Joint positions in metres, in the vectors' own layout: 22 joints for 263 numbers, 21 for 251 in KIT-ML's unit."""
     layout = JOINTS_BY_WIDTH[vectors.shape[1]]
-    restored = vectors if statistics is None else statistics.restore(vectors)
-    positions = humanml3d.recover_positions(restored, layout.skeleton.num_joints)
+    positions = humanml3d.recover_positions(vectors, layout.skeleton.num_joints)
     unit = unit_metres or layout.unit_metres
     return positions if unit == 1.0 else positions * np.float32(unit)
 

@@ -92,11 +92,11 @@ def captioned_motions(
     return CaptionedMotions(samples, tuple(captions), known, {k: v for k, v in left_out.items() if v}, num_cropped)
 
 
-def middle(positions: npt.NDArray[np.float32], fps: Fraction, longest_seconds: float) -> npt.NDArray[np.float32]:
+def middle(poses: npt.NDArray[np.float32], fps: Fraction, longest_seconds: float) -> npt.NDArray[np.float32]:
     """The poses in the middle that span at most `longest_seconds`; all of them where they do."""
     most = int(np.floor(longest_seconds * float(fps) + 1e-9)) + 1
-    first = max(0, (len(positions) - most) // 2)
-    return positions[first : first + most]
+    first = max(0, (len(poses) - most) // 2)
+    return poses[first : first + most]
 
 
 def _stretch(positions: npt.NDArray[np.float32], caption: Caption, fps: Fraction) -> npt.NDArray[np.float32]:

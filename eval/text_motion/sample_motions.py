@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float64
 
-from eval.embedding_cache import Embedder
+from eval.embedding_cache import Embedder, fingerprint_of_vectors
+from eval.evaluators.text_motion import PoseVectorEvaluator
 from eval.protocols.text_motion import TextMotionProtocol
 from eval.sample_folder import SampleFolder
 from eval.samples import SampleSet
@@ -18,14 +19,21 @@ from eval.text_motion.real_pairs import CaptionedMotions, middle
 from motionkit.errors import UsageError
 from motionkit.motion import Caption
 
+AS_VECTORS = "read as the pose vectors that they came as"
+BY_JOINTS = "read as pose vectors made of joint positions"
+
 
 @dataclass(frozen=True, eq=False)
 class SampleEmbeddings:
-    """`draws` are the k-th answers to every prompt, `real_rows` the real motions of these where a protocol pairs."""
+    """`draws` are the k-th answers to every prompt, `real_rows` the real motions of these where a protocol pairs.
+
+    `path` says how motions reached an evaluator that reads pose vectors; empty for others.
+    """
 
     draws: tuple[TextMotionPairs, ...]
     repeated: Float64[np.ndarray, "texts generations features"] | None
     real_rows: npt.NDArray[np.int64] | None
+    path: str = ""
 
 
 def sample_embeddings(
@@ -41,7 +49,8 @@ def sample_embeddings(
     fps = real.samples.fps
     samples = _cropped(folder.at(fps), fps, protocol.lengths.longest_seconds)
     captions = [real.known_captions.get(text, Caption(text)) for text in samples.captions]
-    motions, texts = embedder.motions(samples), embedder.texts(captions)
+    motions, path = _embedded(folder, samples, protocol.lengths.longest_seconds, embedder)
+    texts = embedder.texts(captions)
     groups = [np.array(rows) for rows in samples.rows_by_group().values()]
     fewest = min(len(rows) for rows in groups)
     firsts = [np.array([rows[number] for rows in groups]) for number in range(fewest)]
@@ -52,8 +61,34 @@ def sample_embeddings(
             "files after the real sequences, or give them the captions of real sequences of this split"
         )
     return SampleEmbeddings(
-        tuple(TextMotionPairs(texts[rows], motions[rows]) for rows in firsts), _repeated(motions, groups), paired
+        tuple(TextMotionPairs(texts[rows], motions[rows]) for rows in firsts), _repeated(motions, groups), paired, path
     )
+
+
+def _embedded(
+    folder: SampleFolder, samples: SampleSet, longest_seconds: float, embedder: Embedder
+) -> tuple[Float64[np.ndarray, "motions features"], str]:
+    """Embeddings of a folder's motions: of its pose vectors, where it has what the evaluator reads, else of joints."""
+    evaluator = embedder.evaluator
+    if not isinstance(evaluator, PoseVectorEvaluator):
+        return embedder.motions(samples), ""
+    reason = _why_not_vectors(folder, evaluator)
+    if reason:
+        return embedder.motions(samples), f"{BY_JOINTS} ({reason})"
+    # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
+    seconds = longest_seconds - float(1 / samples.fps)
+    vectors = [middle(motion, samples.fps, seconds) for motion in folder.vectors]
+    key = {"vectors": fingerprint_of_vectors(vectors)}
+    return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors)), AS_VECTORS
+
+
+def _why_not_vectors(folder: SampleFolder, evaluator: PoseVectorEvaluator) -> str:
+    """Why a folder's motions reach an evaluator of pose vectors by way of joints; empty where they need not."""
+    if not folder.vectors:
+        return "not all came as vectors of one size"
+    if folder.vectors[0].shape[1] != evaluator.vector_size:
+        return f"vectors of {folder.vectors[0].shape[1]} numbers, it reads {evaluator.vector_size}"
+    return "" if set(folder.fps) == {evaluator.fps} else f"vectors of another framerate than {evaluator.fps} fps"
 
 
 def _repeated(

@@ -12,6 +12,9 @@ import pytest
 from eval import feature_sources
 from eval.evaluators import guo
 from eval.evaluators.guo_networks import GuoWidths
+from motionkit.features import humanml3d
+from motionkit.features.humanml3d_processing import process
+from motionkit.formats.pose_folders.humanml3d import recover_positions
 from motionkit.motion import Caption, Motion
 from motionkit.skeleton import SMPL22
 from motionkit.store.writer import StoreWriter
@@ -57,8 +60,8 @@ def narrow_and_quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(feature_sources, "FIT_CLIPS", 256)
 
 
-def block(outcome: Any) -> dict[str, Any]:
-    found = [each for each in json.loads(outcome.stdout)["blocks"] if "guo" in each["title"]]
+def block(outcome: Any, title: str = "") -> dict[str, Any]:
+    found = [each for each in json.loads(outcome.stdout)["blocks"] if "guo" in each["title"] and title in each["title"]]
     assert len(found) == 1
     return dict(found[0])
 
@@ -126,3 +129,54 @@ def test_table_1_with_and_without_the_padding_leak(
     assert without.code == 2 and "--glove DIR" in without.stderr
     without = motionkit(*table, *files, "--store", captioned, "--split", "val")
     assert without.code == 1 and "caption 'take 34' has no word/POS tokens" in " ".join(without.stderr.split())
+
+
+def walking(index: int) -> np.ndarray:
+    """Pose vectors of a body that walks straight on; as many frames as the evaluator reads in whole tokens, and one.
+
+    Hips and shoulders do not turn: HumanML3D's vectors of a turning body do not give back the joints they were made of.
+    """
+    joints = swaying(index, 46 + 4 * (index % 8), 20)
+    for side in ("left", "right"):
+        for part in ("hip", "shoulder"):
+            joints[:, SMPL22.index(f"{side}_{part}")] = swaying(0, 1, 20)[0, SMPL22.index(f"{side}_{part}")]
+    joints[:, 0] = (joints[:, SMPL22.index("left_hip")] + joints[:, SMPL22.index("right_hip")]) / 2
+    joints[..., 2] += np.linspace(0, 0.02 * index, len(joints), dtype=np.float32)[:, None]
+    return humanml3d.vectors(process(joints, "smpl22"), "smpl22")
+
+
+def test_pose_vectors_reach_the_evaluator_as_they_are(
+    motionkit: Callable[..., Any], captioned: Path, weights: Path, tmp_path: Path
+) -> None:
+    made = {index: walking(index) for index in range(34)}
+    mean, std = np.full(263, 0.1, dtype=np.float32), np.linspace(0.5, 2, 263, dtype=np.float32)
+    for name, stated in (
+        ("raw", 'statistics = "raw"'),
+        ("normalised", 'statistics = "normalised"\nmean = "mean.npy"\nstd = "std.npy"'),
+        ("joints", "fps = 20"),
+    ):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "samples.toml").write_text(f'files = ["c*.npy"]\n{stated}\n')
+        (folder / "texts.csv").write_text("file,caption\n" + "".join(f"c{i}.npy,take {i}\n" for i in made))
+        np.save(folder / "mean.npy", mean)
+        np.save(folder / "std.npy", std)
+        for index, vectors in made.items():
+            joints = recover_positions(vectors, 22)
+            shown = {"raw": vectors, "normalised": (vectors - mean) / std, "joints": joints}[name]
+            np.save(folder / f"c{index}.npy", shown)
+    files = ("--weights", weights, "--glove", write_glove(tmp_path / "glove"))
+    table = ("eval", "--table", 1, "--results", tmp_path, "--protocol", "t2m", "--evaluator", "guo", "--json")
+    named = [part for name in ("raw", "normalised", "joints") for part in ("--samples", f"{name}={tmp_path / name}")]
+    outcome = motionkit(*table, *files, "--store", captioned, *named)
+    assert outcome.code == 0, outcome.stderr
+    rows = {row["name"]: row for row in block(outcome, "Table 1")["rows"]}
+    as_they_are, by_joints = "as the pose vectors that they came as", "as pose vectors made of joint positions (not all"
+    assert as_they_are in rows["raw"]["note"] and as_they_are in rows["normalised"]["note"]
+    assert by_joints in rows["joints"]["note"]
+    for column, cell in rows["raw"]["cells"].items():
+        assert rows["normalised"]["cells"][column]["value"] == pytest.approx(cell["value"], rel=1e-3), column
+    # Joints say the same where the body does not turn, but for what the way there and back costs.
+    for column in ("MultiModal Dist ↓", "Diversity →"):
+        other = rows["joints"]["cells"][column]["value"]
+        assert other == pytest.approx(rows["raw"]["cells"][column]["value"], rel=0.01), column

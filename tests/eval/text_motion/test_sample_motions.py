@@ -1,5 +1,7 @@
 """Another system's samples: repeated answers, whom they belong to, what is missing."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -11,7 +13,7 @@ from eval.sample_folder import SampleFolder
 from eval.sample_folder.folder import SampleFolderError
 from eval.samples import SampleSet, sample_set
 from eval.text_motion.real_pairs import CaptionedMotions
-from eval.text_motion.sample_motions import sample_embeddings
+from eval.text_motion.sample_motions import AS_VECTORS, BY_JOINTS, sample_embeddings
 from motionkit.errors import UsageError
 from motionkit.motion import Caption
 
@@ -97,3 +99,28 @@ def test_long_samples_are_cropped_like_real_motions() -> None:
 def test_samples_without_captions_are_refused() -> None:
     with pytest.raises(SampleFolderError, match="have no caption"):
         sample_embeddings(folder(["0", "1"], ["walks", ""]), real(), NATIVE, EMBEDDER)
+
+
+class KitVectors(First):
+    """An evaluator that reads KIT's pose vectors: their first number, and how many there are."""
+
+    fps, vector_size = Fraction(20), 251
+
+    def embed_vectors(self, motions: Sequence[np.ndarray]) -> np.ndarray:
+        return np.array([[float(motion[0, 0]), float(len(motion))] for motion in motions])
+
+
+def test_vectors_reach_an_evaluator_that_reads_them_and_no_other() -> None:
+    joints = folder(["0", "1"], ["walks", "sits"], frames=300)
+    kit = replace(joints, vectors=tuple(np.full((300, 251), 70 + i, dtype=np.float32) for i in range(2)))
+    wide = replace(joints, vectors=tuple(np.zeros((300, 263), dtype=np.float32) for _ in range(2)))
+    slow = replace(kit, fps=(Fraction(10),) * 2)
+    reads = Embedder(KitVectors(), None)
+    found = sample_embeddings(kit, real(), NATIVE, reads)
+    # 9.8 s at 20 fps are 197 poses, and so many poses have 196 vectors.
+    assert found.path == AS_VECTORS and found.draws[0].motions.tolist() == [[70, 196], [71, 196]]
+    for other, reason in ((joints, "not all came"), (wide, "263 numbers, it reads 251"), (slow, "another framerate")):
+        by_joints = sample_embeddings(other, real(), NATIVE, reads)
+        assert by_joints.path.startswith(BY_JOINTS) and reason in by_joints.path
+        assert by_joints.draws[0].motions.tolist() == [[10, 197], [11, 197]]
+    assert sample_embeddings(kit, real(), NATIVE, EMBEDDER).path == ""
