@@ -39,7 +39,6 @@ TINY = (
     "field.num_queries=4",
     "field.num_frequencies=4",
     "field.max_duration_seconds=3",
-    "field.precision=float32",
     "denoiser.text_encoder=none",
     "denoiser.steps=3",
     "denoiser.batch=4",
