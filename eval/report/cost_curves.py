@@ -53,7 +53,7 @@ def cost_figure(curve: CostCurve, width_inches: float = 6.4) -> Figure:
     axes = figure.subplots()
     axes.errorbar(curve.seconds, curve.values, curve.half_widths, color=BLUE, marker="o", markersize=4.5, capsize=2.0)
     for label, x, y in zip(curve.labels, curve.seconds, curve.values, strict=True):
-        axes.annotate(label, (x, y), xytext=(5, 6), textcoords="offset points", fontsize=7.5)
+        axes.annotate(label, (x, y), xytext=(0, -6), textcoords="offset points", fontsize=7.5, rotation=-40, va="top")
     for label, level in curve.levels:
         axes.axhline(level, color=GREY, linewidth=0.8, linestyle="--")
         axes.annotate(label, (0.0, level), xytext=(4, 2), textcoords="offset points", fontsize=7.5, color=GREY)
