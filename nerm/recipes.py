@@ -135,8 +135,8 @@ class FieldConfig:
             self._check_banks()
         elif self.linear_path or self.initialisation == "ridge":
             raise ValueError("linear_path and initialisation=ridge belong to a linear model of local latents")
-        for name in ("batch", "num_poses", "max_duration_seconds", "stride_seconds"):
-            if getattr(self, name) <= 0:
+        for name in ("steps", "epochs", "batch", "num_poses", "max_duration_seconds", "stride_seconds"):
+            if (value := getattr(self, name)) is not None and not value > 0:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
         for fps in (self.warmup_fps, self.lowest_fps, self.fixed_fps):
             if fps is not None:

@@ -71,7 +71,10 @@ class TrainedDenoiser:
         for start in range(0, len(generators), SAMPLES_PER_BATCH):
             rows = slice(start, start + SAMPLES_PER_BATCH)
             found.append(self._sample_batch(config, conditions.rows(rows), generators[rows]))
-        return torch.cat(found)
+        latents = torch.cat(found)
+        if not torch.isfinite(latents).all():
+            raise UsageError(f"sampling ran off to infinity: a guidance scale of {config.guidance_scale:g} is too much")
+        return latents
 
     def with_sampling(self, sampling: SamplingOptions) -> DenoiserConfig:
         """The configuration with what was asked for in place of its own; raises `UsageError` for what cannot be."""

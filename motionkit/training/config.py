@@ -5,6 +5,7 @@ Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]`
 
 import dataclasses
 import difflib
+import math
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -146,9 +147,11 @@ def _parse_text(text: str, annotation: Any, key: str) -> Any:
         return text
     if annotation in (int, float):
         try:
-            return annotation(text)
+            value = annotation(text)
         except ValueError:
-            pass
+            value = math.nan
+        if math.isfinite(value):
+            return value
     raise UsageError(f"{key} must be {_describe(annotation)}, not {text!r}")
 
 

@@ -191,6 +191,12 @@ CASES = (
         2,
         ("field.warmup_fps=1000000", "between 1 and 10000"),
     ),
+    Case(
+        "no steps", f"{TRAIN} good --stage field {NEW} --set field.steps=-4", 2, ("field.steps=-4", "must be positive")
+    ),
+    Case(
+        "no denoiser steps", f"{TRAIN} good {NEW} --set denoiser.steps=0", 2, ("denoiser.steps=0", "must be positive")
+    ),
     Case("no store", f"{TRAIN} nowhere {NEW}", 1, ("nowhere",)),
     Case(
         "denoiser with another store",

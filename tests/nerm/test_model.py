@@ -150,6 +150,13 @@ def test_sampling_that_there_is_not_is_explained(sampling, why):
         known_model().generate([GenerationRequest(1.0)], seed=0, sampling=sampling)
 
 
+def test_guidance_that_runs_off_to_infinity_is_told(encoder):
+    with pytest.raises(UsageError, match="a guidance scale of 1e\\+40 is too much"):
+        known_model(LetterEncoder.fingerprint).generate(
+            [GenerationRequest(1.0, text="a jump")], seed=0, sampling=SamplingOptions(guidance_scale=1e40)
+        )
+
+
 def test_durations_come_from_the_data_where_none_is_asked_for():
     model = known_model()
     fields = model.generate([GenerationRequest(None)] * 30 + [GenerationRequest(1.5)], seed=0)
