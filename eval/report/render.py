@@ -4,9 +4,10 @@ import csv
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from eval.report.results import Block, Cell, Result
+from eval.report.results import Block, Cell, Result, Row
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -85,13 +86,29 @@ def format_cell(cell: Cell | None, as_printed: bool = False) -> str:
     return f"{cell.value:.{decimals}f} ± {cell.ci95:.{decimals}f}"
 
 
-def detail_names(block: Block) -> list[str]:
-    """Names of all further metrics in a block, in order of appearance."""
-    names: dict[str, None] = {}
-    for row in block.rows:
-        for cell in row.cells.values():
-            names.update(dict.fromkeys(cell.details))
-    return list(names)
+@dataclass(frozen=True)
+class DetailTable:
+    """One further metric of a block: the rows and columns that have a number of it, in the block's order."""
+
+    name: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Row, Mapping[str, float]], ...]
+
+
+def detail_tables(block: Block) -> list[DetailTable]:
+    """All further metrics of a block's own rows, in order of appearance."""
+    own = [row for row in block.rows if row.origin != "paper"]
+    names = dict.fromkeys(name for row in own for cell in row.cells.values() for name in cell.details)
+    return [_detail_table(name, block.columns, own) for name in names]
+
+
+def _detail_table(name: str, columns: Sequence[str], rows: Sequence[Row]) -> DetailTable:
+    found = [
+        (row, {column: cell.details[name] for column, cell in row.cells.items() if name in cell.details})
+        for row in rows
+    ]
+    kept = tuple((row, values) for row, values in found if values)
+    return DetailTable(name, tuple(column for column in columns if any(column in values for _, values in kept)), kept)
 
 
 def _environment(*, html: bool = False, latex: bool = False) -> "Environment":
@@ -108,7 +125,7 @@ def _environment(*, html: bool = False, latex: bool = False) -> "Environment":
     filters: Mapping[str, Callable[..., object]] = {
         "cell": format_cell,
         "number": format_number,
-        "details": detail_names,
+        "details": detail_tables,
         "tex": _escape_latex,
         "md": lambda text: str(text).replace("|", "\\|"),
     }

@@ -71,6 +71,15 @@ def test_markdown(result: Result) -> None:
     assert "\n\n\n" not in text
 
 
+def test_further_metrics_leave_out_rows_and_columns_without_them(result: Result) -> None:
+    block = replace(result.blocks[0], rows=(*result.blocks[0].rows, Row("NeRM", "ours", {"20 fps": Cell(1.0)})))
+    whole = replace(result, blocks=(block,))
+    for text in (to_markdown(whole), to_html([whole])):
+        kid = text.split("KID")[1].split("</details>")[0]
+        assert "20 fps" in kid and "40 fps" not in kid
+        assert "real &" in kid.replace("&amp;", "&") and "NeRM" not in kid
+
+
 def test_latex_escapes_what_it_must(result: Result) -> None:
     text = to_latex(result)
     assert r"real \& <true> & 0.0123 $\pm$ 0.0010 & 0 \\" in text
