@@ -48,7 +48,7 @@ def feature_sources(
     """All feature sets there are, or the `wanted` ones; what is not there is named in `missing`.
 
     Guo's evaluator is there where its files are named. Raises `UsageError` for a name that is unknown, and for `guo`
-    without files.
+    without files, and what the last refused one raised where none of the `wanted` is there.
     """
     known: dict[str, Callable[[], FeatureSource]] = {
         "kinematic": kinematic_source,
@@ -61,7 +61,8 @@ def feature_sources(
     unknown = [name for name in wanted or () if name not in known]
     if unknown:
         raise UsageError(f"there is no feature set {unknown[0]!r}: {', '.join(known)}")
-    sources = []
+    sources: list[FeatureSource] = []
+    refused: MotionkitError | None = None
     for name, make in known.items():
         if wanted is not None and name not in wanted:
             continue
@@ -69,6 +70,9 @@ def feature_sources(
             sources.append(make())
         except MotionkitError as error:
             missing.append(f"features {name!r}: {error}")
+            refused = error
+    if wanted and not sources and refused is not None:
+        raise refused
     return sources
 
 

@@ -94,6 +94,8 @@ def test_wrong_files_are_one_line(motionkit: Callable[..., Any], store: Path, we
     assert (
         outcome.code == 0 and "features 'guo'" in outcome.stdout and "these are published statistics" in outcome.stdout
     )
+    outcome = motionkit(*table, "--evaluator", "guo", "--weights", weights, "--statistics", plain)
+    assert outcome.code == 1 and "these are published statistics" in " ".join(outcome.stderr.split())
 
 
 @pytest.fixture(scope="module")
