@@ -1,10 +1,9 @@
 """`motionkit eval`: build a table or a figure, or calibrate the feature sets."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
+from eval.commands import eval_options as options
 from motionkit.console import print_json, stderr
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
@@ -18,140 +17,37 @@ if TYPE_CHECKING:
 
 DEFAULT_RUN = "nano"
 SHOWN_PROBLEMS = 10
-# Where options stand in --help.
-REAL = "Real motion"
-EVALUATED = "What is evaluated"
-CLIPS = "clip-FID (table 2, figures, --calibrate)"
-EVALUATOR = "Evaluator"
-PROTOCOL = "Protocol of whole motions (tables 1 and 3)"
 
 
 def evaluate(
-    table: Annotated[str | None, typer.Option(help="Table to build, by its number in the paper.")] = None,
-    figure: Annotated[str | None, typer.Option(help="Figure to build as a table, by its number: 5, 8.")] = None,
-    calibrate: Annotated[
-        bool, typer.Option("--calibrate", help="Check that clip-FID rises with damage, and only with damage.")
-    ] = False,
-    paper: Annotated[str, typer.Option(help="Paper whose table is meant.")] = "nerm",
-    store: Annotated[Path | None, typer.Option(help="Store with the real motion.", rich_help_panel=REAL)] = None,
-    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", rich_help_panel=EVALUATED)] = None,
-    run: Annotated[
-        str,
-        typer.Option(
-            help="Trained run to evaluate; its rows are left out where there is none.", rich_help_panel=EVALUATED
-        ),
-    ] = (DEFAULT_RUN),
-    results: Annotated[Path | None, typer.Option(help="Folder for the JSON result and its Markdown table.")] = None,
-    split: Annotated[
-        str, typer.Option(help="Real sequences to compare with: a split, or all.", rich_help_panel=REAL)
-    ] = "test",
-    where: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SQL",
-            help='Compare only with real sequences for which this holds too: "len(quality_flags) = 0".',
-            rich_help_panel=REAL,
-        ),
-    ] = None,
-    fps: Annotated[
-        str | None,
-        typer.Option(help="Framerates, such as 20,60,120; the table's own by default.", rich_help_panel=CLIPS),
-    ] = None,
-    clips: Annotated[int, typer.Option(min=64, help="Clips on each side (N).", rich_help_panel=CLIPS)] = 4096,
-    replications: Annotated[
-        int, typer.Option(min=1, help="Independent repetitions behind the intervals.", rich_help_panel=CLIPS)
-    ] = 20,
-    sizes: Annotated[
-        str, typer.Option(help="Clip sizes: poses 16:64, or seconds 0.4s:1.6s.", rich_help_panel=CLIPS)
-    ] = "16:64",
-    samples: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=DIR",
-            help="A folder of another system's motions, as a row (docs/samples.md).",
-            rich_help_panel=EVALUATED,
-        ),
-    ] = None,
-    samples_fps: Annotated[
-        str | None,
-        typer.Option(
-            "--samples-fps",
-            metavar="FPS",
-            help="Framerate of samples whose files do not say it.",
-            rich_help_panel=EVALUATED,
-        ),
-    ] = None,
-    allow_broken: Annotated[
-        bool,
-        typer.Option(
-            "--allow-broken",
-            help="Exit with 0 although samples that cannot be read, or hold NaN, were left out.",
-            rich_help_panel=EVALUATED,
-        ),
-    ] = False,
-    low_pass: Annotated[
-        float | None,
-        typer.Option(
-            "--low-pass", min=0.1, metavar="HZ", help="Smooth every set, real ones too, first.", rich_help_panel=CLIPS
-        ),
-    ] = None,
-    evaluator: Annotated[
-        str | None,
-        typer.Option(
-            "--evaluator",
-            "--features",
-            help="Feature sets: kinematic,native,guo; all there are. Of actions: linear, humanact12, uestc, cmu-mocap.",
-            rich_help_panel=EVALUATOR,
-        ),
-    ] = None,
-    weights: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="The published evaluator's or recogniser's file: finest.tar, ….tar.",
-            rich_help_panel=EVALUATOR,
-        ),
-    ] = None,
-    glove: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Its word vectors: our_vab_data.npy, _words.pkl, _idx.pkl.", rich_help_panel=EVALUATOR
-        ),
-    ] = None,
-    statistics: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Its mean.npy and std.npy; those beside the weights by default.",
-            rich_help_panel=EVALUATOR,
-        ),
-    ] = None,
-    motions: Annotated[
-        int, typer.Option(min=2, help="Most motions that a model generates.", rich_help_panel=EVALUATED)
-    ] = 1024,
-    protocol: Annotated[
-        str,
-        typer.Option(
-            help="Of whole motions: native, t2m, mdm, mld, t2m-gpt, momask; of actions: a2m, actor, mdm.",
-            rich_help_panel=PROTOCOL,
-        ),
-    ] = "native",
-    compat: Annotated[
-        str | None,
-        typer.Option(
-            metavar="BUGS", help="Known bugs of that protocol's code to switch on, by name.", rich_help_panel=PROTOCOL
-        ),
-    ] = None,
-    draws: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            help="How often a model generates the whole set; 20 as published protocols do.",
-            rich_help_panel=EVALUATED,
-        ),
-    ] = 1,
-    seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    table: options.TableNumber = None,
+    figure: options.FigureNumber = None,
+    calibrate: options.Calibrate = False,
+    paper: options.Paper = "nerm",
+    store: options.StorePath = None,
+    runs: options.RunsFolder = None,
+    run: options.RunName = DEFAULT_RUN,
+    results: options.ResultsFolder = None,
+    split: options.Split = "test",
+    where: options.Where = None,
+    fps: options.Framerates = None,
+    clips: options.NumClips = 4096,
+    replications: options.Replications = 20,
+    sizes: options.ClipSizes = "16:64",
+    samples: options.SampleFolders = None,
+    samples_fps: options.SamplesFps = None,
+    allow_broken: options.AllowBroken = False,
+    low_pass: options.LowPass = None,
+    evaluator: options.Evaluators = None,
+    weights: options.Weights = None,
+    glove: options.Glove = None,
+    statistics: options.StatisticsFolder = None,
+    motions: options.MostMotions = 1024,
+    protocol: options.ProtocolName = "native",
+    compat: options.Compat = None,
+    draws: options.Draws = 1,
+    seed: options.Seed = 0,
+    as_json: options.AsJson = False,
 ) -> None:
     """Build one of the papers' tables or figures, or calibrate the features that clip-FID is computed on."""
     from eval.clip_fid import Protocol
