@@ -5,6 +5,7 @@ are observed in it; decoded they cross-fade. So long captures, gaps and uneven t
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,7 +18,7 @@ from motionkit.motionfield import Observation
 from motionkit.skeleton import SMPL22
 from motionkit.timegrid import normalise_seconds
 from nerm.encoding import encode_by_optimisation
-from nerm.field_model import TrainedField
+from nerm.field_model import TrainedField, load_field
 from nerm.reconstruction import POSES_TO_ENCODE_FROM, WINDOWS_AT_ONCE
 
 
@@ -98,3 +99,11 @@ class NermEncoder:
                 f"{self.trained.max_duration_seconds:g} s (l_max) needs one at least"
             )
         return np.rint(np.linspace(first, last, self.num_poses, axis=1)).astype(np.int64)
+
+
+def load(run: Path) -> NermEncoder:
+    """The encoder of a run whose stage `field` is trained (the entry point `nerm` of `motionkit.encoders`).
+
+    Raises what `load_field` raises.
+    """
+    return NermEncoder(load_field(run))

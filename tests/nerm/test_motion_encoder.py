@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from motionkit.motionfield import MotionEncoder, Observation, Poses, joint_veloc
 from motionkit.skeleton import KIT21, SMPL22
 from motionkit.timegrid import TimeGrid
 from motionkit.training.randomness import step_generator
+from motionkit.training.run import RunError
 from nerm.field_model import TrainedField
 from nerm.field_training import FieldTraining
-from nerm.motion_encoder import NermEncoder
+from nerm.motion_encoder import NermEncoder, load
 from tests.nerm.corpus import analytic_positions, analytic_source
 from tests.nerm.test_field_training import SMALL
 
@@ -89,3 +91,8 @@ def test_what_cannot_be_encoded_is_named(trained: TrainedField) -> None:
         NermEncoder(trained).encode(Observation(np.zeros(1), Poses(np.zeros((1, 22, 3), np.float32)), others))
     with pytest.raises(ValueError, match="between 0 and 4 s"):
         NermEncoder(trained, overlap_seconds=4.0).encode(Observation.of(motion))
+
+
+def test_a_run_without_a_field_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="stage 'field'"):
+        load(tmp_path)
