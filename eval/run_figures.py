@@ -213,8 +213,8 @@ class Yardstick:
         return Cell(found.mean, found.ci95)
 
     def _reconstruction(self, run: Path) -> Part:
-        from nerm.field_model import load_field
-        from nerm.reconstruction import reconstructions
+        from nerm.field.reconstruction import reconstructions
+        from nerm.field.trained import load_field
 
         trained = load_field(run)
         if trained.store_fingerprint != self.store.fingerprint:
@@ -255,7 +255,7 @@ def label(fps: Fraction) -> str:
 
 def _sha256(run: Path, stage: str) -> str:
     """The hash of a stage's model; raises `RunError` where the stage is not trained."""
-    from nerm.encoder_folder import file_sha256
+    from nerm.text.folder import file_sha256
 
     folder = RunFolder(run).stage(stage)
     folder.read_summary()

@@ -17,18 +17,18 @@ from motionkit.motionfield import MotionField
 from motionkit.skeleton import Skeleton
 from motionkit.training.device import resolve_device
 from motionkit.training.run import RunError, RunFolder
-from nerm.conditions import Conditions, unit_rows
-from nerm.encoder_folder import file_sha256
-from nerm.field_model import load_field
-from nerm.text_encoders import TextEncoder, load_text_encoder
-from nerm.trained_denoiser import TrainedDenoiser, load_denoiser
+from nerm.conditions.batch import Conditions, unit_rows
+from nerm.denoiser.trained import TrainedDenoiser, load_denoiser
+from nerm.field.trained import load_field
+from nerm.text.encoders import TextEncoder, load_text_encoder
+from nerm.text.folder import file_sha256
 
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
 
 
 @runtime_checkable
 class LatentField(Protocol):
-    """What generation needs from `nerm.field_model.TrainedField`."""
+    """What generation needs from `nerm.field.trained.TrainedField`."""
 
     @property
     def skeleton(self) -> Skeleton:

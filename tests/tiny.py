@@ -15,8 +15,10 @@ from motionkit.store.writer import StoreWriter
 from motionkit.timegrid import TimeGrid
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import Stage, StageContext
-from nerm.denoiser_config import DenoiserConfig, TransformerConfig
-from nerm.recipes import CodebookConfig, FieldConfig, NermConfig
+from nerm.recipes import NermConfig
+from nerm.settings.codebook import CodebookConfig
+from nerm.settings.denoiser import DenoiserConfig, TransformerConfig
+from nerm.settings.field import FieldConfig
 from nerm.stages import CODEBOOK, DENOISER, FIELD
 from tests.nerm.corpus import analytic_positions
 

@@ -16,8 +16,8 @@ from collections.abc import Callable
 
 import torch
 
-from nerm.field import EncodedCoordinates, FieldNetwork
-from nerm.recipes import FieldConfig
+from nerm.field.network import EncodedCoordinates, FieldNetwork
+from nerm.settings.field import FieldConfig
 
 RATES = (20.0, 30.0, 60.0, 120.0)
 

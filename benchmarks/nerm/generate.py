@@ -27,17 +27,17 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from motionkit.clips import Windows
 from motionkit.generation import GenerationRequest
-from nerm.conditions import ConditionLayout
-from nerm.denoiser import Denoiser
-from nerm.field import FieldNetwork
-from nerm.field_model import TrainedField
-from nerm.latent_reach import first_read
-from nerm.latent_space import LatentSpace
-from nerm.local_latents import local_latents
+from nerm.conditions.batch import ConditionLayout
+from nerm.denoiser.latent_space import LatentSpace
+from nerm.denoiser.network import Denoiser
+from nerm.denoiser.trained import TrainedDenoiser
+from nerm.field.network import FieldNetwork
+from nerm.field.trained import TrainedField
+from nerm.latents.local import local_latents
+from nerm.latents.reach import first_read
 from nerm.model import NermModel, load
+from nerm.pose_vectors.scaling import VectorScaling
 from nerm.recipes import RECIPES
-from nerm.scaling import VectorScaling
-from nerm.trained_denoiser import TrainedDenoiser
 
 SECONDS = 9.8
 RATES = (Fraction(20), Fraction(120))

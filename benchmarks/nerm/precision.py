@@ -21,9 +21,10 @@ from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import Precision
 from motionkit.training.randomness import step_generator
-from nerm.field_training import FieldTraining
-from nerm.field_windows import training_windows
-from nerm.recipes import RECIPES, FieldConfig
+from nerm.field.training import FieldTraining
+from nerm.field.windows import training_windows
+from nerm.recipes import RECIPES
+from nerm.settings.field import FieldConfig
 
 WARMING = 3
 PRECISIONS: tuple[Precision, ...] = ("float32", "bfloat16")

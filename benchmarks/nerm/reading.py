@@ -21,7 +21,7 @@ from motionkit.clips import PositionSource, WindowPoses, Windows
 from motionkit.skeleton import SMPL22
 from motionkit.store import Store
 from motionkit.store.cache import PositionCache, open_cache
-from nerm.field_windows import training_windows
+from nerm.field.windows import training_windows
 from nerm.recipes import nano
 
 MEGABYTE = 1_000_000

@@ -26,11 +26,12 @@ from motionkit.skeleton import SMPL22
 from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
 from motionkit.training.randomness import step_generator
-from nerm.field_model import TrainedField
-from nerm.field_training import FieldTraining
-from nerm.field_windows import training_windows
-from nerm.recipes import FieldConfig, nano, paper
-from nerm.reconstruction import comparable, reconstructions, separate_windows
+from nerm.field.reconstruction import comparable, reconstructions, separate_windows
+from nerm.field.trained import TrainedField
+from nerm.field.training import FieldTraining
+from nerm.field.windows import training_windows
+from nerm.recipes import nano, paper
+from nerm.settings.field import FieldConfig
 
 TARGET_MM = 25.0
 FPS = Fraction(20)

@@ -21,7 +21,7 @@ class NativeTrainingConfig:
     A step draws one framerate from `framerates` (those that the store reaches) and one m, a multiple of 4 in
     `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are. `bank_seconds` bounds the motion that is
     held in memory per framerate, `where` chooses the store's sequences. `text_encoder` is "" (no text) or a name that
-    `nerm.text_encoders` knows.
+    `nerm.text.encoders` knows.
     """
 
     steps: int = 1500

@@ -22,7 +22,7 @@ from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.training.config import parse_override
 from motionkit.training.run import RunFolder
-from nerm.ablations import ABLATIONS, LAYOUTS, Ablation, Entry, command_for, run_name
+from nerm.ablations.variants import ABLATIONS, LAYOUTS, Ablation, Entry, command_for, run_name
 
 VERSION = "ablation/1"
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))

@@ -111,7 +111,7 @@ TABLE = Table("nerm", "1", "text-to-motion at 20 fps", build_table1)
 
 def _models(request: TableRequest, missing: list[str]) -> tuple[_Model, ...]:
     """NeRM and, where it is trained, NeRM-fixed: the run of the same name with `-fixed` after it."""
-    from nerm.encoder_folder import file_sha256
+    from nerm.text.folder import file_sha256
 
     if request.run is None:
         missing.append(f"{NERM}: no run was given (motionkit train makes one)")

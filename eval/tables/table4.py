@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from motionkit.clips import PositionSource, Windows
     from motionkit.store.reader import Store
-    from nerm.field_model import TrainedField
+    from nerm.field.trained import TrainedField
 
 VERSION = "reconstruction/2"
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
@@ -61,7 +61,7 @@ def build_table4(request: TableRequest) -> Result:
     Raises `UsageError` without a run or with a run of another store, and what loading the run or the store raises.
     """
     from motionkit.store.reader import Store
-    from nerm.field_model import load_field
+    from nerm.field.trained import load_field
 
     if request.run is None:
         raise UsageError("table 4 needs a trained field: --run NAME (motionkit train --stage field makes one)")
@@ -125,7 +125,7 @@ TABLE = Table("nerm", "4", "reconstruction MPJPE and MRE by framerate", build_ta
 
 def training_windows(trained: "TrainedField", store: "Store", request: TableRequest) -> EncodedWindows:
     """A sample of the windows that a field was trained on, with their posterior means."""
-    from nerm.reconstruction import separate_windows
+    from nerm.field.reconstruction import separate_windows
 
     source, _ = trained.vectors.open(store, trained.config.where or None)
     everything = EncodedWindows(source, trained.windows, trained.posterior_mean)
@@ -137,7 +137,7 @@ def held_out_windows(
 ) -> EncodedWindows | None:
     """A sample of another split's windows, encoded against the frozen field; None where there is none."""
     from motionkit.clips import cut_windows
-    from nerm.reconstruction import encode_windows, separate_windows
+    from nerm.field.reconstruction import encode_windows, separate_windows
 
     try:
         if request.split in ("all", "train"):
@@ -159,7 +159,7 @@ def _sample(rows: "np.ndarray", windows: "Windows", request: TableRequest) -> "n
     """At most `MOST_WINDOWS` of the rows, in order: drawn from the seed, those fast enough for every column first."""
     import numpy as np
 
-    from nerm.reconstruction import comparable
+    from nerm.field.reconstruction import comparable
 
     shuffled = np.random.default_rng(request.seed).permutation(rows)
     fast = comparable(windows, request.fps or COLUMNS)[shuffled]
@@ -170,7 +170,7 @@ def _sample(rows: "np.ndarray", windows: "Windows", request: TableRequest) -> "n
 def _measure(trained: "TrainedField", encoded: EncodedWindows, rates: Sequence[Fraction]) -> _Measured:
     import numpy as np
 
-    from nerm.reconstruction import comparable, reconstructions
+    from nerm.field.reconstruction import comparable, reconstructions
 
     errors: dict[Fraction, dict[int, WindowErrors]] = {}
     for fps in rates:

@@ -8,7 +8,7 @@ import typer
 from motionkit.console import print_json, stderr, stdout
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.settings import default_path
-from nerm.ablations import ABLATIONS, Ablation, Stage, Variant, find_ablation, run_name
+from nerm.ablations.variants import ABLATIONS, Ablation, Stage, Variant, find_ablation, run_name
 from nerm.recipes import RECIPES, NermConfig
 
 
@@ -50,7 +50,7 @@ def ablate(
 
     store_path = store or default_path("store")
     read_manifest(store_path)  # a store that is missing is told before anything heavy is imported
-    from nerm.ablation_training import Sweep
+    from nerm.ablations.training import Sweep
 
     sweep = Sweep(store_path, folder, prefix, recipe, seed=seed, overwrite=overwrite, device=device)
     trained = _train_all(sweep, jobs, configs, as_json)
@@ -93,7 +93,7 @@ def _train_all(
     sweep: Any, jobs: list[tuple[Variant, tuple[Stage, ...]]], configs: dict[str, NermConfig], as_json: bool
 ) -> list[dict[str, Any]]:
     """All jobs in order; one that fails is told on stderr and does not stop the others."""
-    from nerm.ablation_training import train_variant
+    from nerm.ablations.training import train_variant
 
     trained = []
     for number, (variant, stages) in enumerate(jobs, start=1):

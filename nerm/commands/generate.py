@@ -13,8 +13,8 @@ from motionkit.timegrid import parse_fps
 
 if TYPE_CHECKING:
     from motionkit.generation import GenerativeModel
-    from nerm.generated_folder import GeneratedFolder
-    from nerm.generation_plan import GenerationPlan
+    from nerm.generation.folder import GeneratedFolder
+    from nerm.generation.plan import GenerationPlan
 
 FORMATS = "npz, bvh, gltf, humanml3d"
 
@@ -60,8 +60,8 @@ def generate(
 ) -> None:
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants."""
     from motionkit.generation import SamplingOptions
-    from nerm.generation_plan import make_plan, parse_times
-    from nerm.prompts import prompts_from_arguments, read_prompts
+    from nerm.generation.plan import make_plan, parse_times
+    from nerm.generation.prompts import prompts_from_arguments, read_prompts
 
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
@@ -79,7 +79,7 @@ def generate(
     plan = make_plan(wanted, count, instants, rate, file_format, seed, sampling, join=join, overlap_seconds=overlap)
 
     from motionkit.generation import load_model
-    from nerm.generated_folder import begin_folder, replace_folder, resume_folder
+    from nerm.generation.folder import begin_folder, replace_folder, resume_folder
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model, place)
@@ -97,8 +97,8 @@ def _write_all(
     plan: "GenerationPlan", model: "GenerativeModel", folder: "GeneratedFolder", as_json: bool
 ) -> dict[str, Any]:
     """Generate and write what is not there yet; names each file on stdout, or returns all of them for JSON."""
-    from nerm.framerate_shift import framerate_shift
-    from nerm.generated_files import describe_sample
+    from nerm.generation.files import describe_sample
+    from nerm.generation.framerate_shift import framerate_shift
 
     report: dict[str, Any] = {"already_there": folder.num_done, "motions": []}
     plan.output.begin(folder.path, plan.fps)

@@ -1,4 +1,4 @@
-"""Errors of reconstructions whose errors are known; the whole of Table 4 is built in tests/nerm/test_stages.py."""
+"""Errors of reconstructions whose errors are known; Table 4 as a whole: tests/nerm/stages/test_stages.py."""
 
 from fractions import Fraction
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.reconstruction_errors import COUNT, DISTANCE, GLOBAL, mpjpe_cell, mre_cell, window_errors
-from nerm.reconstruction import Reconstruction
+from nerm.field.reconstruction import Reconstruction
 from tests.nerm.corpus import analytic_positions
 
 FPS = Fraction(60)

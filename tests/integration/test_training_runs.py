@@ -115,7 +115,7 @@ import torch
 from motionkit.training import loop, precision
 from motionkit.training.config import apply_overrides
 from motionkit.training.randomness import step_generator
-from nerm import field_stage
+from nerm.stages import field as field_stage
 from tests.tiny import train_stage
 
 def killing(seed, purpose, step):

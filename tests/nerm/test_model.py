@@ -14,13 +14,13 @@ from motionkit.motionfield import Poses, check_times, to_motion
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.run import RunError
-from nerm.conditions import ConditionLayout
-from nerm.denoiser import Denoiser
-from nerm.denoiser_config import DenoiserConfig, DiffusionConfig, TransformerConfig
-from nerm.latent_reach import ALWAYS
-from nerm.latent_space import LatentSpace
+from nerm.conditions.batch import ConditionLayout
+from nerm.denoiser.latent_space import LatentSpace
+from nerm.denoiser.network import Denoiser
+from nerm.denoiser.trained import TrainedDenoiser
+from nerm.latents.reach import ALWAYS
 from nerm.model import NermModel
-from nerm.trained_denoiser import TrainedDenoiser
+from nerm.settings.denoiser import DenoiserConfig, DiffusionConfig, TransformerConfig
 
 NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, dropout=0.0)
 

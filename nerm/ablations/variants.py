@@ -1,0 +1,196 @@
+"""The ablations of the paper (Tables 5 to 9) and ours, as settings over a recipe: which runs a table is made of.
+
+A variant is one training; tables share them, so the paper's full model is trained once for all five. The paper's
+tables are about its own layout of z, `global`; rows of the `local` layout (ours) stand beside them where the question
+makes sense there too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from motionkit.conditions import conjunction
+from motionkit.errors import UsageError
+from motionkit.training.config import apply_overrides, parse_override
+from nerm.recipes import NermConfig
+from nerm.settings.field import LatentLayout
+
+# What a recipe that was made for the other layout needs; its own layout needs nothing.
+LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
+    "global": (
+        "field.latent_layout=global",
+        "field.latent_dimension=256",
+        "field.initialisation=normal",
+        "field.linear_path=false",
+        "field.latent_rate=1e-1",
+        "denoiser.network.latent_tokens=1",
+    ),
+    "local": ("field.latent_layout=local",),
+}
+Stage = Literal["field", "denoiser"]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One training: a layout of z, and what it changes in a recipe that has this layout."""
+
+    name: str
+    layout: LatentLayout
+    change: tuple[str, ...] = ()
+
+    def configure(self, recipe: NermConfig, overrides: Sequence[str] = (), where: str | None = None) -> NermConfig:
+        """A recipe's configuration with the layout, overrides that all variants share, and this one's change.
+
+        `where` (SQL) narrows the sequences of all stages. Raises `UsageError` for an override of what is varied.
+        """
+        varied = {parse_override(setting)[0] for setting in self.change}
+        for override in overrides:
+            if parse_override(override)[0] in varied:
+                raise UsageError(f"--set {override}: this is what {self.name!r} varies ({', '.join(self.change)})")
+        narrowed = [
+            f"{stage}.where={conjunction(getattr(recipe, stage).where, where)}"
+            for stage in ("codebook", "field")
+            if where
+        ]
+        return apply_overrides(recipe, [*self.settings(recipe), *narrowed, *overrides])
+
+    def settings(self, recipe: NermConfig) -> tuple[str, ...]:
+        """What is set in a recipe: the layout's settings where it has the other layout, and the change."""
+        layout = () if recipe.field.latent_layout == self.layout else LAYOUTS[self.layout]
+        return (*layout, *self.change)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of a table: a variant, by what is varied; `reported` is the paper's name for it in its reported figures."""
+
+    label: str
+    variant: Variant
+    reported: str = ""
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """One table: its rows, and the stages that its columns need."""
+
+    table: str
+    title: str
+    entries: tuple[Entry, ...]
+    stages: tuple[Stage, ...] = ("field", "denoiser")
+
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """All trainings of the table, in order of their first row."""
+        return tuple(dict.fromkeys(entry.variant for entry in self.entries))
+
+
+GLOBAL = Variant("global", "global")
+LOCAL = Variant("local", "local")
+
+
+def _changed(base: Variant, name: str, *change: str) -> Variant:
+    return Variant(f"{base.name}-{name}", base.layout, change)
+
+
+def _both(label: str, name: str, change: str, reported: str = "") -> tuple[Entry, Entry]:
+    """The same change to either layout."""
+    return (
+        Entry(f"global: {label}", _changed(GLOBAL, name, change), reported),
+        Entry(f"local: {label}", _changed(LOCAL, name, change)),
+    )
+
+
+_NO_TIME = _both("no coordinate at all", "no-time", "field.time_encoding=none")
+_RAW_TIME = _both("the coordinate itself", "raw-time", "field.time_encoding=raw", "no time encoding")
+_FOURIER = _both("Fourier features", "fourier", "field.time_encoding=fourier", "fourier")
+_POINT = _both(
+    "one z a window, no distribution (Eq. 9)", "non-variational", "field.variational=false", "non-variational"
+)
+_TRANSFORMER = _both("transformer", "transformer", "field.decoder=transformer", "transformer decoder")
+_WARMUP_NONE = _both("no warm-up at one framerate", "warmup-0", "field.warmup_fraction=0")
+_WARMUP_HALF = _both("half of the steps at 20 fps", "warmup-50", "field.warmup_fraction=0.5")
+_FIXED = _both("all steps at 20 fps (NeRM-fixed)", "fixed-20", "field.fixed_fps=20", "NeRM-fixed")
+
+ABLATIONS: dict[str, Ablation] = {
+    ablation.table: ablation
+    for ablation in (
+        Ablation(
+            "5",
+            "time encoding",
+            (
+                _NO_TIME[0],
+                _RAW_TIME[0],
+                _FOURIER[0],
+                Entry("global: Fourier features and codebook", GLOBAL, "codebook"),
+                _NO_TIME[1],
+                _FOURIER[1],
+                Entry("local: Fourier features and codebook", LOCAL),
+            ),
+        ),
+        Ablation(
+            "6",
+            "variational latents",
+            (
+                _POINT[0],
+                Entry("global: variational", GLOBAL, "variational"),
+                _POINT[1],
+                Entry("local: variational", LOCAL),
+            ),
+        ),
+        Ablation("7", "decoder", (_TRANSFORMER[0], Entry("global: MLP", GLOBAL, "mlp decoder"))),
+        Ablation(
+            "8",
+            "size of z and weight of the KL term",
+            (
+                Entry("global: d = 128", _changed(GLOBAL, "d-128", "field.latent_dimension=128"), "latent_dim=128"),
+                Entry("global: d = 256", GLOBAL, "latent_dim=256"),
+                Entry("global: d = 512", _changed(GLOBAL, "d-512", "field.latent_dimension=512"), "latent_dim=512"),
+                Entry("global: λ_KL = 1e-5", _changed(GLOBAL, "kl-1e-5", "field.kl_weight=1e-5"), "kl_weight=1e-5"),
+                Entry("global: λ_KL = 1e-4", GLOBAL, "kl_weight=1e-4"),
+                Entry("global: λ_KL = 1e-3", _changed(GLOBAL, "kl-1e-3", "field.kl_weight=1e-3"), "kl_weight=1e-3"),
+            ),
+            ("field",),
+        ),
+        Ablation(
+            "9",
+            "time normalisation",
+            (
+                # Knots lie at normalised coordinates, so this table has no rows of the local layout.
+                Entry("global: frame numbers 1 … T", _changed(GLOBAL, "frame-numbers", "field.coordinates=frames")),
+                Entry("global: normalised to [−1, 1]", GLOBAL),
+            ),
+        ),
+        Ablation(
+            "ours",
+            "layout of z, and framerates in training",
+            (
+                Entry("global: as the recipe", GLOBAL),
+                _WARMUP_NONE[0],
+                _WARMUP_HALF[0],
+                _FIXED[0],
+                Entry("local: as the recipe", LOCAL),
+                _WARMUP_NONE[1],
+                _WARMUP_HALF[1],
+                _FIXED[1],
+            ),
+        ),
+    )
+}
+
+
+def find_ablation(table: str) -> Ablation:
+    """The ablation of a table; raises `UsageError` naming those there are."""
+    if table not in ABLATIONS:
+        known = ", ".join(f"{name} ({ablation.title})" for name, ablation in ABLATIONS.items())
+        raise UsageError(f"there is no ablation {table!r}; there are: {known}, or all")
+    return ABLATIONS[table]
+
+
+def run_name(prefix: str, variant: Variant, seed: int) -> str:
+    """The run of one variant: PREFIX-VARIANT, and -seedN after it for any seed but 0."""
+    return f"{prefix}-{variant.name}" + (f"-seed{seed}" if seed else "")
+
+
+def command_for(table: str, prefix: str, variant: Variant) -> str:
+    """The command that trains one variant of a table."""
+    return f"motionkit ablate {table} --run {prefix} --only {variant.name}"

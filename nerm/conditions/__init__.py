@@ -1,0 +1,1 @@
+"""What a motion is conditioned on: text, action, duration, and classifier-free guidance."""

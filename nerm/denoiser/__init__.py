@@ -1,0 +1,1 @@
+"""The latent diffusion: process, network, corpus of posteriors, training, sampling (paper §3.2)."""

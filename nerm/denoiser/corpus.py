@@ -1,0 +1,99 @@
+"""What the denoiser is trained on: the field's posteriors N(μ_i*, Σ_i*), their durations, captions and actions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int64
+from torch import Tensor
+
+from nerm.conditions.batch import NO_ACTION, ConditionLayout, Conditions
+from nerm.latents.local import LocalLatents
+from nerm.latents.reach import first_read
+
+
+@dataclass(frozen=True, eq=False)
+class LatentCorpus:
+    """n posteriors with their conditions.
+
+    `caption_rows` [n, most] leads into `text` [texts, dimension] (unit length), the first `num_captions` of each row
+    count; `action` is `NO_ACTION` where there is none; `duration` is in units of l_max. `banks` are what z is
+    made of (None: not of knots).
+    """
+
+    means: Float32[Tensor, "windows latent"]
+    log_variances: Float32[Tensor, "windows latent"]
+    duration: Float32[Tensor, "windows"]
+    text: Float32[Tensor, "texts dimension"]
+    caption_rows: Int64[Tensor, "windows most"]
+    num_captions: Int64[Tensor, "windows"]
+    action: Int64[Tensor, "windows"]
+    layout: ConditionLayout
+    banks: LocalLatents | None
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def first_read(self) -> Float32[Tensor, "latent"]:
+        """From when on the field reads each number of z (`nerm.latents.reach`)."""
+        return first_read(self.means.shape[1], self.banks)
+
+    def draw(self, rows: Int64[Tensor, "batch"], generator: torch.Generator) -> Float32[Tensor, "batch latent"]:
+        """z ~ N(μ_i, Σ_i) for the windows `rows`, drawn anew at every call (§3.2)."""
+        spread = torch.exp(0.5 * self.log_variances[rows])
+        noise: Tensor = torch.randn(spread.shape, generator=generator)
+        return self.means[rows] + spread * noise
+
+    def draw_conditions(
+        self, rows: Int64[Tensor, "batch"], generator: torch.Generator, *, drop: float, action_share: float
+    ) -> Conditions:
+        """One condition per window: nothing with probability `drop`, else one of its captions or its action.
+
+        Of the windows that have both, a share `action_share` is given the action.
+        """
+        chance = torch.rand((3, len(rows)), generator=generator)
+        counts, actions = self.num_captions[rows], self.action[rows]
+        has_text, has_action = counts > 0, actions >= 0
+        use_action = has_action & (~has_text | (chance[0] < action_share))
+        choice = (chance[1] * counts).to(torch.int64).clamp(max=(counts - 1).clamp(min=0))
+        text = self.text[self.caption_rows[rows, choice]]
+        given = Conditions(
+            text=torch.where((has_text & ~use_action)[:, None], text, torch.zeros_like(text)),
+            action=torch.where(use_action, actions, torch.full_like(actions, NO_ACTION)),
+            duration=self.duration[rows],
+        )
+        return given.dropped(chance[2] < drop)
+
+
+def latent_corpus(
+    means: Float32[Tensor, "windows latent"],
+    log_variances: Float32[Tensor, "windows latent"],
+    duration: Float32[Tensor, "windows"],
+    captions: Sequence[Sequence[str]],
+    actions: Sequence[str],
+    texts: Sequence[str],
+    embeddings: Float32[np.ndarray, "texts dimension"],
+    banks: LocalLatents | None = None,
+) -> LatentCorpus:
+    """Bring captions and actions of all windows into index form; `embeddings` belong to the distinct `texts`."""
+    row_of = {text: row for row, text in enumerate(texts)}
+    names = tuple(sorted({action for action in actions if action}))
+    index_of = {name: index for index, name in enumerate(names)} | {"": NO_ACTION}
+    most = max((len(of_window) for of_window in captions), default=0)
+    rows = torch.zeros((len(means), max(most, 1)), dtype=torch.int64)
+    for window, of_window in enumerate(captions):
+        rows[window, : len(of_window)] = torch.tensor([row_of[text] for text in of_window], dtype=torch.int64)
+    text = torch.from_numpy(embeddings) if len(texts) else torch.zeros((1, embeddings.shape[1]))
+    return LatentCorpus(
+        means=means,
+        log_variances=log_variances,
+        duration=duration,
+        text=text,
+        caption_rows=rows,
+        num_captions=torch.tensor([len(of_window) for of_window in captions], dtype=torch.int64),
+        action=torch.tensor([index_of[action] for action in actions], dtype=torch.int64),
+        layout=ConditionLayout(embeddings.shape[1], names),
+        banks=banks,
+    )

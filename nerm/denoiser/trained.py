@@ -1,0 +1,188 @@
+"""A trained denoiser as it rests in a run folder, and sampling latents with it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Float32, Float64
+from torch import Tensor
+
+from motionkit.errors import UsageError
+from motionkit.generation import SamplingOptions
+from motionkit.training.config import from_plain, to_plain
+from motionkit.training.randomness import seeded_initialisation, step_generator
+from motionkit.training.run import RunFolder
+from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
+from nerm.conditions.batch import ConditionLayout, Conditions
+from nerm.conditions.guidance import guided
+from nerm.denoiser.diffusion import cumulative_alphas, predicted_noise, sample_ddim, sample_ddpm, sampling_steps
+from nerm.denoiser.latent_space import LatentSpace
+from nerm.denoiser.network import Denoiser
+from nerm.latents.local import LocalLatents
+from nerm.latents.reach import in_use
+from nerm.settings.denoiser import SAMPLERS, DenoiserConfig
+
+STAGE_NAME = "denoiser"
+SAMPLES_PER_BATCH = 256
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedDenoiser:
+    """ε_φ with everything that sampling latents needs.
+
+    `denoiser` holds the averaged weights; `space` is where it works; `durations` are those of the
+    training windows in units of l_max;
+    `text_encoder` and `text_fingerprint` name the encoder whose embeddings it was trained on (empty without texts), and
+    `field_sha256` the field whose latents it generates.
+    """
+
+    config: DenoiserConfig
+    denoiser: Denoiser
+    space: LatentSpace
+    layout: ConditionLayout
+    durations: Float32[Tensor, "windows"]
+    text_encoder: str
+    text_fingerprint: str
+    field_sha256: str
+
+    @property
+    def latent_dimension(self) -> int:
+        """Numbers in a latent."""
+        return len(self.space.mean)
+
+    def sample(
+        self,
+        conditions: Conditions,
+        *,
+        seed: int,
+        sampling: SamplingOptions = SamplingOptions(),
+        first: int = 0,
+    ) -> Float32[Tensor, "batch latent"]:
+        """One latent of the field per row of `conditions`.
+
+        Row i draws from (seed, `first` + i) alone, so it doesn't depend on how many rows there are (but for the
+        rounding of batched sums). Numbers that a motion of the row's duration doesn't depend on are the training data's
+        mean.
+        """
+        config = self.with_sampling(sampling)
+        generators = [step_generator(seed, "generate", first + row) for row in range(len(conditions.action))]
+        found = []
+        for start in range(0, len(generators), SAMPLES_PER_BATCH):
+            rows = slice(start, start + SAMPLES_PER_BATCH)
+            found.append(self._sample_batch(config, conditions.rows(rows), generators[rows]))
+        latents = torch.cat(found)
+        if not torch.isfinite(latents).all():
+            raise UsageError(f"sampling ran off to infinity: a guidance scale of {config.guidance_scale:g} is too much")
+        return latents
+
+    def with_sampling(self, sampling: SamplingOptions) -> DenoiserConfig:
+        """The configuration with what was asked for in place of its own; raises `UsageError` for what cannot be."""
+        own = self.config.diffusion
+        steps = own.sampling_steps if sampling.steps is None else sampling.steps
+        if not 1 <= steps <= own.num_steps:
+            raise UsageError(f"{steps} sampling steps: this model's diffusion has 1 … {own.num_steps}")
+        if sampling.sampler not in (None, *SAMPLERS):
+            raise UsageError(f"no sampler is called {sampling.sampler!r}; there are {', '.join(SAMPLERS)}")
+        guidance_scale = self.config.guidance_scale if sampling.guidance_scale is None else sampling.guidance_scale
+        if not math.isfinite(guidance_scale):
+            raise UsageError(
+                f"a guidance scale is a finite number (1 follows the condition as the data does), not {guidance_scale}"
+            )
+        return replace(
+            self.config,
+            diffusion=replace(own, sampler=sampling.sampler or own.sampler, sampling_steps=steps),
+            guidance_scale=guidance_scale,
+        )
+
+    @torch.inference_mode()
+    def _sample_batch(
+        self, config: DenoiserConfig, conditions: Conditions, generators: Sequence[torch.Generator]
+    ) -> Float32[Tensor, "batch latent"]:
+        def draw_noise() -> Float64[Tensor, "batch latent"]:
+            drawn = [torch.randn(self.latent_dimension, generator=g, dtype=torch.float64) for g in generators]
+            return torch.stack(drawn)
+
+        device = self.denoiser.positions.device
+        on_device = conditions.to(device)
+        diffusion = config.diffusion
+        alphas, steps = cumulative_alphas(diffusion), sampling_steps(diffusion)
+
+        def predict_noise(latents: Tensor, steps: Tensor) -> Tensor:
+            noisy = latents.to(device, torch.float32)
+            output = guided(self.denoiser, noisy, steps.to(device), on_device, config.guidance_scale)
+            alpha = float(alphas[int(steps[0])])
+            return predicted_noise(diffusion.prediction, output.to("cpu", torch.float64), latents, alpha)
+
+        if diffusion.sampler == "ddim":
+            latents = sample_ddim(predict_noise, draw_noise(), alphas, steps)
+        else:
+            latents = sample_ddpm(predict_noise, draw_noise(), alphas, steps, draw_noise)
+        used = in_use(self.denoiser.first_read.to("cpu"), conditions.duration)
+        return self.space.restore(latents.to(torch.float32) * used)
+
+    def draw_durations(self, count: int, *, seed: int, first: int = 0) -> Float32[Tensor, "count"]:
+        """Durations drawn from the training windows', in units of l_max; number i follows from (seed, first + i)."""
+        generators = [step_generator(seed, "duration", first + i) for i in range(count)]
+        rows = [torch.randint(len(self.durations), (), generator=generator) for generator in generators]
+        return self.durations[torch.stack(rows)] if rows else self.durations[:0]
+
+
+def save_denoiser(run: RunFolder, trained: TrainedDenoiser) -> None:
+    """Write RUN/denoiser/model.safetensors."""
+    tensors = prefixed("denoiser", trained.denoiser.state_dict()) | {
+        "latent_mean": trained.space.mean,
+        "latent_deviation": trained.space.deviation,
+        "durations": trained.durations,
+    }
+    description = {
+        "config": to_plain(trained.config),
+        "banks": None if trained.space.banks is None else to_plain(trained.space.banks),
+        "text_dimension": trained.layout.text_dimension,
+        "actions": list(trained.layout.actions),
+        "text_encoder": trained.text_encoder,
+        "text_fingerprint": trained.text_fingerprint,
+        "field_sha256": trained.field_sha256,
+    }
+    save_tensors(run.stage(STAGE_NAME).model_path, tensors, description)
+
+
+def load_denoiser(run: RunFolder, device: torch.device | None = None) -> TrainedDenoiser:
+    """Read RUN/denoiser/model.safetensors; the network goes to `device` (default: the CPU).
+
+    Raises `RunError` where the stage was not trained to its end, `CheckpointError` for a damaged file.
+    """
+    folder = run.stage(STAGE_NAME)
+    folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    try:
+        trained = _rebuild(tensors, description)
+    except (KeyError, RuntimeError, TypeError, ValueError, UsageError) as error:
+        raise CheckpointError(
+            f"{folder.model_path}: not a denoiser of this version of motionkit ({one_line(error)}); train it again "
+            f"(motionkit train --stage denoiser --overwrite)"
+        ) from None
+    if device is not None:
+        trained.denoiser.to(device)
+    return trained
+
+
+def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> TrainedDenoiser:
+    config = from_plain(DenoiserConfig, description["config"])
+    layout = ConditionLayout(int(description["text_dimension"]), tuple(description["actions"]))
+    banks = None if description["banks"] is None else from_plain(LocalLatents, description["banks"])
+    space = LatentSpace(banks, config.path, tensors["latent_mean"], tensors["latent_deviation"])
+    with seeded_initialisation(0, STAGE_NAME):
+        denoiser = Denoiser(config.network, tensors["denoiser.first_read"], layout)
+    denoiser.load_state_dict(unprefixed("denoiser", tensors))
+    return TrainedDenoiser(
+        config=config,
+        denoiser=denoiser.eval().requires_grad_(False),
+        space=space,
+        layout=layout,
+        durations=tensors["durations"],
+        text_encoder=str(description["text_encoder"]),
+        text_fingerprint=str(description["text_fingerprint"]),
+        field_sha256=str(description["field_sha256"]),
+    )

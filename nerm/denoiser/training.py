@@ -1,0 +1,117 @@
+"""Training of the latent denoiser ε_φ by Eq. 5 on a corpus of posteriors."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor
+
+from motionkit.training.precision import autocast, compile_each
+from motionkit.training.randomness import seeded_initialisation, step_generator
+from motionkit.training.ranks import ALONE, Ranks
+from motionkit.training.schedule import WeightAverage, rate_factor, set_rate
+from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from nerm.conditions.batch import Conditions
+from nerm.denoiser.corpus import LatentCorpus
+from nerm.denoiser.diffusion import add_noise, cumulative_alphas, loss_weights, prediction_target
+from nerm.denoiser.latent_space import measured_space
+from nerm.denoiser.network import Denoiser
+from nerm.denoiser.trained import TrainedDenoiser
+from nerm.latents.reach import in_use
+from nerm.settings.denoiser import DenoiserConfig
+
+
+class DenoiserTraining:
+    """A `motionkit.training.loop.Trainable`: owns the denoiser, its weight average and the optimiser.
+
+    Everything random is drawn on the CPU from the step's generator, so that every device sees the same batches.
+    """
+
+    def __init__(
+        self, config: DenoiserConfig, corpus: LatentCorpus, *, seed: int, device: torch.device, ranks: Ranks = ALONE
+    ) -> None:
+        self.config = config
+        self.ranks = ranks
+        self.corpus = corpus
+        self.device = device
+        self.first_read = corpus.first_read
+        drawn = corpus.draw(torch.arange(len(corpus)), step_generator(seed, "latent space", 0))
+        used = in_use(self.first_read, corpus.duration)
+        self.space = measured_space(drawn, used, corpus.banks, config.path, config.latent_scale)
+        self.alphas = cumulative_alphas(config.diffusion)
+        self.weights = loss_weights(config.diffusion.prediction, config.diffusion.loss, self.alphas)
+        self.num_steps = config.num_steps(len(corpus))
+        with seeded_initialisation(seed, "denoiser"):
+            self.denoiser = Denoiser(config.network, self.first_read, corpus.layout).to(device)
+        if config.compile:
+            compile_each(self.denoiser.layers)
+        self.average = WeightAverage(self.denoiser, config.ema_decay)
+        self.optimizer = torch.optim.AdamW(self.denoiser.parameters(), lr=config.rate, weight_decay=config.weight_decay)
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
+        """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over the numbers in use)."""
+        config, diffusion = self.config, self.config.diffusion
+        factor = rate_factor(
+            step, self.num_steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction
+        )
+        set_rate(self.optimizer, factor * config.rate)
+        mine = self.ranks.part(config.batch)
+        rows = torch.randint(len(self.corpus), (config.batch,), generator=generator)
+        latents = self.space.standardise(self.corpus.draw(rows, generator))
+        conditions = self.corpus.draw_conditions(
+            rows, generator, drop=config.condition_drop, action_share=config.action_share
+        )
+        steps = torch.randint(diffusion.num_steps, (config.batch,), generator=generator)
+        noise = torch.randn(latents.shape, generator=generator)
+        noisy = add_noise(latents, noise, steps, self.alphas)
+        target = prediction_target(diffusion.prediction, latents, noise, steps, self.alphas)
+        given = Conditions(conditions.text[mine], conditions.action[mine], conditions.duration[mine])
+        with _dropout_from(generator, self.ranks.rank, self.device), autocast(config.precision, self.device):
+            output = self.denoiser(noisy[mine].to(self.device), steps[mine].to(self.device), given.to(self.device))
+        used = in_use(self.first_read, conditions.duration)
+        weights = used * self.weights[steps, None].to(torch.float32) / used.sum()
+        loss = ((output.float() - target[mine].to(self.device)).square() * weights[mine].to(self.device)).sum()
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        self.ranks.add_up_gradients(self.denoiser.parameters())
+        self.optimizer.step()
+        self.average.update(self.denoiser, step)
+        return {"loss": loss.detach()}
+
+    def finished(self, *, text_fingerprint: str, field_sha256: str) -> TrainedDenoiser:
+        """The trained denoiser, with its averaged weights, on the CPU."""
+        with seeded_initialisation(0, "denoiser"):
+            denoiser = Denoiser(self.config.network, self.first_read, self.corpus.layout)
+        denoiser.load_state_dict(self.average.tensors())
+        return TrainedDenoiser(
+            config=self.config,
+            denoiser=denoiser.eval().requires_grad_(False),
+            space=self.space,
+            layout=self.corpus.layout,
+            durations=self.corpus.duration,
+            text_encoder=self.config.text_encoder,
+            text_fingerprint=text_fingerprint,
+            field_sha256=field_sha256,
+        )
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Weights, their average, the optimiser's moments."""
+        return (
+            prefixed("denoiser", self.denoiser.state_dict())
+            | prefixed("average", self.average.tensors())
+            | prefixed("optimizer", optimizer_tensors(self.optimizer))
+        )
+
+    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Go back to the state that `state_tensors` gave."""
+        self.denoiser.load_state_dict(unprefixed("denoiser", tensors))
+        self.average.load(unprefixed("average", tensors))
+        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+
+
+@contextmanager
+def _dropout_from(generator: torch.Generator, rank: int, device: torch.device) -> Iterator[None]:
+    """Dropout inside follows from the generator and the rank; torch's global generators are left as they were."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        torch.manual_seed(int(torch.randint(2**62, (), generator=generator)) + rank)
+        yield

@@ -1,0 +1,109 @@
+"""NeRM as a motion encoder: any observed motion, however long, as latents found by optimisation (Table 4, B.3).
+
+The motion is covered by overlapping windows of l_max, each with its own frame and its own z, fitted to the frames that
+are observed in it; decoded they cross-fade. So long captures, gaps and uneven times need nothing of their own.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float64, Int
+
+from motionkit.assembly import AssembledField, Piece, assemble, even_starts
+from motionkit.clips import PoseBatch
+from motionkit.features import field as field_vectors
+from motionkit.motionfield import Observation
+from motionkit.skeleton import SMPL22
+from motionkit.timegrid import normalise_seconds
+from nerm.field.encoding import encode_by_optimisation
+from nerm.field.reconstruction import POSES_TO_ENCODE_FROM, WINDOWS_AT_ONCE
+from nerm.field.trained import TrainedField, load_field
+
+
+@dataclass(frozen=True, eq=False)
+class NermEncoder:
+    """A `motionkit.motionfield.MotionEncoder`: latents of a frozen field, one per window of at most l_max seconds.
+
+    Neighbouring windows overlap by `overlap_seconds` or more; each z is fitted to at most `num_poses` observed poses,
+    evenly chosen among those of its window.
+    """
+
+    trained: TrainedField
+    overlap_seconds: float = 1.0
+    num_poses: int = POSES_TO_ENCODE_FROM
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        return "NeRM"
+
+    def encode(
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> AssembledField:
+        """The motion as a field in the world's frame.
+
+        Raises `ValueError` for another skeleton than the 22-joint layout, and where a window holds no observed pose
+        (a gap, or a reach beyond the ends, about as long as l_max).
+        """
+        # By name, not by number: LaFAN1's skeleton has 22 joints too, others in another order.
+        if observation.skeleton.joint_names != SMPL22.joint_names:
+            raise ValueError(
+                f"NeRM knows the {SMPL22.num_joints} joints of {SMPL22.name!r}, not those of "
+                f"{observation.skeleton!r}: map the motion first (motionkit.skeleton_map.map_joints)"
+            )
+        start = observation.start_seconds - before_seconds
+        span = observation.end_seconds + after_seconds - start
+        length = min(span, self.trained.max_duration_seconds)
+        starts = start + even_starts(span, self.trained.max_duration_seconds, self.overlap_seconds)
+        pieces: list[Piece] = []
+        for first in range(0, len(starts), WINDOWS_AT_ONCE):
+            pieces += self._pieces(observation, starts[first : first + WINDOWS_AT_ONCE], length)
+        return assemble(pieces)
+
+    def _pieces(self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float) -> list[Piece]:
+        rows = self._rows(observation, starts, length)
+        positions = observation.poses.joint_positions[rows]
+        yaw, origin = field_vectors.window_frame(positions[:, 0])
+        seconds = observation.times_seconds[rows] - starts[:, None]
+        fps = 1.0 / np.median(np.diff(observation.times_seconds)) if len(observation) > 1 else 30.0
+        batch = PoseBatch(
+            window=torch.arange(len(starts)),
+            coordinates=torch.from_numpy(normalise_seconds(seconds, self.trained.max_duration_seconds)),
+            fps=torch.full((len(starts),), float(fps), dtype=torch.float64),
+            vectors=torch.from_numpy(field_vectors.encode(positions, yaw, origin)),
+        )
+        latents = encode_by_optimisation(self.trained, batch)
+        return [
+            Piece(
+                self.trained.as_motion_field(latents[number], length),
+                float(starts[number]),
+                float(yaw[number]),
+                (float(origin[number, 0]), float(origin[number, 1])),
+            )
+            for number in range(len(starts))
+        ]
+
+    def _rows(
+        self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float
+    ) -> Int[np.ndarray, "windows poses"]:
+        """Observed frames to fit each window to; where it has fewer than `num_poses`, some come twice."""
+        times = observation.times_seconds
+        first = np.searchsorted(times, starts - 1e-9)
+        last = np.searchsorted(times, starts + length + 1e-9) - 1
+        if (last < first).any():
+            empty = float(starts[np.argmax(last < first)])
+            raise ValueError(
+                f"no pose is observed between {empty:.2f} and {empty + length:.2f} s: a window of "
+                f"{self.trained.max_duration_seconds:g} s (l_max) needs one at least"
+            )
+        return np.rint(np.linspace(first, last, self.num_poses, axis=1)).astype(np.int64)
+
+
+def load(run: Path) -> NermEncoder:
+    """The encoder of a run whose stage `field` is trained (the entry point `nerm` of `motionkit.encoders`).
+
+    Raises what `load_field` raises.
+    """
+    return NermEncoder(load_field(run))

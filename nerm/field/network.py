@@ -1,0 +1,216 @@
+"""The motion field f_θ(t, z, s) → pose (paper §3.1, Eq. 2; appendix D).
+
+The coordinate branch depends on t alone and is computed once per distinct coordinate; the first layer is split into a
+part for z (once per clip), one for the coordinate (once per distinct t) and one for the framerate.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Float32, Float64, Int64
+from torch import nn
+
+from nerm.coordinates.attention import CodebookCoordinateAttention
+from nerm.coordinates.fourier import FourierFeatures, distinct, frame_numbers, framerate_number, rounded_up
+from nerm.latents.body_path import placed
+from nerm.latents.local import KnotWeights, Reading, local_latents
+from nerm.settings.field import Activation, FieldConfig
+
+ACTIVATIONS: dict[Activation, type[nn.Module]] = {"relu": nn.ReLU, "silu": nn.SiLU, "gelu": nn.GELU}
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedCoordinates:
+    """Distinct coordinates as the decoder reads them, and where each pose finds its own.
+
+    `features` [D, C] go into the first layer; `weights` are the knots' (local layout only).
+    """
+
+    features: Float[torch.Tensor, "distinct width"] | None
+    weights: KnotWeights | None
+    which: Int64[torch.Tensor, "batch poses"]
+
+
+class ResidualLayer(nn.Module):
+    """h + W·σ(LN(h)): one layer of the decoder, pre-norm."""
+
+    def __init__(self, width: int, activation: Activation) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(width)
+        self.activation = ACTIVATIONS[activation]()
+        self.linear = nn.Linear(width, width)
+
+    def forward(self, hidden: Float[torch.Tensor, "*shape width"]) -> Float[torch.Tensor, "*shape width"]:
+        """One layer."""
+        updated: torch.Tensor = hidden + self.linear(self.activation(self.norm(hidden)))
+        return updated
+
+
+class TransformerLayer(nn.Module):
+    """Table 7's alternative: the poses of a clip attend to one another, pre-norm; not where `hidden_from` is true."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.layer = nn.TransformerEncoderLayer(
+            width, heads, 2 * width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
+        )
+
+    def forward(
+        self,
+        hidden: Float[torch.Tensor, "batch poses width"],
+        hidden_from: Bool[torch.Tensor, "poses poses"] | None = None,
+    ) -> Float[torch.Tensor, "batch poses width"]:
+        """One layer."""
+        updated: torch.Tensor = self.layer(hidden, src_mask=hidden_from)
+        return updated
+
+
+def seen_through(num_context: int, num_poses: int, device: torch.device) -> Bool[torch.Tensor, "poses poses"]:
+    """What poses don't attend to where the first are a context: a context pose to all others, others to one another.
+
+    Then a pose depends on the context and on itself, whatever else is decoded with it.
+    """
+    poses = torch.arange(num_poses, device=device)
+    return (poses >= num_context) & (poses[:, None] != poses)
+
+
+class FieldNetwork(nn.Module):
+    """f_θ: latents, coordinates and framerates → standardised `field` vectors.
+
+    `codebook` [N, d] is needed for the time encoding "codebook" and unused otherwise.
+    """
+
+    def __init__(
+        self, config: FieldConfig, num_numbers: int, codebook: Float[torch.Tensor, "codes dimension"] | None = None
+    ) -> None:
+        super().__init__()
+        self.config = config
+        self.local = local_latents(config)
+        self.fourier, self.attention = self._time_encoding(codebook)
+        width, hidden = self._feature_width(), config.hidden
+        self.from_latent = nn.Linear(config.latent_dimension if self.local is None else self.local.num_seen, hidden)
+        self.from_coordinate = nn.Linear(width, hidden, bias=False) if width else None
+        self.from_framerate = nn.Linear(1, hidden, bias=False)
+        layers = [
+            ResidualLayer(hidden, config.activation)
+            if config.decoder == "mlp"
+            else TransformerLayer(hidden, config.attention_heads)
+            for _ in range(config.layers - 1)
+        ]
+        self.layers = nn.ModuleList(layers)
+        self.linear = None
+        if config.linear_path and self.local is not None:
+            self.linear = nn.Linear(self.local.num_seen, num_numbers, bias=False)
+        self.finish = nn.Sequential(nn.LayerNorm(hidden), ACTIVATIONS[config.activation]())
+        self.output = nn.Linear(hidden, num_numbers)
+
+    @torch.no_grad()
+    def start_linear_path(
+        self, mean: Float32[torch.Tensor, "numbers"], matrix: Float32[torch.Tensor, "components numbers"]
+    ) -> None:
+        """Begin as the linear model that the ridge fit of the latents belongs to; the layers then learn the rest."""
+        assert self.linear is not None
+        self.linear.weight.zero_()
+        self.linear.weight[:, : len(matrix)] = matrix.T
+        self.output.weight.zero_()
+        self.output.bias.copy_(mean)
+
+    def _time_encoding(
+        self, codebook: torch.Tensor | None
+    ) -> tuple[FourierFeatures | None, CodebookCoordinateAttention | None]:
+        config = self.config
+        if config.time_encoding in ("none", "raw"):
+            return None, None
+        period = None if self.local is None else self.local.phase_period
+        fourier = FourierFeatures(config.num_frequencies, config.frequency_scale, period)
+        if config.time_encoding == "fourier":
+            return fourier, None
+        if codebook is None:
+            raise ValueError("the time encoding 'codebook' needs a trained codebook")
+        attention = CodebookCoordinateAttention(
+            codebook,
+            width=config.query_width,
+            num_queries=config.num_queries,
+            heads=config.attention_heads,
+            layers=config.attention_layers,
+        )
+        return fourier, attention
+
+    def _feature_width(self) -> int:
+        if self.fourier is not None:
+            return self.fourier.width
+        return 1 if self.config.time_encoding == "raw" else 0
+
+    def encode_coordinates(
+        self, coordinates: Float64[torch.Tensor, "batch poses"], fps: Float64[torch.Tensor, "batch"]
+    ) -> EncodedCoordinates:
+        """The whole coordinate branch, once per distinct coordinate."""
+        read = coordinates
+        if self.config.coordinates == "frames":
+            read = frame_numbers(coordinates, fps, self.config.max_duration_seconds)
+        values, which = distinct(read)
+        values = rounded_up(values)
+        weights = None if self.local is None else self.local.weights(values)
+        return EncodedCoordinates(self._features(values), weights, which)
+
+    def _features(self, values: Float64[torch.Tensor, "distinct"]) -> Float[torch.Tensor, "distinct width"] | None:
+        """γ(t), enriched by CCA; with local latents of the phase between knots, of which there are far fewer."""
+        if self.fourier is None:
+            return values[:, None].float() if self.config.time_encoding == "raw" else None
+        if self.local is None:
+            read, which = values, torch.arange(len(values), device=values.device)
+        else:
+            read, which = distinct(torch.remainder(values + 1.0, self.local.phase_period))
+            read = rounded_up(read)
+        features: torch.Tensor = self.fourier(read)
+        if self.attention is not None:
+            features = self.attention(features)
+        return features[which]
+
+    def decode(
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        encoded: EncodedCoordinates,
+        fps: Float64[torch.Tensor, "batch"],
+        num_context: int = 0,
+    ) -> Float[torch.Tensor, "batch poses numbers"]:
+        """Standardised pose vectors from latents and encoded coordinates.
+
+        A transformer decoder lets all poses of a row attend to one another, or with `num_context` to its first ones.
+        """
+        hidden = self.from_framerate(framerate_number(fps, self.config.framerate_scale)[:, None])[:, None]
+        reading = None
+        if self.local is not None and encoded.weights is not None:
+            reading = self.local.read(latents, encoded.weights, encoded.which)
+        hidden = hidden + self.from_latent(latents[:, None] if reading is None else reading.seen)
+        if self.from_coordinate is not None and encoded.features is not None:
+            hidden = hidden + self.from_coordinate(encoded.features)[encoded.which]
+        hidden_from: tuple[torch.Tensor, ...] = ()
+        if num_context and self.config.decoder == "transformer":
+            hidden_from = (seen_through(num_context, hidden.shape[1], hidden.device),)
+        for layer in self.layers:
+            hidden = layer(hidden, *hidden_from)
+        vectors: torch.Tensor = self.output(self.finish(hidden))
+        if reading is not None:
+            return self._assembled(vectors, reading)
+        # Told no time at all (`none` with a global latent), a window is one pose that is held.
+        return vectors.expand(-1, encoded.which.shape[1], -1)
+
+    def _assembled(
+        self, vectors: Float[torch.Tensor, "batch poses numbers"], reading: Reading
+    ) -> Float32[torch.Tensor, "batch poses numbers"]:
+        """The decoder's output with the linear model's and on the body's path; in float32 even under autocast."""
+        with torch.autocast(vectors.device.type, enabled=False):
+            vectors = vectors.float()
+            if self.linear is not None:
+                vectors = vectors + self.linear(reading.seen)
+            return vectors if reading.path is None else placed(vectors, reading.path)
+
+    def forward(
+        self,
+        latents: Float32[torch.Tensor, "batch latent"],
+        coordinates: Float64[torch.Tensor, "batch poses"],
+        fps: Float64[torch.Tensor, "batch"],
+    ) -> Float[torch.Tensor, "batch poses numbers"]:
+        """f_θ(t_{v,s}, z, s) for a batch of clips."""
+        return self.decode(latents, self.encode_coordinates(coordinates, fps), fps)

@@ -1,0 +1,288 @@
+"""A trained motion field: what stage 1 leaves behind, and what generation and reconstruction decode with."""
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Float64
+
+from motionkit.clips import Windows
+from motionkit.errors import UsageError
+from motionkit.motionfield import Poses, check_times
+from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.timegrid import normalise_seconds
+from motionkit.training.config import from_plain, to_plain
+from motionkit.training.device import resolve_device
+from motionkit.training.run import RunFolder, StageFolder
+from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
+from nerm.field.network import EncodedCoordinates, FieldNetwork
+from nerm.latents.linear_fit import LinearModel, PoseComponents
+from nerm.pose_vectors.choice import described, restored
+from nerm.pose_vectors.convention import PoseVectors
+from nerm.pose_vectors.field import FIELD_VECTORS
+from nerm.pose_vectors.scaling import VectorScaling
+from nerm.settings.field import FieldConfig
+
+STAGE_NAME = "field"
+FORMAT_VERSION = 2
+GRIDS_KEPT = 16
+POSES_AT_ONCE = 8_192
+# Where poses attend to one another, a motion is read through so many of its instants (docs/deviations.md).
+CONTEXT_INSTANTS = 64
+POSES_IN_CONTEXT_AT_ONCE = 1_024
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedField:
+    """f_θ with its scales and the posteriors N(μ_i, Σ_i) of all training windows.
+
+    `network` is in evaluation mode, its gradients off; `components` are the pose components of the linear model that a
+    local latent's search starts from (None for the global layout); `vectors` is what is learnt at each instant.
+    """
+
+    network: FieldNetwork
+    scaling: VectorScaling
+    components: PoseComponents | None
+    posterior_mean: Float32[torch.Tensor, "windows latent"]
+    posterior_log_variance: Float32[torch.Tensor, "windows latent"]
+    windows: Windows
+    store_fingerprint: str
+    vectors: PoseVectors = FIELD_VECTORS
+    _grids: "OrderedDict[tuple[bytes, Fraction], EncodedCoordinates]" = field(default_factory=OrderedDict, repr=False)
+
+    @property
+    def config(self) -> FieldConfig:
+        """The settings it was trained with."""
+        return self.network.config
+
+    @property
+    def latent_dimension(self) -> int:
+        """d."""
+        return self.config.latent_dimension
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """That of decoded poses; its first 22 joints are the 22-joint layout's."""
+        return self.vectors.skeleton
+
+    @property
+    def linear_model(self) -> LinearModel | None:
+        """The linear model that local latents are fitted with, on the CPU; None for the global layout."""
+        banks = self.network.local
+        if banks is None or self.components is None:
+            return None
+        return LinearModel(banks, self.scaling.to(torch.device("cpu")), self.components, self.config.ridge)
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """l_max: the span of [−1, 1]."""
+        return self.config.max_duration_seconds
+
+    @property
+    def max_training_fps(self) -> Fraction:
+        """Highest framerate that the training saw: the fastest window's, or the one of fixed-framerate training."""
+        if self.config.fixed_framerate is not None:
+            return self.config.fixed_framerate
+        fastest = int(np.argmax(self.windows.fps))
+        return self.windows.exact_fps(fastest)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the network is."""
+        return self.scaling.mean.device
+
+    def encode_times(self, times_seconds: Float64[np.ndarray, "batch times"], fps: Fraction) -> EncodedCoordinates:
+        """The coordinate branch at some times; the last few grids are kept, so a grid costs its attention once."""
+        key = (times_seconds.shape[1].to_bytes(4) + np.ascontiguousarray(times_seconds).tobytes(), fps)
+        if key not in self._grids:
+            coordinates = torch.from_numpy(normalise_seconds(times_seconds, self.max_duration_seconds)).to(self.device)
+            rates = torch.full((len(times_seconds),), float(fps), dtype=torch.float64, device=self.device)
+            with torch.no_grad():
+                self._grids[key] = self.network.encode_coordinates(coordinates, rates)
+            while len(self._grids) > GRIDS_KEPT:
+                self._grids.popitem(last=False)
+        self._grids.move_to_end(key)
+        return self._grids[key]
+
+    def decode(
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
+        fps: Fraction,
+    ) -> Float32[np.ndarray, "batch times 22 3"]:
+        """Positions in metres, in the windows' own frames, of the 22-joint layout in each latent's motion.
+
+        Times are seconds from the window's start, shared by all latents or one row each; `fps` is the framerate s the
+        field is told. However many latents or times, only `POSES_AT_ONCE` poses are in the network at once.
+        """
+        joints = slice(0, SMPL22.num_joints)
+        return np.stack([poses.joint_positions[:, joints] for poses in self.poses(latents, times_seconds, fps)])
+
+    def poses(
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
+        fps: Fraction,
+        context_seconds: Float64[np.ndarray, "context"] | None = None,
+    ) -> list[Poses]:
+        """As `decode`: the poses of each latent's motion, with rotations where the field has learnt them.
+
+        A transformer decoder's poses depend on which others are decoded with them: with `context_seconds` on those at
+        these instants alone.
+        """
+        rows = times_seconds[None] if times_seconds.ndim == 1 else times_seconds
+        instants = [self.vectors.instants(row) for row in rows]
+        if len({len(each) for each in instants}) > 1:
+            return [self.poses(latents[row : row + 1], rows[row], fps, context_seconds)[0] for row in range(len(rows))]
+        vectors = self._vectors_at(latents, np.stack(instants), fps, context_seconds)
+        which = range(len(latents)) if len(rows) > 1 else [0] * len(latents)
+        return [self.vectors.decode(each, instants[row], rows[row]) for each, row in zip(vectors, which, strict=True)]
+
+    def _vectors_at(
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        rows: Float64[np.ndarray, "rows times"],
+        fps: Fraction,
+        context_seconds: Float64[np.ndarray, "context"] | None,
+    ) -> Float32[np.ndarray, "batch times numbers"]:
+        num_times = rows.shape[1]
+        context = np.zeros(0) if context_seconds is None else context_seconds
+        at_once = POSES_IN_CONTEXT_AT_ONCE if len(context) else POSES_AT_ONCE
+        found = np.empty((len(latents), num_times, self.vectors.num_numbers), dtype=np.float32)
+        per_call = max(1, POSES_AT_ONCE // max(1, num_times))
+        for start in range(0, len(latents), per_call):
+            some = latents[start : start + per_call].float().to(self.device)
+            own = rows if len(rows) == 1 else rows[start : start + per_call]
+            for first in range(0, num_times, at_once):
+                times = slice(first, first + at_once)
+                read = np.concatenate((np.broadcast_to(context, (len(own), len(context))), own[:, times]), axis=1)
+                vectors = self.decode_vectors(some, self.encode_times(read, fps), fps, len(context))
+                found[start : start + per_call, times] = vectors[:, len(context) :].cpu().numpy()
+        return found
+
+    @torch.no_grad()
+    def decode_vectors(
+        self,
+        latents: Float32[torch.Tensor, "batch latent"],
+        encoded: EncodedCoordinates,
+        fps: Fraction,
+        num_context: int = 0,
+    ) -> Float32[torch.Tensor, "batch times numbers"]:
+        """Pose vectors in their own units at encoded times (one row of times for each latent, or one for all).
+
+        The first `num_context` are what a transformer decoder reads the others through.
+        """
+        which = encoded.which.expand(len(latents), -1)
+        rates = torch.full((len(latents),), float(fps), dtype=torch.float64, device=self.device)
+        standardised = self.network.decode(latents, replace(encoded, which=which), rates, num_context)
+        vectors: torch.Tensor = self.scaling.invert(standardised.float())
+        return vectors
+
+    def as_motion_field(
+        self, latent: Float[torch.Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None
+    ) -> "LatentMotionField":
+        """One latent's motion on [0, duration], told that it is sampled at `fps` (default: the highest trained at)."""
+        return LatentMotionField(self, latent, duration_seconds, fps or self.max_training_fps)
+
+    def __repr__(self) -> str:
+        return (
+            f"TrainedField({self.config.latent_layout} latents of {self.latent_dimension} numbers, {self.windows!r}, "
+            f"trained up to {self.max_training_fps} fps)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LatentMotionField:
+    """A `motionkit.motionfield.MotionField`: f_θ for one fixed z and s."""
+
+    field: TrainedField
+    latent: Float[torch.Tensor, "latent"]
+    end_seconds: float
+    fps: Fraction
+    start_seconds: float = 0.0
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """That of the poses: the 22-joint layout, or the rig that rotations were learnt for."""
+        return self.field.skeleton
+
+    def at_fps(self, fps: Fraction) -> "LatentMotionField":
+        """The same motion (the same z), told that it is sampled at this framerate."""
+        return replace(self, fps=fps)
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times in [0, end_seconds], whichever are asked for together; raises `ValueError` outside it."""
+        check_times(self, times_seconds)
+        context = None
+        if self.field.config.decoder == "transformer":
+            context = np.linspace(0.0, self.end_seconds, CONTEXT_INSTANTS)
+        return self.field.poses(self.latent[None], times_seconds, self.fps, context)[0]
+
+
+def save_field(folder: StageFolder, trained: TrainedField) -> None:
+    """Write model.safetensors: network, scales, posteriors and the window table, with the settings in its header."""
+    tensors = (
+        prefixed("network", trained.network.state_dict())
+        | prefixed("scaling", {"mean": trained.scaling.mean, "scale": trained.scaling.scale})
+        | prefixed("posterior", {"mean": trained.posterior_mean, "log_variance": trained.posterior_log_variance})
+        | described(trained.vectors)
+        | prefixed("windows", {name: torch.from_numpy(array) for name, array in trained.windows.arrays().items()})
+    )
+    if trained.components is not None:
+        tensors["components.mean"] = trained.components.mean
+        tensors["components.directions"] = trained.components.directions
+    description: dict[str, Any] = {
+        "format": "nerm-field",
+        "version": FORMAT_VERSION,
+        "config": to_plain(trained.config),
+        "layout": trained.skeleton.name,
+        "store_fingerprint": trained.store_fingerprint,
+    }
+    save_tensors(folder.model_path, tensors, description)
+
+
+def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
+    """Load a run's trained field; raises `CheckpointError` where there is none or it is of another format."""
+    folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
+    if not folder.model_path.is_file():
+        folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    if description.get("format") != "nerm-field" or description.get("version") != FORMAT_VERSION:
+        raise CheckpointError(
+            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
+            f"'nerm-field' version {FORMAT_VERSION}: train it again (motionkit train --stage field --overwrite)"
+        )
+    where = resolve_device(device)
+    try:
+        return _rebuild(tensors, description, where)
+    except (KeyError, RuntimeError, TypeError, UsageError) as error:
+        raise CheckpointError(
+            f"{folder.model_path}: not a field of this version of motionkit ({one_line(error)}); train it again "
+            f"(motionkit train --stage field --overwrite)"
+        ) from None
+
+
+def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any], where: torch.device) -> TrainedField:
+    config = from_plain(FieldConfig, description["config"])
+    scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
+    network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))
+    network.load_state_dict(unprefixed("network", tensors))
+    arrays = {name: tensor.numpy() for name, tensor in unprefixed("windows", tensors).items()}
+    components = None
+    if config.latent_layout == "local":
+        components = PoseComponents(tensors["components.mean"], tensors["components.directions"])
+    return TrainedField(
+        network=network.to(where).eval().requires_grad_(False),
+        scaling=scaling.to(where),
+        components=components,
+        posterior_mean=tensors["posterior.mean"],
+        posterior_log_variance=tensors["posterior.log_variance"],
+        windows=Windows(config.max_duration_seconds, **arrays),
+        store_fingerprint=str(description["store_fingerprint"]),
+        vectors=restored(config.pose_vectors, tensors),
+    )

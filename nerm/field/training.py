@@ -1,0 +1,184 @@
+"""Training the motion field and the posterior latents together (paper §3.1, Eq. 3 and 4, progressive training)."""
+
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Int64
+
+from motionkit.clips import PoseBatch, WindowPoses, rows_by_duration, shuffled_batches
+from motionkit.training.precision import autocast, compile_each
+from motionkit.training.randomness import seeded_initialisation, step_generator
+from motionkit.training.ranks import ALONE, DealtRows, Ranks
+from motionkit.training.schedule import rate_factor, scale_rates
+from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from nerm.field.network import FieldNetwork
+from nerm.latents.linear_fit import LinearModel, fit_windows, measure_components
+from nerm.latents.local import local_latents
+from nerm.latents.posterior import LOG_VARIANCE_RANGE, RowAdam, kl_divergence, sample_posterior
+from nerm.pose_vectors.convention import PoseVectors
+from nerm.pose_vectors.field import FIELD_VECTORS
+from nerm.pose_vectors.scaling import VectorScaling, measure_scaling
+from nerm.settings.field import FieldConfig
+
+
+def linear_model(poses: WindowPoses, scaling: VectorScaling, config: FieldConfig) -> LinearModel | None:
+    """The linear model of the windows' poses that local latents are fitted with; None for the global layout."""
+    banks = local_latents(config)
+    if banks is None:
+        return None
+    return LinearModel(banks, scaling, measure_components(poses, banks, scaling, config.ridge), config.ridge)
+
+
+def initial_means(
+    poses: WindowPoses,
+    model: LinearModel | None,
+    config: FieldConfig,
+    seed: int,
+    windows: Int64[torch.Tensor, "chosen"],
+) -> Float32[torch.Tensor, "chosen latent"]:
+    """μ of some windows before training: N(0, 1), or the linear model's fit."""
+    if config.initialisation == "ridge" and model is not None:
+        return fit_windows(poses, model, windows.numpy())
+    return torch.randn(len(poses.windows), config.latent_dimension, generator=step_generator(seed, "latents"))[windows]
+
+
+class FieldTraining:
+    """θ, {μ_i} and {log Σ_i} with their optimisers: what `train_loop` steps.
+
+    Each rank has the latents of its own windows, a stretch of the corpus, and steps on those of a batch that are its
+    own; only the gradient of θ goes between ranks.
+    """
+
+    def __init__(
+        self,
+        poses: WindowPoses,
+        config: FieldConfig,
+        *,
+        codebook: Float[torch.Tensor, "codes dimension"] | None,
+        seed: int,
+        device: torch.device,
+        vectors: PoseVectors = FIELD_VECTORS,
+        ranks: Ranks = ALONE,
+    ) -> None:
+        self.poses, self.config, self.seed, self.device = poses, config, seed, device
+        self.scaling = measure_scaling(poses, config, vectors)
+        model = linear_model(poses, self.scaling, config)
+        self.components = None if model is None else model.components
+        self.ranks = ranks
+        in_corpus = np.argsort(poses.windows.start_row, kind="stable")
+        self.own = DealtRows(ranks, poses.windows.duration_seconds, in_corpus)
+        means = initial_means(poses, model, config, seed, self.own.rows)
+        num_numbers = len(self.scaling.mean)
+        self.scaling = self.scaling.to(device)
+        with seeded_initialisation(seed, "field"):
+            self.network = FieldNetwork(config, num_numbers, codebook).to(device)
+        if self.network.linear is not None and self.components is not None:
+            self.network.start_linear_path(self.components.mean, self.components.inverse())
+        if config.compile:
+            compile_each(self.network.layers)
+        self.visits = torch.from_numpy(rows_by_duration(poses.windows, config.seconds_per_visit))
+        self.steps = config.num_steps(len(self.visits))
+        self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.weight_decay)
+        self.mean = RowAdam(means.to(device))
+        # Eq. 9 has no Σ: what stage 2 draws from such a posterior is μ, as nearly as a log-variance can say it.
+        start = config.initial_log_variance if config.variational else LOG_VARIANCE_RANGE[0]
+        self.log_variance = RowAdam(torch.full_like(self.mean.table, start))
+
+    def _parameter_groups(self) -> list[dict[str, Any]]:
+        """θ in two groups: attention, in CCA or in a transformer decoder, diverges at rates that suit an MLP."""
+        attention = [] if self.network.attention is None else list(self.network.attention.parameters())
+        if self.config.decoder == "transformer":
+            attention += self.network.layers.parameters()
+        ours = {id(parameter) for parameter in attention}
+        decoder = [parameter for parameter in self.network.parameters() if id(parameter) not in ours]
+        groups: list[dict[str, Any]] = [{"params": decoder, "lr": self.config.rate, "base_lr": self.config.rate}]
+        if attention:
+            rate = self.config.attention_rate
+            groups.append({"params": attention, "lr": rate, "base_lr": rate})
+        return groups
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+        """One step on θ and on the latents of the batch."""
+        config = self.config
+        windows = self.visits[shuffled_batches(len(self.visits), config.batch, step, self.seed)]
+        mine = self.own.mine(windows)
+        batch = self._draw(step, windows, mine, generator)
+        distinct, which = torch.unique(windows[mine], return_inverse=True)
+        rows = self.own.place(distinct).to(self.device)
+        mean = self.mean.table[rows].requires_grad_()
+        log_variance = self.log_variance.table[rows].requires_grad_()
+        latents = mean[which]
+        if config.variational:
+            noise = torch.randn(len(windows), latents.shape[1], generator=generator)[mine].to(self.device)
+            latents = sample_posterior(latents, log_variance[which], noise)
+        with autocast(config.precision, self.device):
+            predicted = self.network(latents, batch.coordinates, batch.fps)
+        # This rank's parts of means over the whole batch.
+        squares = (predicted.float() - self.scaling.apply(batch.vectors)).square()
+        reconstruction = squares.sum() / (len(windows) * squares.shape[1:].numel())
+        kl = kl_divergence(mean, log_variance, len(torch.unique(windows)))
+        loss = reconstruction + config.kl_weight * kl if config.variational else reconstruction
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        self._update(step, rows, mean, log_variance)
+        return {"loss": loss, "reconstruction": reconstruction, "kl": kl}
+
+    def _draw(
+        self,
+        step: int,
+        windows: Int64[torch.Tensor, "batch"],
+        mine: Int64[torch.Tensor, "mine"],
+        generator: torch.Generator,
+    ) -> PoseBatch:
+        """The clips of a step: at one fixed framerate during warm-up, then at all native ones (or at `fixed_fps`)."""
+        config = self.config
+        warming_up = step < config.warmup_fraction * self.steps and config.fixed_fps is None
+        batch = self.poses.draw(
+            windows,
+            config.num_poses,
+            generator,
+            contiguous=config.contiguous,
+            fps=Fraction(config.warmup_fps) if warming_up else None,
+            lowest_fps=config.lowest_fps,
+            part=mine,
+        )
+        return batch.to(self.device)
+
+    def _update(
+        self, step: int, rows: Int64[torch.Tensor, "rows"], mean: torch.Tensor, log_variance: torch.Tensor
+    ) -> None:
+        config = self.config
+        factor = rate_factor(step, self.steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction)
+        scale_rates(self.optimizer, factor)
+        self.ranks.add_up_gradients(self.network.parameters())
+        self.optimizer.step()
+        assert mean.grad is not None
+        self.mean.update(rows, mean.grad, config.latent_rate * factor)
+        if log_variance.grad is not None:
+            self.log_variance.update(rows, log_variance.grad, config.latent_rate * factor)
+            self.log_variance.table[rows] = self.log_variance.table[rows].clamp(*LOG_VARIANCE_RANGE)
+
+    def state_tensors(self) -> dict[str, torch.Tensor]:
+        """All that a later step depends on, the latents of all ranks on the first one."""
+        return (
+            prefixed("network", self.network.state_dict())
+            | prefixed("optimizer", optimizer_tensors(self.optimizer))
+            | {name: self.own.gather(table) for name, table in self._tables().items()}
+        )
+
+    def posteriors(self) -> tuple[Float32[torch.Tensor, "windows latent"], Float32[torch.Tensor, "windows latent"]]:
+        """{μ_i} and {log Σ_i} of all windows, on the CPU of the first rank."""
+        return self.own.gather(self.mean.table), self.own.gather(self.log_variance.table)
+
+    def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Go back to a state."""
+        self.network.load_state_dict(unprefixed("network", tensors))
+        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+        for name, table in self._tables().items():
+            table.copy_(tensors[name][self.own.rows])
+
+    def _tables(self) -> dict[str, torch.Tensor]:
+        return prefixed("mean", self.mean.tensors()) | prefixed("log_variance", self.log_variance.tensors())

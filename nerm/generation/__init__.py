@@ -1,0 +1,1 @@
+"""What `motionkit generate` is asked for, plans, samples and writes, whichever model made it."""

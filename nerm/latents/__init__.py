@@ -1,0 +1,1 @@
+"""One N(μ, Σ) per window of motion, and how a field reads z along time."""

@@ -1,0 +1,120 @@
+"""Where the search for a local latent begins: the linear model of the poses, fitted to a window by ridge regression.
+
+The path bank is fitted to the root's path and heading, then the pose banks to the principal components of the poses
+relative to the path that the fitted knots describe. The network starts as the same linear model (`linear_path`), so
+nothing is lost between the two.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Float64, Int64
+
+from motionkit.clips import PoseBatch, WindowPoses, chunks
+from nerm.latents.body_path import measured_heading, relative_to
+from nerm.latents.knots import ridge_knots
+from nerm.latents.local import LocalLatents
+from nerm.pose_vectors.scaling import ROOT_PATH, VectorScaling
+
+TIMES_PER_WINDOW = 128
+HELD_TIMES = 128
+WINDOWS_AT_ONCE = 256
+
+
+@dataclass(frozen=True, eq=False)
+class PoseComponents:
+    """Principal components of standardised poses, scaled to unit variance."""
+
+    mean: Float32[torch.Tensor, "numbers"]
+    directions: Float32[torch.Tensor, "numbers components"]
+
+    def scores(self, standardised: Float[torch.Tensor, "*poses numbers"]) -> Float[torch.Tensor, "*poses components"]:
+        """Standardised vectors → component scores of unit variance."""
+        return (standardised - self.mean) @ self.directions
+
+    def inverse(self) -> Float32[torch.Tensor, "components numbers"]:
+        """What brings scores back to centred vectors, as well as so few components can."""
+        matrix: torch.Tensor = torch.linalg.pinv(self.directions)
+        return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Banks, scales and components of the linear model; `ridge` in units of one pose per knot."""
+
+    banks: LocalLatents
+    scaling: VectorScaling
+    components: PoseComponents
+    ridge: float
+
+    def fit(self, batch: PoseBatch) -> Float32[torch.Tensor, "batch latent"]:
+        """Latents of windows from poses in order of time; what a window doesn't reach holds its last pose."""
+        batch, counts = held(batch)
+        path_knots, relative = _without_path(batch, counts, self.banks, self.scaling, self.ridge)
+        scores = self.components.scores(relative)
+        of_bank = torch.split(scores, [bank.numbers for bank in self.banks.pose], dim=-1)
+        pose_knots = [
+            ridge_knots(part, batch.coordinates, counts, bank.knots, self.ridge)
+            for part, bank in zip(of_bank, self.banks.pose, strict=True)
+        ]
+        return self.banks.join([*pose_knots, *path_knots])
+
+
+def measure_components(poses: WindowPoses, banks: LocalLatents, scaling: VectorScaling, ridge: float) -> PoseComponents:
+    """The first components of the windows' poses relative to their fitted paths; one pass, flat memory."""
+    size = len(scaling.mean)
+    count, total, outer = 0, torch.zeros(size).double(), torch.zeros(size, size).double()
+    for rows in chunks(len(poses.windows), WINDOWS_AT_ONCE):
+        batch = poses.evenly(rows, TIMES_PER_WINDOW)
+        counts = torch.ones_like(batch.coordinates)
+        vectors = _without_path(batch, counts, banks, scaling, ridge)[1].double().flatten(0, 1)
+        count += len(vectors)
+        total, outer = total + vectors.sum(0), outer + vectors.T @ vectors
+    mean = total / count
+    values, axes = torch.linalg.eigh(outer / count - torch.outer(mean, mean))
+    largest = torch.argsort(values, descending=True)[: banks.num_components]
+    directions = axes[:, largest] / values[largest].clamp(min=1e-12).sqrt()
+    return PoseComponents(mean.float(), directions.float())
+
+
+def fit_windows(
+    poses: WindowPoses, model: LinearModel, windows: Int64[np.ndarray, "chosen"]
+) -> Float32[torch.Tensor, "chosen latent"]:
+    """The latents of some windows."""
+    return torch.cat(
+        [model.fit(poses.evenly(windows[rows], TIMES_PER_WINDOW)) for rows in chunks(len(windows), WINDOWS_AT_ONCE)]
+    )
+
+
+def held(batch: PoseBatch) -> tuple[PoseBatch, Float64[torch.Tensor, "batch times"]]:
+    """The batch with each window's last pose held from its end to t = 1, and how much each instant counts.
+
+    Knots beyond a window's end are then those of a body that stands still, not whatever a fit leaves undetermined.
+    """
+    grid = torch.linspace(-1.0, 1.0, HELD_TIMES, dtype=torch.float64).expand(len(batch.window), -1)
+    last = batch.vectors[:, -1:].expand(-1, HELD_TIMES, -1)
+    counts = torch.cat((torch.ones_like(batch.coordinates), (grid > batch.coordinates[:, -1:]).double()), dim=1)
+    coordinates = torch.cat((batch.coordinates, grid), dim=1)
+    return PoseBatch(batch.window, coordinates, batch.fps, torch.cat((batch.vectors, last), dim=1)), counts
+
+
+def _without_path(
+    batch: PoseBatch,
+    counts: Float64[torch.Tensor, "batch times"],
+    banks: LocalLatents,
+    scaling: VectorScaling,
+    ridge: float,
+) -> tuple[list[Float32[torch.Tensor, "batch knots 3"]], Float32[torch.Tensor, "batch times numbers"]]:
+    """The path bank's knots (none without such a bank) and standardised poses relative to what they describe."""
+    standardised = scaling.apply(batch.vectors)
+    if banks.path is None:
+        return [], standardised
+    layout = banks.path.knots
+    x, z = (standardised[..., number].double() for number in ROOT_PATH)
+    measured = torch.stack((x, z, measured_heading(batch.vectors)), dim=-1)
+    units = banks.path_units().double()
+    knots = ridge_knots(measured / units, batch.coordinates, counts, layout, ridge)
+    weights = layout.interpolant(batch.coordinates.reshape(-1)).reshape(*batch.coordinates.shape, -1)
+    path = (weights @ knots.double()) * units
+    return [knots], relative_to(standardised, path.float())

@@ -1,0 +1,1 @@
+"""What each stage of NeRM can be told, as frozen values without torch."""

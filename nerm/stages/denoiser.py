@@ -1,0 +1,94 @@
+"""Stage `denoiser`: from a run's field and the store it was trained on to a trained latent diffusion."""
+
+import dataclasses
+import time
+
+from motionkit.errors import UsageError
+from motionkit.store.reader import Store
+from motionkit.training.device import resolve_device
+from motionkit.training.loop import train_loop
+from motionkit.training.precision import float32_products, with_precision_of
+from motionkit.training.run import RunError
+from motionkit.training.stage import StageContext
+from nerm.denoiser.corpus_of_field import corpus_of
+from nerm.denoiser.trained import STAGE_NAME, save_denoiser
+from nerm.denoiser.training import DenoiserTraining
+from nerm.field.trained import load_field
+from nerm.latents.local import local_latents
+from nerm.recipes import NermConfig
+from nerm.settings.denoiser import DenoiserConfig
+from nerm.text.encoders import TextEncoder, load_text_encoder
+from nerm.text.folder import file_sha256
+
+
+def train_denoiser(context: StageContext, config: NermConfig) -> None:
+    """Train ε_φ on the latents of RUN/field; writes the denoiser and what sampling needs to model.safetensors.
+
+    Raises `RunError` where the field is missing or was trained on another state of the store (captions are looked up in
+    the store by its windows' sequences), and `UsageError` where texts are to be learnt and no window has any.
+    """
+    store, device, ranks = Store.open(context.store), resolve_device(context.device), context.ranks
+    settings = with_precision_of(config.denoiser, device)
+    config = dataclasses.replace(config, denoiser=settings)
+    field = load_field(context.run)
+    if field.store_fingerprint != store.fingerprint:
+        raise RunError(
+            f"the field of {context.run.path} was trained on a store of fingerprint {field.store_fingerprint[:16]}, "
+            f"{context.store} has {store.fingerprint[:16]}: train the field again, or give --store"
+        )
+    started = time.perf_counter()
+    encoder = _encoder(settings)
+    corpus = corpus_of(
+        field.posterior_mean,
+        field.posterior_log_variance,
+        field.windows,
+        store,
+        encoder,
+        local_latents(field.config),
+    )
+    if encoder is not None and not corpus.num_captions.any():
+        raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
+    folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
+    training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
+    with float32_products(settings.precision):
+        figures = train_loop(training, folder, steps=training.num_steps, seed=context.seed, ranks=ranks)
+    if not ranks.is_first:
+        return
+    trained = training.finished(
+        text_fingerprint="" if encoder is None else encoder.fingerprint,
+        field_sha256=file_sha256(context.run.stage("field").model_path),
+    )
+    save_denoiser(context.run, trained)
+    folder.finish(
+        {
+            "loss": figures["loss"],
+            "steps": training.num_steps,
+            "windows": len(corpus),
+            "captions": int(corpus.num_captions.sum()),
+            "actions": len(corpus.layout.actions),
+            "seconds": round(time.perf_counter() - started, 1),
+        }
+    )
+
+
+def check_denoiser(context: StageContext, config: NermConfig) -> None:
+    """Raise what would stop this stage: a store without captions for a recipe with texts, an encoder that is absent."""
+    settings = config.denoiser
+    if _encoder(settings) is None:
+        return
+    store = Store.open(context.store)
+    if not store.columns("captions")["captions"].map(len).any():
+        raise _without_captions(f"no sequence of {context.store}", settings)
+
+
+def _encoder(settings: DenoiserConfig) -> TextEncoder | None:
+    if settings.text_encoder == "none":
+        return None
+    return load_text_encoder(settings.text_encoder, settings.text_dimension)
+
+
+def _without_captions(who: str, settings: DenoiserConfig) -> UsageError:
+    return UsageError(
+        f"{who} has a caption, and denoiser.text_encoder={settings.text_encoder} learns from texts: ingest with "
+        f"--captions, or train on actions and unconditionally (--set denoiser.text_encoder=none)"
+    )

@@ -1,0 +1,93 @@
+"""Stage `field`: from a store to a trained field with the posteriors of all windows."""
+
+import dataclasses
+import time
+
+import torch
+from jaxtyping import Float32
+
+from motionkit.clips import FrameVectors, WindowPoses
+from motionkit.console import stderr
+from motionkit.skeleton import SMPL22
+from motionkit.store.cache import PositionCache
+from motionkit.store.reader import Store
+from motionkit.training.device import resolve_device
+from motionkit.training.loop import train_loop
+from motionkit.training.precision import float32_products, with_precision_of
+from motionkit.training.run import RunError
+from motionkit.training.stage import StageContext
+from nerm.codebook.network import load_codes
+from nerm.field.trained import TrainedField, save_field
+from nerm.field.training import FieldTraining
+from nerm.field.windows import remarks, training_windows
+from nerm.pose_vectors.choice import training_vectors
+from nerm.pose_vectors.convention import PoseVectors
+from nerm.recipes import NermConfig
+from nerm.settings.field import FieldConfig
+
+
+def train_field(context: StageContext, config: NermConfig) -> None:
+    """Train f_θ and the posteriors of all windows; writes both, with the window table, to model.safetensors."""
+    store, device, ranks = Store.open(context.store), resolve_device(context.device), context.ranks
+    settings = with_precision_of(config.field, device)
+    config = dataclasses.replace(config, field=settings)
+    started = time.perf_counter()
+    # Everything that may be refused comes before `begin`, which may remove an earlier run (--overwrite).
+    vectors, source, frames = _corpus(store, settings)
+    windows = training_windows(source, settings)
+    codes = _codes(context, settings)
+    builds_on = () if codes is None else ("codebook",)
+    folder = context.begin("field", config, store_fingerprint=store.fingerprint, builds_on=builds_on)
+    for remark in remarks(source, windows, settings) if ranks.is_first else []:
+        stderr.print(f"motionkit: warning: {remark}", markup=False)
+    training = FieldTraining(
+        WindowPoses(source, windows, SMPL22.left_right_pairs, settings.fixed_framerate, frames),
+        settings,
+        codebook=codes,
+        seed=context.seed,
+        device=device,
+        vectors=vectors,
+        ranks=ranks,
+    )
+    with float32_products(settings.precision):
+        figures = train_loop(training, folder, steps=training.steps, seed=context.seed, ranks=ranks)
+    mean, log_variance = training.posteriors()
+    if not ranks.is_first:
+        return
+    trained = TrainedField(
+        network=training.network.eval().requires_grad_(False),
+        scaling=training.scaling,
+        components=training.components,
+        posterior_mean=mean,
+        posterior_log_variance=log_variance,
+        windows=windows,
+        store_fingerprint=store.fingerprint,
+        vectors=vectors,
+    )
+    save_field(folder, trained)
+    hours = float(windows.duration_seconds.sum()) / 3600
+    facts = {"windows": len(windows), "hours": round(hours, 3), "wall_seconds": round(time.perf_counter() - started, 1)}
+    folder.finish({**figures, **facts})
+
+
+def check_field(context: StageContext, config: NermConfig) -> None:
+    """Raise what would stop this stage: no sequence to cut windows from."""
+    _, source, _ = _corpus(Store.open(context.store), config.field)
+    training_windows(source, config.field)
+
+
+def _corpus(store: Store, settings: FieldConfig) -> tuple[PoseVectors, PositionCache, FrameVectors]:
+    where = settings.where or None
+    vectors = training_vectors(settings.pose_vectors, store, where)
+    return vectors, *vectors.open(store, where)
+
+
+def _codes(context: StageContext, settings: FieldConfig) -> Float32[torch.Tensor, "codes dimension"] | None:
+    if settings.time_encoding != "codebook":
+        return None
+    if not context.run.stage("codebook").is_complete:
+        raise RunError(
+            f"the time encoding 'codebook' needs the stage codebook of {context.run.path}: train it first "
+            f"(motionkit train --stage codebook), or use --set field.time_encoding=fourier"
+        )
+    return load_codes(context.run)

@@ -1,0 +1,1 @@
+"""Frozen text encoders from local weights, and their embeddings computed once."""

@@ -1,0 +1,55 @@
+"""Text embeddings computed once: a file per encoder, rows found by the sha256 of their text."""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from motionkit.errors import MotionkitError
+from nerm.text.encoders import TextEncoder
+
+
+def embed_texts(encoder: TextEncoder, texts: Sequence[str], folder: Path) -> Float32[np.ndarray, "texts dimension"]:
+    """Embeddings of texts in order, from `folder`'s cache where it has them; new ones are added to it.
+
+    The file is named by the encoder's fingerprint and is replaced in one step, so two processes cannot damage it (the
+    later one's additions win).
+    """
+    path = folder / f"text-embeddings-{encoder.fingerprint[:16]}.safetensors"
+    known = _read(path)
+    missing = list(dict.fromkeys(text for text in texts if _key(text) not in known))
+    if missing:
+        fresh = zip(missing, encoder.encode(missing), strict=True)
+        known |= {_key(text): row for text, row in fresh}
+        _write(path, known)
+    if not texts:
+        return np.zeros((0, encoder.dimension), dtype=np.float32)
+    return np.stack([known[_key(text)] for text in texts])
+
+
+def _key(text: str) -> bytes:
+    return hashlib.sha256(text.encode()).digest()
+
+
+def _read(path: Path) -> dict[bytes, np.ndarray]:
+    if not path.is_file():
+        return {}
+    try:
+        arrays = load_file(path)
+        keys, embeddings = arrays["text_sha256"], arrays["embeddings"]
+    except (SafetensorError, KeyError) as error:
+        raise MotionkitError(f"{path}: not a cache of text embeddings ({error}); delete it") from None
+    return {row.tobytes(): embedding for row, embedding in zip(keys, embeddings, strict=True)}
+
+
+def _write(path: Path, known: dict[bytes, np.ndarray]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    keys = np.frombuffer(b"".join(known), dtype=np.uint8).reshape(-1, 32)
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    save_file({"text_sha256": keys.copy(), "embeddings": np.stack(list(known.values()))}, temporary)
+    temporary.replace(path)

