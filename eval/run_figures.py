@@ -214,7 +214,7 @@ class Yardstick:
 
     def _reconstruction(self, run: Path) -> Part:
         from nerm.field.reconstruction import reconstructions
-        from nerm.field.trained import load_field
+        from nerm.field.saved import load_field
 
         trained = load_field(run)
         if trained.store_fingerprint != self.store.fingerprint:

@@ -18,8 +18,9 @@ from motionkit.skeleton import Skeleton
 from motionkit.training.device import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from nerm.conditions.batch import Conditions, unit_rows
-from nerm.denoiser.trained import TrainedDenoiser, load_denoiser
-from nerm.field.trained import load_field
+from nerm.denoiser.saved import load_denoiser
+from nerm.denoiser.trained import TrainedDenoiser
+from nerm.field.saved import load_field
 from nerm.text.encoders import TextEncoder, load_text_encoder
 from nerm.text.folder import file_sha256
 

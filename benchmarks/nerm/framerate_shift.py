@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nerm.field.trained import load_field
+from nerm.field.saved import load_field
 from nerm.generation.framerate_shift import RATES, FramerateShift, framerate_shift
 
 

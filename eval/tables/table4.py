@@ -61,7 +61,7 @@ def build_table4(request: TableRequest) -> Result:
     Raises `UsageError` without a run or with a run of another store, and what loading the run or the store raises.
     """
     from motionkit.store.reader import Store
-    from nerm.field.trained import load_field
+    from nerm.field.saved import load_field
 
     if request.run is None:
         raise UsageError("table 4 needs a trained field: --run NAME (motionkit train --stage field makes one)")

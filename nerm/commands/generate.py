@@ -2,75 +2,52 @@
 
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 from motionkit.timegrid import parse_fps
+from nerm.commands import generate_options as options
 
 if TYPE_CHECKING:
     from motionkit.generation import GenerativeModel
     from nerm.generation.folder import GeneratedFolder
     from nerm.generation.plan import GenerationPlan
 
-FORMATS = "npz, bvh, gltf, humanml3d"
-
 
 def generate(
-    texts: Annotated[list[str] | None, typer.Argument(help="What the person does; several make a batch.")] = None,
-    action: Annotated[list[str] | None, typer.Option(help="An action the model knows; may be repeated.")] = None,
-    unconditional: Annotated[bool, typer.Option("--unconditional", help="Motions of no stated kind.")] = False,
-    prompts: Annotated[
-        Path | None, typer.Option(help="A .txt with a text a line, or a .csv or .jsonl of text, action, seconds.")
-    ] = None,
-    fps: Annotated[
-        str | None,
-        typer.Option(help="Any framerate: 144, 23.976, 24000/1001 [the highest trained; 20 for humanml3d]."),
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(help="Length, of any motion; drawn from the training data's by default.")
-    ] = None,
-    join: Annotated[
-        bool, typer.Option("--join", help="One motion of all texts or actions in a row, --seconds of each.")
-    ] = False,
-    overlap: Annotated[
-        float, typer.Option(help="Seconds by which the parts of a joined or long motion go over into one another.")
-    ] = 0.5,
-    times: Annotated[
-        str | None, typer.Option(metavar="S,S,…", help="Poses at these seconds only, instead of --fps.")
-    ] = None,
-    count: Annotated[int, typer.Option("-n", "--count", min=1, help="Motions per text or action.")] = 1,
-    out: Annotated[Path, typer.Option(help="New or empty folder for the files.")] = Path("generated"),
-    file_format: Annotated[str, typer.Option("--format", help=f"{FORMATS}.")] = "npz",
-    guidance: Annotated[float | None, typer.Option(help="Guidance scale r (Eq. 6) [the recipe's].")] = None,
-    sampler: Annotated[str | None, typer.Option(help="ddim or ddpm [the recipe's].")] = None,
-    sampling_steps: Annotated[
-        int | None, typer.Option(min=1, help="Diffusion steps visited [the recipe's; ddpm likes more].")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")] = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with a call that was stopped.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a former call's files.")] = False,
-    model: Annotated[str, typer.Option(help="Installed model.")] = "nerm",
-    run: Annotated[str, typer.Option(help="Name of the run.")] = "nano",
-    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
+    texts: options.Texts = None,
+    action: options.Actions = None,
+    unconditional: options.Unconditional = False,
+    prompts: options.PromptsFile = None,
+    fps: options.Framerate = None,
+    seconds: options.Seconds = None,
+    join: options.Join = False,
+    overlap: options.Overlap = 0.5,
+    times: options.Times = None,
+    count: options.Count = 1,
+    out: options.OutFolder = Path("generated"),
+    file_format: options.FileFormat = "npz",
+    guidance: options.Guidance = None,
+    sampler: options.Sampler = None,
+    sampling_steps: options.SamplingSteps = None,
+    seed: options.Seed = 0,
+    resume: options.Resume = False,
+    overwrite: options.Overwrite = False,
+    model: options.ModelName = "nerm",
+    run: options.RunName = "nano",
+    runs: options.RunsFolder = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants."""
     from motionkit.generation import SamplingOptions
     from nerm.generation.plan import make_plan, parse_times
-    from nerm.generation.prompts import prompts_from_arguments, read_prompts
+    from nerm.generation.prompts import wanted_prompts
 
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
-    if prompts is None:
-        wanted = prompts_from_arguments(texts or [], action or [], unconditional, seconds)
-    elif texts or action or unconditional:
-        raise UsageError("--prompts takes the place of texts, --action and --unconditional")
-    else:
-        wanted = read_prompts(prompts, seconds)
+    wanted = wanted_prompts(prompts, texts or [], action or [], unconditional, seconds)
     if times is not None and fps is not None:
         raise UsageError("--times and --fps exclude each other")
     rate = None if fps is None else _read_fps(fps)

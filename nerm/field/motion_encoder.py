@@ -19,7 +19,8 @@ from motionkit.skeleton import SMPL22
 from motionkit.timegrid import normalise_seconds
 from nerm.field.encoding import encode_by_optimisation
 from nerm.field.reconstruction import POSES_TO_ENCODE_FROM, WINDOWS_AT_ONCE
-from nerm.field.trained import TrainedField, load_field
+from nerm.field.saved import load_field
+from nerm.field.trained import TrainedField
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,17 @@ class Prompt:
     where: str = ""
 
 
+def wanted_prompts(
+    file: Path | None, texts: Sequence[str], actions: Sequence[str], unconditional: bool, seconds: float | None
+) -> list[Prompt]:
+    """The prompts of a file or of the arguments; raises `UsageError` unless exactly one of them has any."""
+    if file is None:
+        return prompts_from_arguments(texts, actions, unconditional, seconds)
+    if texts or actions or unconditional:
+        raise UsageError("--prompts takes the place of texts, --action and --unconditional")
+    return read_prompts(file, seconds)
+
+
 def prompts_from_arguments(
     texts: Sequence[str], actions: Sequence[str], unconditional: bool, seconds: float | None
 ) -> list[Prompt]:

@@ -15,8 +15,8 @@ from motionkit.training.loop import train_loop
 from motionkit.training.precision import float32_products, with_precision_of
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import prefixed, save_tensors
-from nerm.codebook.network import FORMAT, FORMAT_VERSION
 from nerm.codebook.published import PublishedCodebook, load_published
+from nerm.codebook.saved import FORMAT, FORMAT_VERSION
 from nerm.codebook.training import CodebookTraining, build_vector_corpus, check_lengths
 from nerm.recipes import NermConfig
 from nerm.settings.codebook import CodebookConfig

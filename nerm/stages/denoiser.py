@@ -11,9 +11,9 @@ from motionkit.training.precision import float32_products, with_precision_of
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
 from nerm.denoiser.corpus_of_field import corpus_of
-from nerm.denoiser.trained import STAGE_NAME, save_denoiser
+from nerm.denoiser.saved import STAGE_NAME, save_denoiser
 from nerm.denoiser.training import DenoiserTraining
-from nerm.field.trained import load_field
+from nerm.field.saved import load_field
 from nerm.latents.local import local_latents
 from nerm.recipes import NermConfig
 from nerm.settings.denoiser import DenoiserConfig

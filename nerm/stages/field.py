@@ -16,8 +16,9 @@ from motionkit.training.loop import train_loop
 from motionkit.training.precision import float32_products, with_precision_of
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
-from nerm.codebook.network import load_codes
-from nerm.field.trained import TrainedField, save_field
+from nerm.codebook.saved import load_codes
+from nerm.field.saved import save_field
+from nerm.field.trained import TrainedField
 from nerm.field.training import FieldTraining
 from nerm.field.windows import remarks, training_windows
 from nerm.pose_vectors.choice import training_vectors

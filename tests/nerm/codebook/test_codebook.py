@@ -10,7 +10,8 @@ from motionkit.errors import UsageError
 from motionkit.resample import resample_positions
 from motionkit.training.randomness import step_generator
 from motionkit.training.tensors import save_tensors
-from nerm.codebook.network import CodebookNetwork, Quantiser, load_codes
+from nerm.codebook.network import CodebookNetwork, Quantiser
+from nerm.codebook.saved import load_codes
 from nerm.codebook.training import CodebookTraining, build_vector_corpus, perplexity
 from nerm.codebook.vectors import codebook_vectors, joint_positions_block
 from nerm.recipes import paper

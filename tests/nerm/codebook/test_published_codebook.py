@@ -17,8 +17,9 @@ from motionkit.synthetic import make_body, perform
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors
-from nerm.codebook.network import CodebookNetwork, load_codes
+from nerm.codebook.network import CodebookNetwork
 from nerm.codebook.published import PUBLISHED, load_published
+from nerm.codebook.saved import load_codes
 from nerm.recipes import nano
 from nerm.settings.codebook import CodebookConfig
 from nerm.stages.codebook import train_codebook

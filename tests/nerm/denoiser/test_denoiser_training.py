@@ -13,7 +13,8 @@ from motionkit.training.run import RunError, RunFolder
 from motionkit.training.tensors import load_tensors, save_tensors
 from nerm.conditions.batch import NO_ACTION, Conditions
 from nerm.denoiser.corpus import LatentCorpus, latent_corpus
-from nerm.denoiser.trained import TrainedDenoiser, load_denoiser, save_denoiser
+from nerm.denoiser.saved import load_denoiser, save_denoiser
+from nerm.denoiser.trained import TrainedDenoiser
 from nerm.denoiser.training import DenoiserTraining
 from nerm.settings.denoiser import DenoiserConfig, TransformerConfig
 

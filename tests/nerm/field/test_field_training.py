@@ -13,7 +13,8 @@ from motionkit.training.randomness import step_generator
 from motionkit.training.run import StageFolder
 from motionkit.training.tensors import CheckpointError, save_tensors
 from nerm.field.encoding import effect_of_numbers, encode_by_optimisation, starting_latents
-from nerm.field.trained import TrainedField, load_field, save_field
+from nerm.field.saved import load_field, save_field
+from nerm.field.trained import TrainedField
 from nerm.field.training import FieldTraining
 from nerm.settings.field import FieldConfig
 from tests.nerm.corpus import FPS, analytic_positions, analytic_source

@@ -21,7 +21,7 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from nerm.field.reconstruction import encode_windows, window_truth
-from nerm.field.trained import load_field
+from nerm.field.saved import load_field
 from nerm.pose_vectors.choice import training_vectors
 from nerm.pose_vectors.convention import PoseVectors
 from nerm.pose_vectors.native import NativeVectors

@@ -14,7 +14,7 @@ from motionkit.timegrid import TimeGrid
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import StageContext
-from nerm.field.trained import load_field
+from nerm.field.saved import load_field
 from nerm.recipes import NermConfig, demo
 from nerm.stages import CODEBOOK, FIELD
 from tests.nerm.corpus import analytic_positions

