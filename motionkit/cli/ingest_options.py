@@ -61,8 +61,8 @@ SkeletonMaps = Annotated[
 BodyModels = Annotated[
     Path | None,
     typer.Option(
-        help="Folder of your own SMPL, SMPL-H or SMPL-X models (.npz), for AMASS's joints. "
-        "[default: MOTIONKIT_BODY_MODELS, else SMPL's mean shape]",
+        help="Folder of your own SMPL, SMPL-H or SMPL-X models (.npz), for AMASS's joints "
+        "(else MOTIONKIT_BODY_MODELS, else SMPL's mean shape).",
         show_default=False,
     ),
 ]

@@ -15,7 +15,7 @@ PromptsFile = Annotated[
 ]
 Framerate = Annotated[
     str | None,
-    typer.Option(help="Any framerate: 144, 23.976, 24000/1001 [the highest trained; 20 for humanml3d]."),
+    typer.Option(help="Any framerate: 144, 23.976, 24000/1001 (else the highest trained; 20 for humanml3d)."),
 ]
 Seconds = Annotated[
     float | None, typer.Option(help="Length, of any motion; drawn from the training data's by default.")
@@ -28,10 +28,10 @@ Times = Annotated[str | None, typer.Option(metavar="S,S,…", help="Poses at the
 Count = Annotated[int, typer.Option("-n", "--count", min=1, help="Motions per text or action.")]
 OutFolder = Annotated[Path, typer.Option(help="New or empty folder for the files.")]
 FileFormat = Annotated[str, typer.Option("--format", help=f"{FORMATS}.")]
-Guidance = Annotated[float | None, typer.Option(help="Guidance scale r (Eq. 6) [the recipe's].")]
-Sampler = Annotated[str | None, typer.Option(help="ddim or ddpm [the recipe's].")]
+Guidance = Annotated[float | None, typer.Option(help="Guidance scale r of Eq. 6 (else the recipe's).")]
+Sampler = Annotated[str | None, typer.Option(help="ddim or ddpm (else the recipe's).")]
 SamplingSteps = Annotated[
-    int | None, typer.Option(min=1, help="Diffusion steps visited [the recipe's; ddpm likes more].")
+    int | None, typer.Option(min=1, help="Diffusion steps visited (else the recipe's; ddpm likes more).")
 ]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with a call that was stopped.")]
