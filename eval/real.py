@@ -12,6 +12,7 @@ from eval.samples import SampleSet, sample_set
 from motionkit.conditions import conjunction
 from motionkit.errors import MotionkitError
 from motionkit.resample import resample_positions
+from motionkit.skeleton import SMPL22
 
 if TYPE_CHECKING:
     from motionkit.store.cache import PositionCache
@@ -26,7 +27,8 @@ class NoRealMotionError(MotionkitError):
 class RealMotion:
     """Sequences at their native framerates; `at` resamples them once per framerate and keeps the result.
 
-    `positions` [rows, 22, 3] metres; sequence i is rows start_row[i] … + num_frames[i], at fps[i].
+    `positions` [rows, joints, 3] metres, 22 joints or KIT-ML's 21; sequence i is rows start_row[i] … + num_frames[i],
+    at fps[i].
     """
 
     name: str
@@ -51,9 +53,10 @@ class RealMotion:
         """
         chosen = [i for i, native in enumerate(self.fps) if native >= fps and self.num_frames[i] > first_frame + 1]
         if len(chosen) < 2:
+            fastest = f"; the fastest has {float(max(self.fps)):.6g} fps" if self.fps else ""
             raise NoRealMotionError(
-                f"{self.name}: {len(chosen)} of {len(self.fps)} sequences were captured at {fps} fps or faster; at "
-                "least two are needed"
+                f"{self.name}: {len(chosen)} of {len(self.fps)} sequences were captured at {float(fps):.6g} fps or "
+                f"faster, at least two are needed{fastest} (--fps)"
             )
         return np.array(chosen, dtype=np.int64)
 
@@ -93,14 +96,14 @@ def of_split_and(split: str, where: str | None) -> str | None:
     return conjunction(None if split == "all" else of_split(split), where) or None
 
 
-def real_motion(store: "Store", split: str, where: str | None = None) -> RealMotion:
-    """The sequences of one split of a store ("all": every one) for which `where` (SQL) holds, in the 22-joint layout.
+def real_motion(store: "Store", split: str, where: str | None = None, layout: str = SMPL22.name) -> RealMotion:
+    """The sequences of one split of a store ("all": every one) for which `where` (SQL) holds, in a joint layout.
 
     A sequence's caption is its first. Raises `UsageError` where the split is empty or its skeletons cannot be mapped.
     """
     from motionkit.store.cache import open_cache
 
-    cache = open_cache(store, layout="smpl22", where=of_split_and(split, where))
+    cache = open_cache(store, layout=layout, where=of_split_and(split, where))
     return _from_cache(store, cache, split)
 
 

@@ -12,8 +12,9 @@ from jaxtyping import Float32, Int64
 
 @dataclass(frozen=True, eq=False)
 class SampleSet:
-    """Sequences of joint positions at one framerate, one after another in `positions` [rows, 22, 3] (metres, y up).
+    """Sequences of joint positions at one framerate, one after another in `positions` [rows, joints, 3] (metres, y up).
 
+    There are 22 joints, or KIT-ML's 21 where its evaluator is to read them.
     Sequence i holds rows start_row[i] … start_row[i] + num_frames[i]; `sequence_ids`, `captions` and `actions` have one
     entry each ("" where there is none), and so have `groups`: motions of one group answer the same prompt.
     `local_rotations`, where motions have true ones, are unit quaternions (w, x, y, z) of the same rows, relative to the

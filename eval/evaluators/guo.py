@@ -21,7 +21,7 @@ from eval.evaluators.guo_networks import FRAMES_PER_TOKEN, PUBLISHED, GuoNetwork
 from eval.evaluators.guo_words import WordVectors, read_word_vectors
 from eval.samples import SampleSet
 from motionkit.features import humanml3d
-from motionkit.features.humanml3d_processing import process
+from motionkit.features.humanml3d_processing import placed, process
 from motionkit.features.layout import pose_layout
 from motionkit.features.statistics import Statistics
 from motionkit.motion import Caption
@@ -35,6 +35,8 @@ ROWS_AT_ONCE = 64
 REACH_FRAMES = 3
 # Heights of standardised vectors are negative half of the time, heights above the floor hardly ever.
 MAX_NEGATIVE_HEIGHTS = 0.1
+# A body that lies down has its root at a seventh of its usual height; a wrong unit is 39-fold (inches) at least.
+MOST_HEIGHT_FACTOR = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +62,11 @@ class GuoEvaluator:
     def fps(self) -> Fraction:
         """The only framerate at which motions may be given: 20, or 12.5 for KIT."""
         return self.kind.fps
+
+    @property
+    def layout(self) -> str:
+        """Joint layout of the motions that it reads: `smpl22`, or `kit21` for KIT."""
+        return self.kind.layout
 
     @property
     def vector_size(self) -> int:
@@ -102,7 +109,7 @@ class GuoEvaluator:
         This is the path of published comparisons: a generator's vectors, times its std plus its mean, straight into the
         evaluator. `lengths` are the motions' numbers of frames where the arrays are padded. Of a length that is no
         multiple of 4 the last frames are left out. Raises `GuoError` for vectors of another size, NaN, vectors that are
-        still standardised, and lengths under 4, over 199 or past the array's end.
+        still standardised or in another unit, and lengths under 4, over 199 or past the array's end.
         """
         return self._embed(list(motions), "motion {}".format, lengths)
 
@@ -134,18 +141,23 @@ class GuoEvaluator:
     ) -> Float32[np.ndarray, "frames numbers"]:
         """The pose vectors of one motion as HumanML3D makes them: T poses give T − 1, for velocities need a next pose.
 
-        `joint_positions` of the 22 joints of `SMPL22`, metres, y up; bones are brought to HumanML3D's lengths, the clip
-        to the floor, the origin and Z+. Raises `GuoError` for another layout.
+        `joint_positions` in metres, y up, in the evaluator's `layout`; the clip is brought to the floor, the origin and
+        Z+. Bones of the 22 joints are brought to HumanML3D's lengths. Those of KIT's 21 stay as they are, for the clip
+        that KIT-ML took its lengths from is in its files alone, which all have them. Raises `GuoError` for another
+        layout.
         """
-        joints = pose_layout(self.kind.layout).num_joints
+        layout = self.kind.layout
+        joints = pose_layout(layout).num_joints
         if joint_positions.shape[1] != joints:
             raise GuoError(
-                f"motions of {joint_positions.shape[1]} joints: {self.kind.dataset}'s evaluator reads vectors of "
-                f"{joints} joints in {self.kind.dataset}'s own unit; give it the vectors (embed_vectors)"
+                f"motions of {joint_positions.shape[1]} joints: {self.kind.dataset}'s evaluator reads {joints} "
+                f"({layout}), in Table 1 alone; clip-FID compares clips of 22 joints"
             )
         if len(joint_positions) < 2:
             raise GuoError("a motion of one pose has no pose vectors")
-        return humanml3d.vectors(process(joint_positions, self.kind.layout), self.kind.layout)
+        if self.kind.unit_metres == 1.0:
+            return humanml3d.vectors(process(joint_positions, layout), layout)
+        return humanml3d.vectors(placed(joint_positions / np.float32(self.kind.unit_metres), layout), layout)
 
     def check_fps(self, fps: Fraction, name: str) -> None:
         """Raise `GuoError` for a framerate at which the evaluator means nothing."""
@@ -202,6 +214,7 @@ class GuoEvaluator:
         sizes = {self.kind.vector_size, self.kind.num_statistics}
         height = pose_layout(self.kind.layout).vector.root_height
         below = total = 0
+        middle_heights = []
         for index, (motion, length) in enumerate(zip(motions, frames, strict=True)):
             if motion.ndim != 2 or motion.shape[1] not in sizes:
                 expected = " or ".join(map(str, sorted(sizes)))
@@ -221,10 +234,17 @@ class GuoEvaluator:
                 raise GuoError(f"{title(index)}: holds NaN or infinity")
             below += int((motion[:length, height] < 0).sum())
             total += length
+            middle_heights.append(float(np.median(motion[:length, height])))
         if total and below > MAX_NEGATIVE_HEIGHTS * total:
             raise GuoError(
                 f"the root is below the floor in {below / total:.0%} of the frames, so these vectors are still "
                 "standardised: multiply by the std and add the mean that they were standardised with"
+            )
+        usual = float(np.median(middle_heights)) if middle_heights else self.kind.root_height
+        if not 1 / MOST_HEIGHT_FACTOR < usual / self.kind.root_height < MOST_HEIGHT_FACTOR:
+            raise GuoError(
+                f"the root's height is {usual:.3g} in the typical motion, {self.kind.root_height:.3g} in "
+                f"{self.kind.dataset}: these motions are in another unit"
             )
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Float64
 from motionkit.errors import MotionkitError
 from motionkit.features.layout import pose_layout
 from motionkit.features.statistics import Statistics, check_statistics
+from motionkit.formats.pose_folders import kit
 
 STATISTICS_NAMES = (("mean.npy", "std.npy"), ("eval_mean.npy", "eval_std.npy"))
 SIGNATURE_TOLERANCE = 0.01
@@ -47,6 +48,11 @@ class GuoKind:
     def vector_size(self) -> int:
         """Numbers of a whole pose vector."""
         return pose_layout(self.layout).vector.size
+
+    @property
+    def unit_metres(self) -> float:
+        """How long the unit of the data set's files is: a metre, or a thousandth of KIT-ML's body of 1.7 m."""
+        return kit.UNIT_METRES if self.layout == kit.KIT.skeleton.name else 1.0
 
     @property
     def is_weighted(self) -> bool:

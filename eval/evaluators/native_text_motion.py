@@ -13,6 +13,7 @@ from eval.evaluators.native_input import MIN_POSES
 from eval.samples import SampleSet
 from motionkit.errors import MotionkitError
 from motionkit.motion import Caption
+from motionkit.skeleton import SMPL22
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,11 @@ class NativeTextMotion:
     def fps(self) -> Fraction | None:
         """Any framerate may be given."""
         return None
+
+    @property
+    def layout(self) -> str:
+        """The 22 joints that it was trained with."""
+        return SMPL22.name
 
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
         """One row per sequence, in the order of the set; sequences of one length go through the network together.

@@ -33,6 +33,11 @@ class TextMotionEvaluator(Protocol):
         """The only framerate at which motions may be given; None where any may."""
         ...
 
+    @property
+    def layout(self) -> str:
+        """Joint layout of the motions that it reads: `smpl22` or `kit21`."""
+        ...
+
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
         """One row per sequence, in the order of the set. Raises `MotionkitError` for another framerate."""
         ...

@@ -5,6 +5,8 @@ of a motion's captions, and a random crop to a multiple of four frames.
 """
 
 from dataclasses import dataclass, field
+from fractions import Fraction
+from math import floor
 from typing import Literal
 
 from eval.protocols.compat import FLOAT32_DISTANCES, NAN_IS_BEST, PADDING_LEAK
@@ -32,15 +34,26 @@ class MultiModalityRule:
 
 @dataclass(frozen=True)
 class LengthRule:
-    """Which real motions take part: from `shortest_seconds`, and what becomes of those of `longest_seconds` or more."""
+    """Which real motions take part: from `shortest_seconds` to `longest_seconds`, and what becomes of longer ones.
+
+    Seconds count from the first pose to the last: T poses at s fps, of which there are T − 1 pose vectors, last
+    (T − 1)/s.
+    """
 
     shortest_seconds: float
     longest_seconds: float
     longer: Literal["cropped", "left out"]
 
+    def most_frames(self, fps: Fraction) -> int:
+        """Poses of the longest motion that takes part whole."""
+        return floor(self.longest_seconds * float(fps) + 1e-6) + 1
 
-PUBLISHED_LENGTHS = LengthRule(2.0, 10.0, "left out")
-"""40 to 199 frames at 20 fps (text-to-motion, data/dataset.py)."""
+
+PUBLISHED_LENGTHS = LengthRule(2.0, 9.95, "left out")
+"""40 to 199 pose vectors at 20 fps (text-to-motion, data/dataset.py)."""
+PUBLISHED_KIT_LENGTHS = LengthRule(1.92, 15.92, "left out")
+"""24 to 199 pose vectors at 12.5 fps (the same)."""
+KIT_FPS = Fraction(25, 2)
 
 
 @dataclass(frozen=True)
@@ -53,7 +66,7 @@ class TextMotionProtocol:
     whole real set ("whole"), the real motions of the same texts ("paired") or another random order of the real set with
     its own remainder ("redraw"). `asks`: the direction whose R-Precision the source quotes; both are computed.
     `details`: metrics that are computed once, on the first draw. `known_bugs`: names in `eval.protocols.compat` that
-    its published code has. Raises `ValueError` for numbers that make no sense.
+    its published code has. `kit_lengths` are the `lengths` of KIT-ML. Raises `ValueError` for senseless numbers.
     """
 
     name: str
@@ -69,6 +82,7 @@ class TextMotionProtocol:
     diversity_pairs: int = 300
     multimodality: MultiModalityRule = field(default_factory=MultiModalityRule)
     lengths: LengthRule = PUBLISHED_LENGTHS
+    kit_lengths: LengthRule = PUBLISHED_KIT_LENGTHS
     details: tuple[str, ...] = ()
     known_bugs: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
@@ -78,6 +92,10 @@ class TextMotionProtocol:
             raise ValueError(f"protocol {self.name!r}: a pool needs 2 motions, a mean 1 replication and 1 pair")
         if self.num_motions is not None and self.num_motions < self.pool:
             raise ValueError(f"protocol {self.name!r}: {self.num_motions} motions do not fill a pool of {self.pool}")
+
+    def lengths_at(self, fps: Fraction) -> LengthRule:
+        """The rule of lengths for motions at a framerate: KIT-ML's at its 12.5 fps, HumanML3D's at any other."""
+        return self.kit_lengths if fps == KIT_FPS else self.lengths
 
 
 OWN_LENGTHS = "Its models choose the length of a motion; here a motion is as long as the sample is."
@@ -89,7 +107,9 @@ NATIVE = TextMotionProtocol(
     remainder="R-Precision",
     reference="whole",
     multimodality=MultiModalityRule(pairs="distinct"),
+    # The longest that Guo's evaluators take, 196 pose vectors.
     lengths=LengthRule(0.6, 9.8, "cropped"),
+    kit_lengths=LengthRule(0.6, 15.68, "cropped"),
     details=("fid_infinity", "kid"),
 )
 T2M = TextMotionProtocol(

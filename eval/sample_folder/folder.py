@@ -43,7 +43,8 @@ class SampleFolder:
     be read or hold NaN, `remarks` what was found and done, for people.
 
     `vectors` are the pose vectors of every motion, in their own units, as many frames as its positions: where all came
-    as vectors of one size and were to be kept (`SampleOptions.keep_vectors`); else empty.
+    as vectors of one size and were to be kept (`SampleOptions.keep_published`); else empty. `kit_joints` are KIT-ML's
+    21 joints in metres, likewise: where all motions came as these or as vectors of them.
     """
 
     name: str
@@ -57,6 +58,7 @@ class SampleFolder:
     left_out: tuple[FormatError, ...] = ()
     remarks: tuple[str, ...] = ()
     vectors: tuple[Float32[np.ndarray, "_frames numbers"], ...] = ()
+    kit_joints: tuple[Float32[np.ndarray, "_frames 21 3"], ...] = ()
 
     @property
     def num_motions(self) -> int:
@@ -184,6 +186,7 @@ class Packer:
         self._fps: list[Fraction] = []
         self._texts: list[SampleText] = []
         self._vectors: list[Float32[np.ndarray, "_frames numbers"]] = []
+        self._kit_joints: list[Float32[np.ndarray, "_frames 21 3"]] = []
 
     def __len__(self) -> int:
         return len(self._lengths)
@@ -194,14 +197,17 @@ class Packer:
         fps: Fraction,
         text: SampleText,
         vectors: Float32[np.ndarray, "_frames numbers"] | None = None,
+        kit_joints: Float32[np.ndarray, "_frames 21 3"] | None = None,
     ) -> None:
-        """Copy one motion to the end; its pose vectors, where there are any, are kept as they are."""
+        """Copy one motion to the end; its pose vectors and KIT joints, where there are any, are kept as they are."""
         self._rows.add(positions)
         self._lengths.append(len(positions))
         self._fps.append(fps)
         self._texts.append(text)
         if vectors is not None:
             self._vectors.append(vectors)
+        if kit_joints is not None:
+            self._kit_joints.append(kit_joints)
 
     def finish(self, name: str, left_out: Sequence[FormatError], remarks: Sequence[str]) -> SampleFolder:
         """Everything that was added; the packer is empty afterwards."""
@@ -217,6 +223,7 @@ class Packer:
             tuple(left_out),
             tuple(remarks),
             self._all_vectors(),
+            tuple(self._kit_joints) if len(self._kit_joints) == len(self) else (),
         )
 
     def _all_vectors(self) -> tuple[Float32[np.ndarray, "_frames numbers"], ...]:

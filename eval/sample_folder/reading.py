@@ -72,14 +72,16 @@ def _checked(folder: SampleFolder, num_of_arrays: int, listing: Listing) -> Samp
     end = int(folder.num_frames[:num_of_arrays].sum())
     starts = folder.start_row[:num_of_arrays]
     turned = turn_upright(folder.positions[:end], starts, listing.manifest.up)
-    # Vectors stand along y by definition: of bodies that had to be turned they mean something else.
-    vectors = () if turned else folder.vectors
     remarks = (*folder.remarks, *([turned] if turned else []), *check_bodies(folder), *padding_remark(folder))
-    return replace(folder, remarks=remarks, vectors=vectors)
+    if turned:
+        # Vectors stand along y by definition: of bodies that had to be turned they mean something else.
+        folder = replace(folder, vectors=(), kit_joints=())
+    return replace(folder, remarks=remarks)
 
 
 Vectors = Float32[np.ndarray, "frames numbers"]
-Read = tuple[Float32[np.ndarray, "frames joints 3"], Fraction, SampleText, Vectors | None]
+KitJoints = Float32[np.ndarray, "frames 21 3"]
+Read = tuple[Float32[np.ndarray, "frames joints 3"], Fraction, SampleText, Vectors | None, KitJoints | None]
 
 
 @dataclass
@@ -127,7 +129,10 @@ class _Reader:
         caption = motion.captions[0].text if motion.captions else ""
         group = row.group or parts.group
         text = SampleText(place, caption or parts.caption, motion.action or parts.action, group)
-        return positions, motion.fps, self._with_prompt(text), None
+        kit_joints = None
+        if self.options.keep_published and motion.skeleton.joint_names == KIT21.joint_names:
+            kit_joints = motion.joint_positions[: len(positions)]
+        return positions, motion.fps, self._with_prompt(text), None, kit_joints
 
     def _of_array(self, path: Path, stored: StoredMotion) -> Read:
         row = self.listing.rows.get(path, Annotation())
@@ -147,9 +152,13 @@ class _Reader:
         fps = self._fps(path, stored, row)
         vectors = self._restored(numbers) if stored.is_vectors else None
         positions = self._joints(numbers, path) if vectors is None else self._joints_of(vectors)
+        kit_joints = None
         if positions.shape[1] == KIT21.num_joints:
+            kit_joints = positions
             positions = map_joints(Motion(positions, KIT21, TimeGrid(fps, len(positions))), SMPL22.name)
-        return positions, fps, self._with_prompt(text), vectors if self.options.keep_vectors else None
+        if not self.options.keep_published:
+            vectors = kit_joints = None
+        return positions, fps, self._with_prompt(text), vectors, kit_joints
 
     def _trimmed(self, numbers: np.ndarray, path: Path) -> np.ndarray:
         """Without last frames that are all zeros, which are no pose but what short motions were filled up with."""

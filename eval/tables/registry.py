@@ -60,8 +60,8 @@ class TableRequest:
     def sample_folders(self) -> tuple[SampleFolder, ...]:
         """The motions of every folder of samples, read when they are first asked for; raises `SampleFolderError`."""
         folders = []
-        # Guo's evaluator alone reads pose vectors.
-        options = replace(self.sample_options, keep_vectors=self.guo is not None)
+        # Guo's evaluators alone read pose vectors and KIT-ML's joints.
+        options = replace(self.sample_options, keep_published=self.guo is not None)
         with progress() as display:
             for name, path in self.samples.items():
                 task = display.add_task(f"reading {name}", total=None, note="")

@@ -19,6 +19,7 @@ from eval.scoring.scores import Scores
 from eval.scoring.text_motion import TextMotionPairs, score_text_motion
 from eval.tables.registry import Table, TableRequest
 from eval.tables.text_motion_blocks import ScoredRow, paper_block, scored_blocks
+from eval.text_motion.kit_joints import MADE_OF_22, kit_bone_lengths
 from eval.text_motion.model_motions import ModelMotions
 from eval.text_motion.real_pairs import CaptionedMotions, captioned_motions, limited
 from eval.text_motion.sample_motions import sample_embeddings
@@ -26,6 +27,7 @@ from eval.text_motion.sources import text_motion_evaluators
 from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.generation import GenerativeModel, load_model
+from motionkit.skeleton import SMPL22, STANDARD_SKELETONS
 from motionkit.training.run import RunFolder
 
 if TYPE_CHECKING:
@@ -47,6 +49,22 @@ class _Model:
     run: Path
     model: GenerativeModel
     identity: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """How an evaluator sees motions: at which framerate, and which joints."""
+
+    fps: Fraction
+    layout: str
+
+    @property
+    def label(self) -> str:
+        """Its name in a result."""
+        joints = (
+            "" if self.layout == SMPL22.name else f", {STANDARD_SKELETONS[self.layout].num_joints} joints of KIT-ML"
+        )
+        return f"{float(self.fps):g} fps{joints}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,14 +95,17 @@ def build_table1(request: TableRequest) -> Result:
         evaluators = text_motion_evaluators(request, protocol, missing)
         models = _models(request, missing)
         for each in models:
-            protocol = replace(protocol, lengths=limited(protocol.lengths, each.model.max_duration_seconds))
+            longest = each.model.max_duration_seconds
+            lengths, kit_lengths = (limited(rule, longest) for rule in (protocol.lengths, protocol.kit_lengths))
+            protocol = replace(protocol, lengths=lengths, kit_lengths=kit_lengths)
         job = _Job(request, protocol, models, folders, display, missing)
-        real: dict[Fraction, CaptionedMotions] = {}
+        real: dict[_Sight, CaptionedMotions] = {}
         for evaluator in evaluators:
-            fps = _fps(request, evaluator)
-            if fps not in real:
-                real[fps] = captioned_motions(store, request.split, request.where, fps, protocol.lengths)
-                _check_pool(real[fps], protocol, request)
+            sight = _sight(request, evaluator)
+            if sight not in real:
+                rule = protocol.lengths_at(sight.fps)
+                real[sight] = captioned_motions(store, request.split, request.where, sight.fps, rule, sight.layout)
+                _check_pool(real[sight], protocol, request)
         display.remove_task(task)
         blocks = _all_blocks(job, evaluators, real)
     return Result(
@@ -92,7 +113,7 @@ def build_table1(request: TableRequest) -> Result:
         version=VERSION,
         title="Table 1: text-to-motion",
         caption=_caption(request, protocol, real),
-        blocks=(*blocks, *map(paper_block, real)),
+        blocks=(*blocks, *map(paper_block, dict.fromkeys(sight.fps for sight in real))),
         definition=_definition(request, protocol, real),
         notes=_notes(protocol, real),
         missing=tuple(dict.fromkeys(missing)),
@@ -132,13 +153,16 @@ def _models(request: TableRequest, missing: list[str]) -> tuple[_Model, ...]:
     return tuple(found)
 
 
-def _fps(request: TableRequest, evaluator: TextMotionEvaluator) -> Fraction:
+def _sight(request: TableRequest, evaluator: TextMotionEvaluator) -> _Sight:
     asked = request.fps or (evaluator.fps or DEFAULT_FPS,)
     if len(asked) != 1:
         raise UsageError("table 1 compares whole motions at one framerate: give one --fps, such as 20 or 12.5")
     if evaluator.fps not in (None, asked[0]):
-        raise UsageError(f"--fps {asked[0]}: the evaluator {evaluator.name!r} means nothing but at {evaluator.fps} fps")
-    return asked[0]
+        only = float(evaluator.fps or 0)
+        raise UsageError(
+            f"--fps {float(asked[0]):g}: the evaluator {evaluator.name!r} means nothing but at {only:g} fps"
+        )
+    return _Sight(asked[0], evaluator.layout)
 
 
 def _check_pool(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> None:
@@ -155,7 +179,7 @@ def _check_pool(real: CaptionedMotions, protocol: TextMotionProtocol, request: T
 
 
 def _all_blocks(
-    job: _Job, evaluators: list[TextMotionEvaluator], real: Mapping[Fraction, CaptionedMotions]
+    job: _Job, evaluators: list[TextMotionEvaluator], real: Mapping[_Sight, CaptionedMotions]
 ) -> list[Block]:
     """Every evaluator's blocks; one that cannot read the real motions or captions is named in `missing`.
 
@@ -164,7 +188,7 @@ def _all_blocks(
     blocks: list[Block] = []
     for evaluator in evaluators:
         try:
-            blocks += _blocks(job, evaluator, real[_fps(job.request, evaluator)])
+            blocks += _blocks(job, evaluator, real[_sight(job.request, evaluator)])
         except MotionkitError as error:
             if len(evaluators) == 1:
                 raise
@@ -228,8 +252,10 @@ def _model_row(
     embedder: Embedder,
 ) -> ScoredRow:
     task = job.display.add_task(f"{embedder.evaluator.name}: {each.name}", total=None, note="motions generated")
+    lengths = kit_bone_lengths(real.samples)
     motions = ModelMotions(
-        each.name, each.model, each.identity, job.request.seed, lambda count: job.display.advance(task, count)
+        *(each.name, each.model, each.identity, job.request.seed, lengths),
+        on_motions=lambda count: job.display.advance(task, count),
     )
     try:
         wanted = real.select(chosen)
@@ -238,7 +264,8 @@ def _model_row(
     finally:
         job.display.remove_task(task)
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
-    return ScoredRow(each.name, "ours", _score(job, reference, draws, repeated), f"run {each.run.name!r}")
+    note = f"run {each.run.name!r}" + ("" if lengths is None else f"; {MADE_OF_22}")
+    return ScoredRow(each.name, "ours", _score(job, reference, draws, repeated), note)
 
 
 def _sample_row(
@@ -272,7 +299,7 @@ def _score(
         job.display.remove_task(task)
 
 
-def _caption(request: TableRequest, protocol: TextMotionProtocol, real: Mapping[Fraction, CaptionedMotions]) -> str:
+def _caption(request: TableRequest, protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]) -> str:
     caption = (
         f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean ± half the 95 % "
         f"interval over {protocol.replications} replications, split {request.split!r}{request.restriction}."
@@ -289,7 +316,7 @@ def _caption(request: TableRequest, protocol: TextMotionProtocol, real: Mapping[
 
 
 def _definition(
-    request: TableRequest, protocol: TextMotionProtocol, real: Mapping[Fraction, CaptionedMotions]
+    request: TableRequest, protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]
 ) -> dict[str, Any]:
     return {
         "version": VERSION,
@@ -298,13 +325,13 @@ def _definition(
         "draws": request.draws,
         "motions": request.max_motions,
         "real_motions": {
-            f"{float(fps):g} fps": {
+            sight.label: {
                 "motions": each.samples.num_sequences,
                 "different_captions": len(set(each.samples.captions)),
                 "cropped": each.num_cropped,
                 "left_out": dict(each.left_out),
             }
-            for fps, each in real.items()
+            for sight, each in real.items()
         },
         "captions": "a sequence's first one, and the stretch that it is about",
         "generated": "for the caption and the duration of each real motion, sampled at the framerate",
@@ -313,13 +340,14 @@ def _definition(
     }
 
 
-def _notes(protocol: TextMotionProtocol, real: Mapping[Fraction, CaptionedMotions]) -> tuple[str, ...]:
+def _notes(protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]) -> tuple[str, ...]:
     notes = []
-    for fps, each in real.items():
+    for sight, each in real.items():
         without = "".join(f", {count} left out ({reason})" for reason, count in each.left_out.items())
-        cropped = f", {each.num_cropped} cropped to their middle {protocol.lengths.longest_seconds:g} s"
+        longest = protocol.lengths_at(sight.fps).longest_seconds
+        cropped = f", {each.num_cropped} cropped to their middle {longest:g} s"
         notes.append(
-            f"Real motions at {float(fps):g} fps: {each.samples.num_sequences} with "
+            f"Real motions at {sight.label}: {each.samples.num_sequences} with "
             f"{len(set(each.samples.captions))} different captions{cropped if each.num_cropped else ''}{without}."
         )
     chance = ", ".join(f"{rank / protocol.pool:.3f}" for rank in (1, 2, 3))

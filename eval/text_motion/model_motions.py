@@ -8,12 +8,13 @@ from hashlib import sha256
 from json import dumps
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from eval.embedding_cache import Embedder
 from eval.protocols.text_motion import MultiModalityRule
 from eval.samples import SampleSet, sample_set
 from eval.scoring.text_motion import TextMotionPairs
+from eval.text_motion.kit_joints import as_kit_joints
 from eval.text_motion.real_pairs import CaptionedMotions
 from motionkit.generation import GenerationRequest, GenerativeModel
 from motionkit.motionfield import to_motion
@@ -27,13 +28,15 @@ REPEATED_FROM = 1_000_000
 class ModelMotions:
     """A model and what it is asked for; `identity` is all that its motions depend on besides request and seed.
 
-    Raises what the model raises for a caption it cannot take, when motions are first asked for.
+    With `kit_lengths` its motions are brought to KIT-ML's 21 joints before they are embedded. Raises what the model
+    raises for a caption it cannot take, when motions are first asked for.
     """
 
     name: str
     model: GenerativeModel
     identity: Mapping[str, str]
     seed: int
+    kit_lengths: Float32[np.ndarray, "21"] | None = None
     on_motions: Callable[[int], None] = lambda count: None
 
     def draw(self, wanted: CaptionedMotions, number: int, embedder: Embedder) -> TextMotionPairs:
@@ -64,12 +67,17 @@ class ModelMotions:
     ) -> Float64[np.ndarray, "requests features"]:
         told = sha256(dumps([asdict(request) for request in requests]).encode()).hexdigest()
         key = {"model": dict(self.identity), "requests": told, "seed": seed, "first": first, "fps": str(fps)}
+        if self.kit_lengths is not None:
+            key["kit_lengths"] = sha256(self.kit_lengths.astype("<f4").tobytes()).hexdigest()
         return embedder.kept(key, len(requests), partial(self._generated, requests, seed, first, fps, embedder))
 
     def _generated(
         self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction, embedder: Embedder
     ) -> Float64[np.ndarray, "requests features"]:
-        return embedder.evaluator.embed_motions(self._motions(requests, seed, first, fps))
+        motions = self._motions(requests, seed, first, fps)
+        if self.kit_lengths is not None:
+            motions = as_kit_joints(motions, self.kit_lengths)
+        return embedder.evaluator.embed_motions(motions)
 
     def _motions(self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction) -> SampleSet:
         sequences = []

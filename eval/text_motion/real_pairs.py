@@ -14,6 +14,7 @@ from eval.protocols.text_motion import LengthRule
 from eval.real import NoRealMotionError, real_motion
 from eval.samples import SampleSet, sample_set
 from motionkit.motion import Caption
+from motionkit.skeleton import SMPL22
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -51,17 +52,18 @@ def limited(rule: LengthRule, longest_seconds: float) -> LengthRule:
 
 
 def captioned_motions(
-    store: "Store", split: str, where: str | None, fps: Fraction, rule: LengthRule
+    store: "Store", split: str, where: str | None, fps: Fraction, rule: LengthRule, layout: str = SMPL22.name
 ) -> CaptionedMotions:
     """Captioned sequences of native rate ≥ fps, brought to fps: of each the stretch that its first caption is about.
 
-    A longer one is cropped to its middle, or left out, as the rule says. Raises `NoRealMotionError` where fewer than
-    two remain, and what `real_motion` raises.
+    Their joints are those of `layout`. A longer one is cropped to its middle, or left out, as the rule says. Raises
+    `NoRealMotionError` where fewer than two remain, and what `real_motion` raises.
     """
-    everything = real_motion(store, split, where)
+    everything = real_motion(store, split, where, layout)
     captions_of = _captions(store)
     at_rate = everything.at(fps)
-    left_out = Counter({f"captured below {fps} fps": len(everything.fps) - at_rate.num_sequences})
+    most_frames = rule.most_frames(fps)
+    left_out = Counter({f"captured below {float(fps):g} fps": len(everything.fps) - at_rate.num_sequences})
     sequences, names, captions, num_cropped = [], [], [], 0
     for index, name in enumerate(at_rate.sequence_ids):
         if not captions_of[name]:
@@ -70,13 +72,13 @@ def captioned_motions(
         caption = captions_of[name][0]
         positions = _stretch(at_rate.sequence(index), caption, fps)
         seconds = (len(positions) - 1) / float(fps)
-        if seconds < rule.shortest_seconds:
+        if seconds < rule.shortest_seconds - 1e-9:
             left_out[f"shorter than {rule.shortest_seconds:g} s"] += 1
             continue
-        if seconds >= rule.longest_seconds and rule.longer == "left out":
-            left_out[f"{rule.longest_seconds:g} s or longer"] += 1
+        if len(positions) > most_frames and rule.longer == "left out":
+            left_out[f"longer than {rule.longest_seconds:g} s"] += 1
             continue
-        kept = middle(positions, fps, rule.longest_seconds)
+        kept = middle(positions, most_frames)
         num_cropped += len(kept) < len(positions)
         sequences.append(kept)
         names.append(name)
@@ -84,7 +86,8 @@ def captioned_motions(
     if len(sequences) < 2:
         reasons = "; ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
         raise NoRealMotionError(
-            f"{everything.name}: {len(sequences)} captioned sequences at {fps} fps, at least two are needed ({reasons})"
+            f"{everything.name}: {len(sequences)} captioned sequences at {float(fps):g} fps, at least two are needed "
+            f"({reasons})"
         )
     texts = [caption.text for caption in captions]
     known = {caption.text: caption for some in captions_of.values() for caption in some}
@@ -92,11 +95,10 @@ def captioned_motions(
     return CaptionedMotions(samples, tuple(captions), known, {k: v for k, v in left_out.items() if v}, num_cropped)
 
 
-def middle(poses: npt.NDArray[np.float32], fps: Fraction, longest_seconds: float) -> npt.NDArray[np.float32]:
-    """The poses in the middle that span at most `longest_seconds`; all of them where they do."""
-    most = int(np.floor(longest_seconds * float(fps) + 1e-9)) + 1
-    first = max(0, (len(poses) - most) // 2)
-    return poses[first : first + most]
+def middle(poses: npt.NDArray[np.float32], most_frames: int) -> npt.NDArray[np.float32]:
+    """The poses in the middle, at most so many; all of them where there are no more."""
+    first = max(0, (len(poses) - most_frames) // 2)
+    return poses[first : first + most_frames]
 
 
 def _stretch(positions: npt.NDArray[np.float32], caption: Caption, fps: Fraction) -> npt.NDArray[np.float32]:

@@ -3,7 +3,6 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
@@ -15,12 +14,14 @@ from eval.protocols.text_motion import TextMotionProtocol
 from eval.sample_folder import SampleFolder
 from eval.samples import SampleSet
 from eval.scoring.text_motion import TextMotionPairs
+from eval.text_motion.kit_joints import MADE_OF_22, as_kit_joints, kit_bone_lengths
 from eval.text_motion.real_pairs import CaptionedMotions, middle
 from motionkit.errors import UsageError
 from motionkit.motion import Caption
 
 AS_VECTORS = "read as the pose vectors that they came as"
 BY_JOINTS = "read as pose vectors made of joint positions"
+AS_KIT_JOINTS = "of KIT-ML's joints as they came"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +48,10 @@ def sample_embeddings(
     """
     folder.require_captions()
     fps = real.samples.fps
-    samples = _cropped(folder.at(fps), fps, protocol.lengths.longest_seconds)
+    most_frames = protocol.lengths_at(fps).most_frames(fps)
+    samples = _cropped(folder.at(fps), most_frames)
     captions = [real.known_captions.get(text, Caption(text)) for text in samples.captions]
-    motions, path = _embedded(folder, samples, protocol.lengths.longest_seconds, embedder)
+    motions, path = _embedded(folder, samples, real.samples, most_frames, embedder)
     texts = embedder.texts(captions)
     groups = [np.array(rows) for rows in samples.rows_by_group().values()]
     fewest = min(len(rows) for rows in groups)
@@ -66,7 +68,7 @@ def sample_embeddings(
 
 
 def _embedded(
-    folder: SampleFolder, samples: SampleSet, longest_seconds: float, embedder: Embedder
+    folder: SampleFolder, samples: SampleSet, real: SampleSet, most_frames: int, embedder: Embedder
 ) -> tuple[Float64[np.ndarray, "motions features"], str]:
     """Embeddings of a folder's motions: of its pose vectors, where it has what the evaluator reads, else of joints."""
     evaluator = embedder.evaluator
@@ -74,12 +76,23 @@ def _embedded(
         return embedder.motions(samples), ""
     reason = _why_not_vectors(folder, evaluator)
     if reason:
-        return embedder.motions(samples), f"{BY_JOINTS} ({reason})"
+        joints, of_what = _in_layout_of(real, folder, samples, most_frames)
+        return embedder.motions(joints), f"{BY_JOINTS}{of_what} ({reason})"
     # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
-    seconds = longest_seconds - float(1 / samples.fps)
-    vectors = [middle(motion, samples.fps, seconds) for motion in folder.vectors]
+    vectors = [middle(motion, most_frames - 1) for motion in folder.vectors]
     key = {"vectors": fingerprint_of_vectors(vectors)}
     return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors)), AS_VECTORS
+
+
+def _in_layout_of(real: SampleSet, folder: SampleFolder, samples: SampleSet, most_frames: int) -> tuple[SampleSet, str]:
+    """A folder's motions in the joints of the real ones, and where they are KIT-ML's, how they became these."""
+    lengths = kit_bone_lengths(real)
+    if lengths is None:
+        return samples, ""
+    if folder.kit_joints and set(folder.fps) == {samples.fps}:
+        kept = [middle(motion, most_frames) for motion in folder.kit_joints]
+        return samples.with_positions(samples.name, samples.fps, kept), f" {AS_KIT_JOINTS}"
+    return as_kit_joints(samples, lengths), f", {MADE_OF_22}"
 
 
 def _why_not_vectors(folder: SampleFolder, evaluator: PoseVectorEvaluator) -> str:
@@ -117,8 +130,8 @@ def _real_rows(samples: SampleSet, real: CaptionedMotions) -> npt.NDArray[np.int
     return np.array(found, dtype=np.int64)
 
 
-def _cropped(samples: SampleSet, fps: Fraction, longest_seconds: float) -> SampleSet:
-    kept = [middle(sequence, fps, longest_seconds) for sequence in samples.sequences()]
-    if all(len(sequence) == frames for sequence, frames in zip(kept, samples.num_frames.tolist(), strict=True)):
+def _cropped(samples: SampleSet, most_frames: int) -> SampleSet:
+    if int(samples.num_frames.max()) <= most_frames:
         return samples
-    return samples.with_positions(samples.name, fps, kept)
+    kept = [middle(sequence, most_frames) for sequence in samples.sequences()]
+    return samples.with_positions(samples.name, samples.fps, kept)

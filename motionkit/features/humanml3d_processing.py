@@ -91,4 +91,11 @@ def process(
 ) -> Float32[np.ndarray, "frames joints 3"]:
     """Raw joints → processed joints, ready for `humanml3d.vectors`; `target` defaults to `standard_bone_lengths`."""
     lengths = standard_bone_lengths(layout) if target is None else target
-    return facing_forward(at_origin(on_floor(uniform_skeleton(joint_positions, layout, lengths))), layout)
+    return placed(uniform_skeleton(joint_positions, layout, lengths), layout)
+
+
+def placed(
+    joint_positions: Float[np.ndarray, "frames joints 3"], layout: str
+) -> Float32[np.ndarray, "frames joints 3"]:
+    """All steps but the first, for joints that have the data set's bones: on the floor, at the origin, facing Z+."""
+    return facing_forward(at_origin(on_floor(joint_positions.astype(np.float32, copy=False))), layout)

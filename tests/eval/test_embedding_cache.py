@@ -16,7 +16,7 @@ class Counting:
     """An evaluator that counts what it is asked for."""
 
     name = "counting"
-    fps = None
+    fps, layout = None, "smpl22"
 
     def __init__(self, fingerprint: str = "a") -> None:
         self.fingerprint = fingerprint

@@ -10,9 +10,10 @@ import pytest
 from eval.generated import Window, generate_fields, sample_fields, windows_of
 from eval.real import NoRealMotionError, RealMotion
 from eval.samples import sample_set
-from motionkit.generation import GenerationRequest, SamplingOptions
+from motionkit.generation import GenerationRequest
 from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22, Skeleton
+from tests.scripted_model import ScriptedModel
 
 
 def real_motion(lengths: Sequence[int], rates: Sequence[int]) -> RealMotion:
@@ -36,29 +37,9 @@ def swing(seconds: np.ndarray) -> np.ndarray:
     return np.sin(2 * np.pi * seconds[:, None, None] + joints + np.arange(3)).astype(np.float32)
 
 
-class SwingField:
-    """A motion field of the same swing."""
-
-    skeleton = SMPL22
-    start_seconds = 0.0
-
-    def __init__(self, end_seconds: float) -> None:
-        self.end_seconds = end_seconds
-
-    def query(self, times_seconds: np.ndarray) -> Poses:
-        return Poses(swing(times_seconds))
-
-
-class SwingModel:
-    name = "swing"
-    skeleton: Skeleton = SMPL22
-    max_training_fps = Fraction(120)
-    max_duration_seconds = 2.0
-
-    def generate(
-        self, requests: Sequence[GenerationRequest], *, seed: int, sampling: SamplingOptions = SamplingOptions()
-    ) -> list[SwingField]:
-        return [SwingField(request.duration_seconds) for request in requests]
+def swinging() -> ScriptedModel:
+    """A model of the same swing."""
+    return ScriptedModel(lambda request, chance: swing, max_duration_seconds=2.0)
 
 
 def test_sequences_keep_their_own_frames() -> None:
@@ -147,7 +128,7 @@ def test_fields_are_told_the_framerate_they_are_sampled_at() -> None:
 
 def test_fields_are_asked_for_every_instant_of_the_framerate() -> None:
     real = real_motion([81, 201], [20, 20]).at(Fraction(20))
-    model = SwingModel()
+    model = swinging()
     fields = generate_fields(model, windows_of(real, model.max_duration_seconds), seed=0, limit=100)
     made = sample_fields(fields, ["take1"], Fraction(120), "model")
     assert made is not None

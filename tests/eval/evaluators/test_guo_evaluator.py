@@ -19,6 +19,7 @@ from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import process
 from motionkit.motion import Caption
 from motionkit.skeleton import SMPL22
+from motionkit.skeleton_map import joint_map
 from tests.published_guo import VOCABULARY, checkpoint, pose_vectors, write_archive, write_glove, write_statistics
 
 SMALL = GuoWidths(movement=6, motion=5, text=4, shared=3)
@@ -227,6 +228,22 @@ def test_joint_positions_become_the_published_vectors(evaluator: GuoEvaluator) -
     assert isinstance(evaluator, TextMotionEvaluator) and isinstance(evaluator, FeatureSet)
 
 
+def test_kit_s_21_joints_become_vectors_in_its_unit_with_their_own_bones(tmp_path: Path) -> None:
+    evaluator = load_guo(GuoFiles(write_archive(tmp_path / "kit", SMALL, num_inputs=247)), SMALL)
+    assert (evaluator.layout, evaluator.fps, evaluator.vector_size) == ("kit21", Fraction(25, 2), 251)
+    metres = (joint_map(SMPL22, "kit21").weights @ walking(50, 3)).astype(np.float32)
+    made = evaluator.pose_vectors(metres)
+    assert made.shape == (49, 251)
+    # Turned and moved, but no bone is longer or shorter: distances inside a pose are KIT's thousandths of 1.7 m.
+    joints = humanml3d.positions(made, "kit21")[:, 1:]
+    inside = np.linalg.norm(joints[:, :, None] - joints[:, None], axis=-1)
+    given = np.linalg.norm(metres[:-1, 1:, None] - metres[:-1, None, 1:], axis=-1)
+    np.testing.assert_allclose(0.0017 * inside, given, atol=1e-4)
+    np.testing.assert_allclose(np.diff(made[:, 3]) * 0.0017, np.diff(metres[:-1, 0, 1]), atol=1e-4)
+    with pytest.raises(GuoError, match=r"motions of 22 joints: KIT's evaluator reads 21 \(kit21\), in Table 1 alone"):
+        evaluator.describe(walking(20, 0)[None], Fraction(25, 2))
+
+
 def test_what_it_cannot_read_is_explained(evaluator: GuoEvaluator) -> None:
     good = pose_vectors(40, 0)
     bad = good.copy()
@@ -239,6 +256,11 @@ def test_what_it_cannot_read_is_explained(evaluator: GuoEvaluator) -> None:
         ([pose_vectors(200, 0)], None, r"200 frames; the evaluator knows motions of at most 196 \(9.8 s\)"),
         ([good[:, :251]], None, r"shape \(40, 251\); HumanML3D's have 263 numbers"),
         ([(good - good.mean(0)) / good.std(0)], None, "still standardised"),
+        (
+            [100 * good, 100 * good],
+            None,
+            "root's height is 94.9 in the typical motion, 0.918 in HumanML3D.*another unit",
+        ),
     )
     for motions, lengths, message in cases:
         with pytest.raises(GuoError, match=message):
@@ -273,6 +295,6 @@ def test_the_fingerprint_is_of_everything_that_numbers_depend_on(evaluator: GuoE
         others[3].fingerprint
     )
     kit = others[4]
-    assert kit.fps == Fraction(25, 2) and kit.embed_vectors([np.ones((24, 251), np.float32)]).shape == (1, 3)
-    with pytest.raises(GuoError, match="KIT's evaluator reads vectors of 21 joints"):
+    assert kit.fps == Fraction(25, 2) and kit.embed_vectors([np.full((24, 251), 560, np.float32)]).shape == (1, 3)
+    with pytest.raises(GuoError, match="KIT's evaluator reads 21"):
         kit.embed_motions(sample_set("mine", Fraction(25, 2), [walking(41, 0)] * 2, ["a", "b"]))

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +20,12 @@ from eval.tables.registry import TableRequest
 from eval.tables.text_motion_blocks import FLOOR, ORACLE, title_of
 from eval.text_motion import sources
 from motionkit.errors import MotionkitError, UsageError
-from motionkit.generation import GenerationRequest, SamplingOptions
+from motionkit.generation import GenerationRequest
 from motionkit.motion import Caption, Motion
-from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22
 from motionkit.store.writer import StoreWriter
 from motionkit.timegrid import TimeGrid
+from tests.scripted_model import PosesAt, ScriptedModel
 
 TAKES = 70
 TOP1, TOP3, FID, MM_DIST = (title_of(name) for name in ("r_precision_top1", "r_precision_top3", "fid", "mm_dist"))
@@ -44,7 +45,7 @@ def positions_at(times_seconds: np.ndarray, take: int, shake: float = 0.0) -> np
 class Shapes:
     """An evaluator that sees four numbers of a motion's mean pose; a sentence is the number of a take."""
 
-    name, fingerprint = "shapes", "1"
+    name, fingerprint, layout = "shapes", "1", "smpl22"
     fps: Fraction | None = None
 
     def embed_motions(self, samples: SampleSet) -> np.ndarray:
@@ -57,45 +58,14 @@ class Shapes:
         return np.stack(poses).reshape(len(captions), -1)[:, 3:7]
 
 
-class Field:
-    skeleton = SMPL22
-    start_seconds = 0.0
-
-    def __init__(self, take: int, end_seconds: float, shake: float) -> None:
-        self.take, self.end_seconds, self.shake = take, end_seconds, shake
-
-    def query(self, times_seconds: np.ndarray) -> Poses:
-        return Poses(positions_at(times_seconds, self.take, self.shake))
+def listens(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+    """The take that a caption names; motion i of a seed differs from motion j by a millimetre."""
+    return partial(positions_at, take=int(request.text), shake=0.001 * np.random.default_rng(chance).normal())
 
 
-class Model:
-    """Makes the take that its caption names, or always another one; motion i of a seed differs from motion j."""
-
-    name = "NeRM"
-    skeleton = SMPL22
-    max_training_fps = Fraction(60)
-    max_duration_seconds = 10.0
-
-    def __init__(self, listens: bool = True) -> None:
-        self.listens = listens
-        self.asked = 0
-
-    def generate(
-        self,
-        requests: Sequence[GenerationRequest],
-        *,
-        seed: int,
-        sampling: SamplingOptions = SamplingOptions(),
-        first: int = 0,
-    ) -> list[Field]:
-        self.asked += len(requests)
-        fields = []
-        for index, request in enumerate(requests):
-            rng = np.random.default_rng((seed, first + index))
-            take = int(request.text) if self.listens else 1000 + int(rng.integers(500))
-            assert request.duration_seconds is not None
-            fields.append(Field(take, request.duration_seconds, 0.001 * rng.normal()))
-        return fields
+def ignores(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+    """Always another take than the caption's."""
+    return partial(positions_at, take=1000 + int(np.random.default_rng(chance).integers(500)))
 
 
 @pytest.fixture(scope="module")
@@ -120,9 +90,9 @@ def run(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def models(run: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Model]:
+def models(run: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, ScriptedModel]:
     """`nano` listens to its captions, `nano-fixed` doesn't."""
-    made = {"nano": Model(), "nano-fixed": Model(listens=False)}
+    made = {"nano": ScriptedModel(listens), "nano-fixed": ScriptedModel(ignores)}
     monkeypatch.setattr(table1, "load_model", lambda name, folder: made[folder.name])
     monkeypatch.setattr(sources, "_native", lambda request: Shapes())
     return made
@@ -138,7 +108,7 @@ def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:
 
 
 def test_a_model_that_is_the_real_motion_scores_like_it(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, Model]
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     result = build(store, tmp_path / "results", run)
     rows = rows_of(result)
@@ -165,7 +135,7 @@ def test_a_model_that_is_the_real_motion_scores_like_it(
 
 
 def test_the_result_says_what_its_numbers_mean(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, Model]
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     result = build(store, tmp_path / "results", run, published="t2m")
     assert result.definition["protocol"]["name"] == "t2m"
@@ -185,7 +155,7 @@ def test_the_result_says_what_its_numbers_mean(
 
 
 def test_embeddings_are_kept_and_motions_are_not_generated_again(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, Model]
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     first = build(store, tmp_path / "results", run)
     assert models["nano"].asked == 70 + 13 * 30
@@ -200,7 +170,7 @@ def test_embeddings_are_kept_and_motions_are_not_generated_again(
 
 
 def test_fewer_motions_than_real_ones_are_a_random_choice(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, Model]
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     for published, reference in (("native", 70), ("momask", 32)):
         result = build(store, tmp_path / "results", run, max_motions=40, published=published)
@@ -210,7 +180,7 @@ def test_fewer_motions_than_real_ones_are_a_random_choice(
 
 
 def test_a_model_that_makes_less_crops_the_real_motions(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, Model]
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     models["nano"].max_duration_seconds = 3.0  # type: ignore[misc]
     result = build(store, tmp_path / "results", run)
@@ -218,16 +188,16 @@ def test_a_model_that_makes_less_crops_the_real_motions(
     assert result.definition["protocol"]["lengths"]["longest_seconds"] == 3.0
 
 
-def test_what_there_is_not_is_named(store: Path, tmp_path: Path, run: Path, models: dict[str, Model]) -> None:
+def test_what_there_is_not_is_named(store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]) -> None:
     result = build(store, tmp_path / "results", run.with_name("nowhere"))
     assert set(rows_of(result)) == {ORACLE, FLOOR, "real"}
     assert any("NeRM: there is no run" in line for line in result.missing)
     assert any("--set field.fixed_fps=20" in line for line in result.missing)
 
-    def refuse(*_: object, **__: object) -> list[Field]:
+    def refuse(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
         raise MotionkitError("this model was trained without texts")
 
-    models["nano"].generate = refuse  # type: ignore[method-assign]
+    models["nano"].script = refuse
     told = build(store, tmp_path / "results", run)
     assert "NeRM, shapes: this model was trained without texts" in told.missing
     assert "NeRM-fixed" in rows_of(told)
@@ -244,22 +214,19 @@ def test_what_there_is_not_is_named(store: Path, tmp_path: Path, run: Path, mode
     ],
 )
 def test_requests_that_mean_nothing(
-    changes: dict[str, object], message: str, store: Path, tmp_path: Path, run: Path, models: dict[str, Model]
+    changes: dict[str, object], message: str, store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     with pytest.raises(UsageError, match=message):
         build(store, tmp_path / "results", run, **changes)
 
 
 def test_broken_and_too_few_motions_are_told(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, Model], monkeypatch: pytest.MonkeyPatch
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(NoRealMotionError, match="31 captioned motions take part, but a text chooses among 32"):
         build(store, tmp_path / "results", run, where="sequence_id < 'take-031'")
 
-    def broken(self: Field, times_seconds: np.ndarray) -> Poses:
-        return Poses(np.full((len(times_seconds), 22, 3), np.nan, dtype=np.float32))
-
-    monkeypatch.setattr(Field, "query", broken)
+    models["nano"].script = lambda request, chance: lambda times: np.full((len(times), 22, 3), np.nan, np.float32)
     told = build(store, tmp_path / "results", run)
     assert "real" in rows_of(told) and "NeRM" not in rows_of(told)
     assert any("NeRM, shapes: sample set 'NeRM': sequence 'motion 0' holds NaN" in line for line in told.missing)
@@ -269,7 +236,7 @@ def test_the_command_passes_everything_on(
     store: Path,
     tmp_path: Path,
     run: Path,
-    models: dict[str, Model],
+    models: dict[str, ScriptedModel],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -296,7 +263,7 @@ def test_the_command_passes_everything_on(
 
 
 def test_an_evaluator_that_cannot_read_the_captions_leaves_the_others(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, Model], monkeypatch: pytest.MonkeyPatch
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Deaf(Shapes):
         name = "deaf"
@@ -316,7 +283,7 @@ def test_the_registry_knows_the_table() -> None:
     assert registry.find_table("nerm", "1") is table1.TABLE
 
 
-def test_samples_are_rows(store: Path, tmp_path: Path, run: Path, models: dict[str, Model]) -> None:
+def test_samples_are_rows(store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]) -> None:
     folder = tmp_path / "mine"
     folder.mkdir()
     lines = ["file,caption,group"]

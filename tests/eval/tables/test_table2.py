@@ -1,7 +1,7 @@
 """Table 2's rows: a model that is the real motion reaches the floor; one that is known at 20 fps does not."""
 
-from collections.abc import Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,12 @@ from eval.report.results import Result
 from eval.tables import clip_fid_column, table2
 from eval.tables.registry import TableRequest, find_table, installed_tables
 from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest, SamplingOptions
+from motionkit.generation import GenerationRequest
 from motionkit.motion import Caption, Motion
-from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22
 from motionkit.store.writer import StoreWriter
 from motionkit.timegrid import TimeGrid
+from tests.scripted_model import PosesAt, ScriptedModel
 
 FPS = (Fraction(20), Fraction(60))
 
@@ -35,29 +35,9 @@ def positions_at(times_seconds: np.ndarray, seed: int) -> np.ndarray:
     return (rest + 0.05 * np.sin(2 * np.pi * rate * time + phase) + path * time).astype(np.float32)
 
 
-class TruthField:
-    skeleton = SMPL22
-    start_seconds = 0.0
-
-    def __init__(self, seed: int, end_seconds: float) -> None:
-        self.seed, self.end_seconds = seed, end_seconds
-
-    def query(self, times_seconds: np.ndarray) -> Poses:
-        return Poses(positions_at(times_seconds, self.seed))
-
-
-class Truth:
+def truth(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
     """A model that knows every take by its caption."""
-
-    name = "NeRM"
-    skeleton = SMPL22
-    max_training_fps = Fraction(120)
-    max_duration_seconds = 10.0
-
-    def generate(
-        self, requests: Sequence[GenerationRequest], *, seed: int, sampling: SamplingOptions = SamplingOptions()
-    ) -> list[TruthField]:
-        return [TruthField(int(request.text), request.duration_seconds or 4.0) for request in requests]
+    return partial(positions_at, seed=int(request.text))
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +77,7 @@ def rows_of(result: Result) -> dict[str, dict[str, float]]:
 def test_a_model_that_is_the_real_motion_reaches_the_floor(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(table2, "load_model", lambda name, run: Truth())
+    monkeypatch.setattr(table2, "load_model", lambda name, run: ScriptedModel(truth))
     (tmp_path / "run").mkdir()
     result = build(store, tmp_path, run=tmp_path / "run")
     rows = rows_of(result)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,57 +24,36 @@ from motionkit.errors import UsageError
 from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.smpl import uestc
 from motionkit.formats.smpl.layouts import SMPL
-from motionkit.generation import GenerationRequest, SamplingOptions
+from motionkit.generation import GenerationRequest
 from motionkit.motion import Motion
-from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from motionkit.timegrid import TimeGrid
 from tests.acting import ACTIONS, acted, acted_at
+from tests.scripted_model import PosesAt, ScriptedModel
 
 EACH = 12
 FPS = Fraction(20)
 
 
-class Acting:
-    skeleton = SMPL22
-    start_seconds = 0.0
-
-    def __init__(self, action: str, seed: int, end_seconds: float) -> None:
-        self.action, self.seed, self.end_seconds = action, seed, end_seconds
-
-    def query(self, times_seconds: np.ndarray) -> Poses:
-        return Poses(acted_at(times_seconds, self.action, self.seed))
-
-
-class Actor:
+def actor(*, obeys: bool = True) -> ScriptedModel:
     """Does what it is told, or always the action after it."""
 
-    name = "NeRM"
-    skeleton = SMPL22
-    max_training_fps = FPS
-    max_duration_seconds = 2.0
+    def act(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+        # The store spells its actions in its own way; a model knows them as the store does.
+        place = [spelt(action) for action in ACTIONS].index(request.action) + (not obeys)
+        return partial(acted_at, action=ACTIONS[place % 3], seed=10_000 * (chance[0] + 1) + chance[1])
 
-    def __init__(self, obeys: bool = True) -> None:
-        self.obeys = obeys
+    return ScriptedModel(act, max_duration_seconds=2.0)
 
-    def generate(
-        self,
-        requests: Sequence[GenerationRequest],
-        *,
-        seed: int,
-        sampling: SamplingOptions = SamplingOptions(),
-        first: int = 0,
-    ) -> list[Acting]:
-        fields = []
-        for index, request in enumerate(requests):
-            if request.action not in ACTIONS:
-                raise UsageError(f"the model knows no action {request.action!r}")
-            action = request.action if self.obeys else ACTIONS[(ACTIONS.index(request.action) + 1) % 3]
-            assert request.duration_seconds is not None and request.duration_seconds <= 2.0
-            fields.append(Acting(action, 10_000 * (seed + 1) + first + index, request.duration_seconds))
-        return fields
+
+def knows_nothing(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+    raise UsageError(f"the model knows no action {request.action!r}")
+
+
+def spelt(action: str) -> str:
+    return action.replace(" ", "_").title()
 
 
 def write_store(path: Path, splits: Sequence[str] = ("train", "test")) -> Path:
@@ -81,7 +61,7 @@ def write_store(path: Path, splits: Sequence[str] = ("train", "test")) -> Path:
         for seed in range(EACH * 3 * len(splits)):
             action, frames = ACTIONS[seed % 3], 30 + 10 * (seed % 4)
             grid = TimeGrid(FPS, frames)
-            motion = Motion(acted(action, seed, frames), SMPL22, grid, action=action.replace(" ", "_").title())
+            motion = Motion(acted(action, seed, frames), SMPL22, grid, action=spelt(action))
             writer.add(replace(motion, split=splits[seed % len(splits)], sequence_id=f"{seed:03d}"))
         odd = Motion(acted("nod", 1, 40), SMPL22, TimeGrid(FPS, 40), action="yawn", split=splits[-1], sequence_id="odd")
         writer.add(odd)
@@ -97,14 +77,8 @@ def build(store: Path, folder: Path, **changes: object) -> Result:
     return table3.build_table3(replace(TableRequest(store=store, results=folder), **changes))  # type: ignore[arg-type]
 
 
-def with_model(monkeypatch: pytest.MonkeyPatch, folder: Path, model: Actor) -> Path:
-    class Told(Actor):
-        # The store spells its actions in its own way; a model knows them as the store does.
-        def generate(self, requests: Sequence[GenerationRequest], **options: object) -> list[Acting]:
-            told = [replace(each, action=each.action.replace("_", " ").lower()) for each in requests]
-            return model.generate(told, **options)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(table3, "load_model", lambda name, run: Told())
+def with_model(monkeypatch: pytest.MonkeyPatch, folder: Path, model: ScriptedModel) -> Path:
+    monkeypatch.setattr(table3, "load_model", lambda name, run: model)
     run = folder / "runs" / "nano"
     run.mkdir(parents=True)
     return run
@@ -117,7 +91,7 @@ def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:
 def test_a_model_that_obeys_scores_like_real_motion(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = with_model(monkeypatch, tmp_path, Actor())
+    run = with_model(monkeypatch, tmp_path, actor())
     result = build(store, tmp_path, run=run, published="native,a2m,actor", draws=2)
     for block in range(3):
         rows = rows_of(result, block)
@@ -144,8 +118,8 @@ def test_a_model_that_obeys_scores_like_real_motion(
 def test_a_model_that_does_something_else_is_found_out(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    honest = build(store, tmp_path / "a", run=with_model(monkeypatch, tmp_path / "a", Actor()))
-    result = build(store, tmp_path / "b", run=with_model(monkeypatch, tmp_path / "b", Actor(obeys=False)))
+    honest = build(store, tmp_path / "a", run=with_model(monkeypatch, tmp_path / "a", actor()))
+    result = build(store, tmp_path / "b", run=with_model(monkeypatch, tmp_path / "b", actor(obeys=False)))
     assert rows_of(result)["NeRM"]["Accuracy"] < 0.1
     # All actions are still there, each under another's name: FID cannot see it, MultiModality neither.
     assert rows_of(result)["NeRM"]["FID (test)"] == pytest.approx(rows_of(honest)["NeRM"]["FID (test)"], abs=3)
@@ -171,9 +145,8 @@ def test_samples_of_another_system_are_a_row(store: Path, tmp_path: Path) -> Non
 def test_what_cannot_be_scored_is_said(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = build(store, tmp_path, run=tmp_path / "nowhere")
     assert any("there is no run" in line for line in result.missing)
-    monkeypatch.setattr(table3, "load_model", lambda name, run: Actor())
-    (tmp_path / "run").mkdir()
-    assert any("the model knows no action" in line for line in build(store, tmp_path, run=tmp_path / "run").missing)
+    run = with_model(monkeypatch, tmp_path, ScriptedModel(knows_nothing))
+    assert any("the model knows no action" in line for line in build(store, tmp_path, run=run).missing)
     with pytest.raises(UsageError, match="no recogniser of actions 'best': linear, humanact12, cmu-mocap, uestc"):
         build(store, tmp_path, features=("best",))
     with pytest.raises(UsageError, match="one recogniser of actions at a time"):

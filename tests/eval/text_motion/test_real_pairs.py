@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.protocols.text_motion import LengthRule
+from eval.protocols.text_motion import LengthRule, find_text_motion_protocol
 from eval.real import NoRealMotionError
 from eval.text_motion.real_pairs import captioned_motions, limited, middle
 from motionkit.motion import Caption, Motion
@@ -59,7 +59,7 @@ def test_each_motion_is_the_stretch_of_its_first_caption(store: Store) -> None:
 def test_published_rules_leave_long_motions_out(store: Store) -> None:
     found = captioned_motions(store, "test", None, Fraction(20), LengthRule(1.0, 3.0, "left out"))
     assert found.samples.sequence_ids == ("plain", "part", "rest")
-    assert found.left_out["3 s or longer"] == 1
+    assert found.left_out["longer than 3 s"] == 1
 
 
 def test_a_model_that_makes_less_shortens_the_real_motions() -> None:
@@ -69,10 +69,20 @@ def test_a_model_that_makes_less_shortens_the_real_motions() -> None:
     assert limited(published, 1.5) == LengthRule(1.5, 1.5, "cropped")
 
 
+def test_published_lengths_are_those_of_the_loaders_at_either_framerate() -> None:
+    # Numbers of pose vectors, of which T poses have T − 1 (text-to-motion, data/dataset.py).
+    for fps, fewest, most in ((Fraction(20), 40, 199), (Fraction(25, 2), 24, 199)):
+        rule = find_text_motion_protocol("t2m").lengths_at(fps)
+        assert rule.most_frames(fps) - 1 == most
+        assert float(rule.shortest_seconds * fps) == pytest.approx(fewest)
+        # The longest that Guo's evaluators take whole.
+        assert find_text_motion_protocol("native").lengths_at(fps).most_frames(fps) - 1 == 196
+
+
 @pytest.mark.parametrize(("frames", "kept"), [(61, 61), (62, 61), (100, 61), (3, 3)])
 def test_the_middle_is_no_longer_than_asked(frames: int, kept: int) -> None:
     positions = np.arange(frames, dtype=np.float32)[:, None, None] * np.ones((1, 22, 3), dtype=np.float32)
-    found = middle(positions, Fraction(20), 3.0)
+    found = middle(positions, 61)
     assert len(found) == kept
     before, after = found[0, 0, 0], frames - 1 - found[-1, 0, 0]
     assert abs(before - after) <= 1

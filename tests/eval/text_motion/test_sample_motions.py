@@ -23,7 +23,7 @@ NATIVE, PAIRED = find_text_motion_protocol("native"), find_text_motion_protocol(
 class First:
     """An evaluator whose embedding of a motion is its first number, its length, and of a caption its tokens' length."""
 
-    name, fingerprint, fps = "first", "1", None
+    name, fingerprint, fps, layout = "first", "1", None, "smpl22"
 
     def embed_motions(self, samples: SampleSet) -> np.ndarray:
         return np.array([[float(sequence[0, 0, 0]), float(len(sequence))] for sequence in samples.sequences()])

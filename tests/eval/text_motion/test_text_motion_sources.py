@@ -18,7 +18,7 @@ from motionkit.motion import Caption
 class Loaded:
     """What `load_guo` would have loaded."""
 
-    name, fingerprint, fps = "guo", "1", None
+    name, fingerprint, fps, layout = "guo", "1", None, "smpl22"
 
     def __init__(self, files: GuoFiles) -> None:
         self.files = files
