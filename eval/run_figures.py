@@ -37,6 +37,7 @@ from eval.tables.registry import TableRequest
 from eval.tables.table2 import clip_fid_cell
 from eval.tables.table4 import VERSION as RECONSTRUCTION_VERSION
 from eval.tables.table4 import held_out_windows, training_windows
+from motionkit.checksums import sha256_of
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions, load_model
 from motionkit.motionfield import MotionField
@@ -255,8 +256,6 @@ def label(fps: Fraction) -> str:
 
 def _sha256(run: Path, stage: str) -> str:
     """The hash of a stage's model; raises `RunError` where the stage is not trained."""
-    from nerm.text.folder import file_sha256
-
     folder = RunFolder(run).stage(stage)
     folder.read_summary()
-    return file_sha256(folder.model_path)
+    return sha256_of(folder.model_path)

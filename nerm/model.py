@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Float32
 
+from motionkit.checksums import sha256_of
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest, SamplingOptions
 from motionkit.motionfield import MotionField
@@ -22,7 +23,6 @@ from nerm.denoiser.saved import load_denoiser
 from nerm.denoiser.trained import TrainedDenoiser
 from nerm.field.saved import load_field
 from nerm.text.encoders import TextEncoder, load_text_encoder
-from nerm.text.folder import file_sha256
 
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
 
@@ -171,7 +171,7 @@ def load(run: Path) -> NermModel:
     device = resolve_device("auto")
     denoiser, field = load_denoiser(folder, device), load_field(folder, str(device))
     field_path = folder.stage("field").model_path
-    if file_sha256(field_path) != denoiser.field_sha256:
+    if sha256_of(field_path) != denoiser.field_sha256:
         raise RunError(
             f"{field_path} is not the field whose latents the denoiser of {run} generates: train the denoiser again "
             f"(motionkit train --stage denoiser --run {run.name} --overwrite)"

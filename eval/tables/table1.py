@@ -24,6 +24,7 @@ from eval.text_motion.model_motions import ModelMotions
 from eval.text_motion.real_pairs import CaptionedMotions, captioned_motions, limited
 from eval.text_motion.sample_motions import sample_embeddings
 from eval.text_motion.sources import text_motion_evaluators
+from motionkit.checksums import sha256_of
 from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.generation import GenerativeModel, load_model
@@ -132,8 +133,6 @@ TABLE = Table("nerm", "1", "text-to-motion at 20 fps", build_table1)
 
 def _models(request: TableRequest, missing: list[str]) -> tuple[_Model, ...]:
     """NeRM and, where it is trained, NeRM-fixed: the run of the same name with `-fixed` after it."""
-    from nerm.text.folder import file_sha256
-
     if request.run is None:
         missing.append(f"{NERM}: no run was given (motionkit train makes one)")
         return ()
@@ -146,7 +145,7 @@ def _models(request: TableRequest, missing: list[str]) -> tuple[_Model, ...]:
         try:
             model = load_model("nerm", run)
             paths = {stage: RunFolder(run).stage(stage).model_path for stage in ("field", "denoiser")}
-            identity = {stage: file_sha256(path) for stage, path in paths.items()}
+            identity = {stage: sha256_of(path) for stage, path in paths.items()}
             found.append(_Model(name, run, model, identity))
         except MotionkitError as error:
             missing.append(f"{name}: {error}")

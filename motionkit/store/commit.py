@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from motionkit.checksums import sha256_of
 from motionkit.errors import StoreError
 from motionkit.store import files
 from motionkit.store.manifest import (
@@ -82,7 +83,7 @@ def publish(store: Path, manifest: Manifest) -> None:
 def _tidy(store: Path, manifest: Manifest) -> None:
     for name in TABLES:
         path = pending(store, name)
-        if name in manifest.files and path.exists() and files.sha256_of(path) == manifest.files[name].sha256:
+        if name in manifest.files and path.exists() and sha256_of(path) == manifest.files[name].sha256:
             files.replace(path, store / name)
     for name in (*TABLES, MANIFEST_FILE):
         pending(store, name).unlink(missing_ok=True)

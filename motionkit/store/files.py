@@ -1,8 +1,7 @@
-"""Files that appear whole or not at all, the writer's lock, checksums."""
+"""Files that appear whole or not at all, the writer's lock."""
 
 import errno
 import fcntl
-import hashlib
 import os
 import socket
 from collections.abc import Iterator
@@ -34,12 +33,6 @@ def replace(source: Path, target: Path) -> None:
     sync_file(source)
     source.replace(target)
     sync_folder(target.parent)
-
-
-def sha256_of(path: Path) -> str:
-    """Hex sha256 of a file's content, read in pieces."""
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 @contextmanager

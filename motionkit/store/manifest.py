@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import motionkit
+from motionkit.checksums import sha256_of
 from motionkit.errors import StoreError
 from motionkit.store import files
 from motionkit.store.schema import FORMAT_NAME, FORMAT_VERSION, MANIFEST_FILE, SEGMENTS_FOLDER, part_number
@@ -148,7 +149,7 @@ def commit_manifest(store: Path, manifest: Manifest) -> None:
 
 def describe_file(path: Path, num_rows: int) -> FileEntry:
     """The manifest's entry for a finished file."""
-    return FileEntry(files.sha256_of(path), path.stat().st_size, num_rows)
+    return FileEntry(sha256_of(path), path.stat().st_size, num_rows)
 
 
 def read_committed(store: Path, name: str, entry: FileEntry) -> bytes | None:

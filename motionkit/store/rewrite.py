@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Int
 
+from motionkit.checksums import sha256_of
 from motionkit.errors import StoreError, UsageError
-from motionkit.store import files
 from motionkit.store.commit import committed, require_present_version
 from motionkit.store.encode import EncodedMotion, encode
 from motionkit.store.manifest import Manifest, read_manifest
@@ -80,7 +80,7 @@ def _encoded(store: Store, indices: Int[np.ndarray, "chosen"]) -> Iterator[Encod
 
 def _require_intact(store: Store, name: str) -> None:
     path = store.path / name
-    if not path.is_file() or files.sha256_of(path) != store.manifest.files[name].sha256:
+    if not path.is_file() or sha256_of(path) != store.manifest.files[name].sha256:
         raise StoreError(
             f"{path} is missing or damaged: 'motionkit validate --store {store.path}' says what; restore it from a copy"
         )

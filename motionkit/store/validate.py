@@ -8,7 +8,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from motionkit.store import files
+from motionkit.checksums import sha256_of
 from motionkit.store.manifest import Manifest, read_committed, read_manifest
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
@@ -118,7 +118,7 @@ def _part_faults(path: Path, manifest: Manifest, name: str, sequences: pd.DataFr
     if not (path / name).exists():
         yield f"{name}: it is missing"
         return
-    if files.sha256_of(path / name) != entry.sha256:
+    if sha256_of(path / name) != entry.sha256:
         yield f"{name}: its sha256 is not the manifest's"
         return
     part = pq.ParquetFile(path / name)

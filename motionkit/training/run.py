@@ -15,6 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from motionkit.checksums import sha256_of
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.training.config import ConfigLike, flatten, to_plain
 
@@ -151,8 +152,6 @@ class RunFolder:
     def fingerprints(self, stages: Iterable[str]) -> dict[str, str]:
         """Hexadecimal sha256 of the trained results of those of the stages that have one."""
         paths = {name: self.stage(name).model_path for name in stages}
-        from motionkit.store.files import sha256_of  # loads pyarrow, which `--help` must not
-
         return {name: sha256_of(path) for name, path in paths.items() if path.is_file()}
 
 

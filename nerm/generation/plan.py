@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from motionkit.checksums import sha256_of
 from motionkit.errors import UsageError
 from motionkit.generation import ChecksRequests, GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.long_motions import OVERLAP_SECONDS, Script, generate_joined, is_joined, pieces_of
@@ -18,7 +19,6 @@ from motionkit.training.run import versions
 from nerm.generation.files import OUTPUTS, GeneratedSample, OutputFormat, motion_name, sample_field
 from nerm.generation.folder import FORMAT
 from nerm.generation.prompts import Prompt
-from nerm.text.folder import file_sha256
 
 # Motions whose latents are drawn in one batch; their poses are decoded and written one by one.
 MOTIONS_AT_ONCE = 64
@@ -91,7 +91,7 @@ class GenerationPlan:
             "format": FORMAT,
             "version": 1,
             "model": model.name,
-            "weights_sha256": {path.parent.name: file_sha256(path) for path in sorted(run.glob("*/model.safetensors"))},
+            "weights_sha256": {path.parent.name: sha256_of(path) for path in sorted(run.glob("*/model.safetensors"))},
             "seed": self.seed,
             "sampling": asdict(self.sampling),
             "file_format": self.output.name,

@@ -3,6 +3,7 @@
 import dataclasses
 import time
 
+from motionkit.checksums import sha256_of
 from motionkit.errors import UsageError
 from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
@@ -18,7 +19,6 @@ from nerm.latents.local import local_latents
 from nerm.recipes import NermConfig
 from nerm.settings.denoiser import DenoiserConfig
 from nerm.text.encoders import TextEncoder, load_text_encoder
-from nerm.text.folder import file_sha256
 
 
 def train_denoiser(context: StageContext, config: NermConfig) -> None:
@@ -56,7 +56,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         return
     trained = training.finished(
         text_fingerprint="" if encoder is None else encoder.fingerprint,
-        field_sha256=file_sha256(context.run.stage("field").model_path),
+        field_sha256=sha256_of(context.run.stage("field").model_path),
     )
     save_denoiser(context.run, trained)
     folder.finish(

