@@ -9,7 +9,7 @@ import typer
 from motionkit.console import print_json, stderr, stdout
 
 if TYPE_CHECKING:
-    from eval.demo import DemoOutcome
+    from eval.commands.demo_steps import DemoOutcome
 
 
 def demo(
@@ -25,7 +25,7 @@ def demo(
     """Do the whole job on an embedded corpus: ingest, train NeRM, generate, evaluate Table 2, draw it."""
     import sys
 
-    from eval.demo import FULL, SMALLEST, DemoFolder, run_demo
+    from eval.commands.demo_steps import FULL, SMALLEST, DemoFolder, run_demo
 
     # With --json, what the steps print is progress: stdout holds one document.
     with redirect_stdout(sys.stderr) if as_json else nullcontext():

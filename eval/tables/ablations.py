@@ -14,9 +14,9 @@ from typing import Any
 from eval.parts import Part
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.reported import SOURCES, Reported, reported_figures
-from eval.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
 from eval.tables.clip_fid_column import P1, P2
 from eval.tables.registry import Table, TableRequest
+from eval.tables.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
 from eval.tables.table2 import ROW_NOTES
 from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError

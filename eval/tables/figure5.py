@@ -3,9 +3,9 @@
 from fractions import Fraction
 
 from eval.report.results import Block, Cell, Result, Row, environment
-from eval.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
 from eval.tables.clip_fid_column import P1, P2
 from eval.tables.registry import Table, TableRequest
+from eval.tables.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
 from eval.tables.table2 import COLUMNS, ROW_NOTES
 from motionkit.errors import UsageError
 

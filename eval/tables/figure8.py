@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping
 from fractions import Fraction
 
 from eval.report.results import Block, Cell, Result, Row, environment
-from eval.run_figures import SYNTHESIS, Yardstick, label
 from eval.tables.clip_fid_column import P1, P2
 from eval.tables.registry import Table, TableRequest
+from eval.tables.run_figures import SYNTHESIS, Yardstick, label
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions, load_model
 from motionkit.motionfield import to_motion

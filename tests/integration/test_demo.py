@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from eval import demo as demo_module
+from eval.commands import demo_steps as demo_module
 from eval.commands.demo import demo
-from eval.demo import DemoFolder, DemoSize, run_demo
+from eval.commands.demo_steps import DemoFolder, DemoSize, run_demo
 from motionkit.errors import UsageError
 
 TINY = DemoSize(
