@@ -1,12 +1,16 @@
-"""What `--help` says of an option is printed as it is written: rich takes [words] in brackets for its markup."""
+"""What the command line says of itself: help texts as they are written, and the installed version."""
+
+from importlib.metadata import version
 
 import typer
 from rich.text import Text
+from typer.testing import CliRunner
 
 from motionkit.cli.app import build_app
 
 
 def test_no_help_text_is_read_as_markup() -> None:
+    """Rich takes [words] in brackets for its own and drops them."""
     app = typer.main.get_command(build_app())
     assert isinstance(app, typer.core.TyperGroup)
     texts = [
@@ -17,3 +21,8 @@ def test_no_help_text_is_read_as_markup() -> None:
     ]
     assert len(texts) > 50
     assert [told for told in texts if Text.from_markup(told[-1]).plain != told[-1]] == []
+
+
+def test_the_version_is_the_distributions() -> None:
+    result = CliRunner().invoke(build_app(), ["--version"], catch_exceptions=False)
+    assert (result.exit_code, result.stdout) == (0, f"motionkit {version('motionkit')}\n")

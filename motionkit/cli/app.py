@@ -6,10 +6,12 @@ holds it, so that `motionkit --help` stays light. Anybody's package can add a co
 
 import sys
 from importlib.metadata import entry_points
+from typing import Annotated
 
 import typer
 
-from motionkit.console import stderr
+import motionkit
+from motionkit.console import stderr, stdout
 from motionkit.errors import MotionkitError, UsageError
 
 
@@ -22,9 +24,26 @@ def build_app() -> typer.Typer:
         add_completion=False,
         pretty_exceptions_enable=False,
     )
+    app.callback()(_options)
     for entry in sorted(entry_points(group="motionkit.commands"), key=lambda entry: entry.name):
         app.command(name=entry.name)(entry.load())
     return app
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        stdout.print(f"motionkit {motionkit.__version__}", markup=False)
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", is_eager=True, callback=_print_version, help="Print motionkit's version."),
+    ] = False,
+) -> None:
+    # What `motionkit` takes without a command; all of it is done by the options' callbacks.
+    pass
 
 
 def main() -> None:

@@ -104,7 +104,8 @@ def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str])
     for override in overrides:
         key, _ = parse_override(override)
         if key not in known:
-            raise UsageError(f"{unknown_setting(key, known)}; recipe {recipe!r} has: {', '.join(known)}")
+            of = f" --stage {stages[0].name}" if len(stages) == 1 else ""
+            raise UsageError(f"{unknown_setting(key, known)}; 'motionkit recipe {recipe}{of}' lists all")
     return [
         apply_overrides(config, [override for override in overrides if parse_override(override)[0] in flatten(config)])
         for config in configs

@@ -65,6 +65,13 @@ def parse_override(override: str) -> tuple[str, str]:
     return key.strip(), text.strip()
 
 
+def setting_text(value: Any) -> str:
+    """A setting's value as `a.b=c` takes it: true, 20, 0.5, none, lists with commas."""
+    if isinstance(value, tuple):
+        return ",".join(map(setting_text, value))
+    return str(value).lower() if value is None or isinstance(value, bool) else str(value)
+
+
 def unknown_setting(key: str, known: Sequence[str]) -> str:
     """What to say of a key that is no setting: first those that may have been meant, of a hundred that there are."""
     of_that_name = [each for each in known if each.rpartition(".")[2] == key.rpartition(".")[2]]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.errors import UsageError
-from motionkit.training.config import apply_overrides, flatten, from_plain, to_plain
+from motionkit.training.config import apply_overrides, flatten, from_plain, setting_text, to_plain
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,26 @@ def test_a_wrong_override_is_refused_with_what_there_is(override: str, message: 
 )
 def test_plain_values_round_trip(config: Outer) -> None:
     assert from_plain(Outer, to_plain(config)) == config
+
+
+@given(
+    st.builds(
+        Outer,
+        st.text("abc_./ ", min_size=1).map(str.strip),
+        st.booleans(),
+        st.builds(
+            Inner,
+            st.integers(-(2**40), 2**40),
+            st.floats(allow_nan=False, allow_infinity=False),
+            st.sampled_from(["relu", "silu"]),
+            st.lists(st.integers(0, 9)).map(tuple),
+            st.none() | st.floats(allow_nan=False, allow_infinity=False),
+        ),
+    )
+)
+def test_what_is_told_of_settings_sets_them(config: Outer) -> None:
+    told = [f"{key}={setting_text(value)}" for key, value in flatten(config).items()]
+    assert apply_overrides(Outer(), told) == config
 
 
 def test_flat_keys_name_every_leaf() -> None:

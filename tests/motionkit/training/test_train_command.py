@@ -118,7 +118,7 @@ def test_what_a_stage_builds_on_may_change_while_the_command_runs(folder: Path) 
     [
         (
             ["--set", "third.steps=1"],
-            "no setting is called 'third.steps', perhaps first.steps or second.steps; recipe 'nano' has: first.steps, ",
+            "no setting is called 'third.steps', perhaps first.steps or second.steps; 'motionkit recipe nano' lists",
         ),
         (["--recipe", "huge"], "has no recipe 'huge'"),
         (["--stage", "third"], "no stage is called 'third'"),
