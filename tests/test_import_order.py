@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).parents[1]
-PACKAGES = ("motionkit", "nerm", "eval")
+PACKAGES = ("motionkit", "nerm", "pahires", "eval")
 LINT = "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports(no_cache=True, no_logo=True))"
 
 
@@ -23,7 +23,7 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """The three packages' modules and their contracts."""
+    """All packages' modules and their contracts."""
     for package in PACKAGES:
         ignored = shutil.ignore_patterns("__pycache__")
         shutil.copytree(REPOSITORY / package, tmp_path / package, ignore=ignored)
@@ -43,6 +43,7 @@ def test_imports_run_one_way() -> None:
         ("nerm/latents/knots.py", "import nerm.field.network", "data flows one way in nerm"),
         ("motionkit/timegrid.py", "import nerm", "the ground floor knows nobody above it"),
         ("eval/metrics/frechet.py", "import torch", "the corpus and the metrics never import torch"),
+        ("pahires/network.py", "import nerm", "data flows one way"),
         (
             "nerm/denoiser/diffusion.py",
             "import motionkit.cli.app",

@@ -10,8 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import roma
-import torch
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from motionkit import kinematics
@@ -19,6 +17,7 @@ from motionkit.clips import FrameVectors
 from motionkit.conditions import conjunction
 from motionkit.errors import UsageError
 from motionkit.features import field
+from motionkit.features.rotation_rows import closest_rotations, num_numbers, two_columns
 from motionkit.mirror import FLIP, TURN_BACK
 from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22, Skeleton
@@ -78,9 +77,7 @@ class RotationRows:
         half = -0.5 * yaw
         back = np.stack((np.cos(half), np.zeros_like(half), np.sin(half), np.zeros_like(half)), axis=-1)
         turned[..., 0, :] = kinematics.quaternion_multiply(back[:, None], turned[..., 0, :])
-        columns = kinematics.quaternion_to_matrix(turned)[..., :2].swapaxes(-1, -2)
-        numbers = columns.reshape(*root.shape[:-1], 6 * columns.shape[-3])
-        return np.concatenate((root, numbers), axis=-1).astype(np.float32)
+        return np.concatenate((root, two_columns(turned)), axis=-1).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,7 @@ class RotationVectors:
     @property
     def num_numbers(self) -> int:
         """3 + 6·J: 135 or 147."""
-        return 3 + 6 * self.skeleton.num_joints
+        return num_numbers(self.skeleton.num_joints)
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
@@ -127,9 +124,7 @@ class RotationVectors:
         seconds: Float64[np.ndarray, "times"],
     ) -> Poses:
         """The closest rotations to the two columns (Gram-Schmidt), and positions by forward kinematics."""
-        columns = torch.from_numpy(np.ascontiguousarray(vectors[:, 3:], dtype=np.float64))
-        matrices = roma.special_gramschmidt(columns.reshape(len(vectors), -1, 2, 3).transpose(-1, -2))
-        rotations = roma.quat_xyzw_to_wxyz(roma.rotmat_to_unitquat(matrices)).numpy().astype(np.float32)
+        rotations = kinematics.matrix_to_quaternion(closest_rotations(vectors[:, 3:])).astype(np.float32)
         root = np.ascontiguousarray(vectors[:, :3], dtype=np.float32)
         return Poses(kinematics.forward_kinematics(rotations, root, self.skeleton), rotations, root)
 

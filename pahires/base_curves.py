@@ -1,0 +1,135 @@
+"""Interpolation of observed frames in torch, batched: what a network's answer is added to.
+
+Hold, linear, Catmull-Rom and cubic (natural ends) are taken number by number; SLERP turns each joint on its great arc.
+Beyond both ends all go on at the end velocity, which dies away within `DAMPING_SECONDS`: a second at constant velocity
+ends metres from where people do.
+"""
+
+import roma
+import torch
+from jaxtyping import Float32, Int64
+
+from pahires.network import ObservedWindow
+from pahires.scaling import Scaling
+from pahires.settings import Base
+
+DAMPING_SECONDS = 0.2
+
+_Gaps = Float32[torch.Tensor, "batch segments 1"]
+_Slopes = Float32[torch.Tensor, "batch segments numbers"]
+_Rates = Float32[torch.Tensor, "batch frames numbers"]
+
+
+@torch.no_grad()
+def interpolated(
+    window: ObservedWindow, base: Base, scaling: Scaling
+) -> Float32[torch.Tensor, "batch queries numbers"]:
+    """Standardised rows at the queries by the interpolation `base`; one observed frame stays as it is."""
+    segment, fraction = located(window)
+    if window.frames.shape[1] == 1:
+        return window.frames.expand(-1, segment.shape[1], -1)
+    if base == "hold":
+        last = window.queries_seconds >= window.times_seconds[:, -1:]
+        return _rows(window.frames, torch.where(last, window.frames.shape[1] - 1, segment))
+    gaps = window.times_seconds.diff(dim=1)[..., None]
+    slopes = window.frames.diff(dim=1) / gaps
+    if base in ("linear", "slerp"):
+        ends = slopes[:, [0, -1]]
+        inside = (
+            torch.lerp(_rows(window.frames, segment), _rows(window.frames, segment + 1), fraction[..., None])
+            if base == "linear"
+            else _on_great_arcs(window.frames, segment, fraction, scaling)
+        )
+    else:
+        rates = _spline_rates(gaps, slopes) if base == "cubic" else _parabola_rates(gaps, slopes)
+        ends = rates[:, [0, -1]]
+        inside = _hermite(window.frames, rates, _rows(gaps, segment), segment, fraction)
+    return inside + _beyond(window, ends)
+
+
+def located(
+    window: ObservedWindow,
+) -> tuple[Int64[torch.Tensor, "batch queries"], Float32[torch.Tensor, "batch queries"]]:
+    """Of each query the segment between observed frames that it lies in, and the fraction of it, in [0, 1].
+
+    Queries beyond an end belong to the outermost segment, at its end.
+    """
+    times = window.times_seconds.contiguous()
+    segment = torch.searchsorted(times, window.queries_seconds.contiguous(), right=True) - 1
+    segment = segment.clamp(0, max(0, times.shape[1] - 2))
+    before, after = times.gather(1, segment), times.gather(1, (segment + 1).clamp(max=times.shape[1] - 1))
+    fraction = (window.queries_seconds - before) / (after - before).clamp(min=1e-9)
+    return segment, fraction.clamp(0.0, 1.0)
+
+
+def seconds_beyond(window: ObservedWindow) -> Float32[torch.Tensor, "batch queries"]:
+    """How far each query lies beyond the observed frames, signed: before them below 0."""
+    queries = window.queries_seconds
+    return queries - torch.minimum(torch.maximum(queries, window.times_seconds[:, :1]), window.times_seconds[:, -1:])
+
+
+def _rows(
+    values: Float32[torch.Tensor, "batch frames numbers"], index: Int64[torch.Tensor, "batch queries"]
+) -> Float32[torch.Tensor, "batch queries numbers"]:
+    return values.gather(1, index[..., None].expand(-1, -1, values.shape[2]))
+
+
+def _parabola_rates(gaps: _Gaps, slopes: _Slopes) -> _Rates:
+    """Catmull-Rom's rates at the frames (`motionkit.interpolation.values.knot_rates`)."""
+    inner = (gaps[:, 1:] * slopes[:, :-1] + gaps[:, :-1] * slopes[:, 1:]) / (gaps[:, 1:] + gaps[:, :-1])
+    return torch.cat((slopes[:, :1], inner, slopes[:, -1:]), dim=1)
+
+
+def _spline_rates(gaps: _Gaps, slopes: _Slopes) -> _Rates:
+    """The natural cubic spline's rates at the frames: continuous acceleration inside, none at the ends."""
+    inverse = 1.0 / gaps[..., 0]
+    off_diagonal = torch.diag_embed(inverse, 1) + torch.diag_embed(inverse, -1)
+    diagonal = torch.nn.functional.pad(inverse, (1, 0)) + torch.nn.functional.pad(inverse, (0, 1))
+    pull = 3.0 * slopes * inverse[..., None]
+    right = torch.nn.functional.pad(pull, (0, 0, 1, 0)) + torch.nn.functional.pad(pull, (0, 0, 0, 1))
+    rates: torch.Tensor = torch.linalg.solve(off_diagonal + torch.diag_embed(2.0 * diagonal), right)
+    return rates
+
+
+def _hermite(
+    frames: Float32[torch.Tensor, "batch frames numbers"],
+    rates: _Rates,
+    gap: Float32[torch.Tensor, "batch queries 1"],
+    segment: Int64[torch.Tensor, "batch queries"],
+    fraction: Float32[torch.Tensor, "batch queries"],
+) -> Float32[torch.Tensor, "batch queries numbers"]:
+    u = fraction[..., None]
+    v = 1.0 - u
+    return (
+        v * v * (1.0 + 2.0 * u) * _rows(frames, segment)
+        + u * u * (3.0 - 2.0 * u) * _rows(frames, segment + 1)
+        + gap * u * v * (v * _rows(rates, segment) - u * _rows(rates, segment + 1))
+    )
+
+
+def _on_great_arcs(
+    frames: Float32[torch.Tensor, "batch frames numbers"],
+    segment: Int64[torch.Tensor, "batch queries"],
+    fraction: Float32[torch.Tensor, "batch queries"],
+    scaling: Scaling,
+) -> Float32[torch.Tensor, "batch queries numbers"]:
+    rows = scaling.invert(frames)
+    root = torch.lerp(_rows(rows[..., :3], segment), _rows(rows[..., :3], segment + 1), fraction[..., None])
+    # Rows are joint, column, axis; roma's matrices have columns last.
+    joints = (rows.shape[-1] - 3) // 6
+    columns = rows[..., 3:].reshape(*rows.shape[:-1], joints, 2, 3).transpose(-1, -2)
+    matrices = roma.special_gramschmidt(columns)
+    turns = roma.rotmat_to_rotvec(matrices[:, :-1].transpose(-1, -2) @ matrices[:, 1:])
+    turn = _rows(turns.flatten(2), segment).reshape(*segment.shape, joints, 3)
+    start = _rows(matrices.flatten(2), segment).reshape(*segment.shape, joints, 3, 3)
+    between = start @ roma.rotvec_to_rotmat(fraction[..., None, None] * turn)
+    turned = between[..., :2].transpose(-1, -2).flatten(2)
+    return scaling.apply(torch.cat((root, turned), dim=-1))
+
+
+def _beyond(
+    window: ObservedWindow, end_rates: Float32[torch.Tensor, "batch 2 numbers"]
+) -> Float32[torch.Tensor, "batch queries numbers"]:
+    beyond = seconds_beyond(window)[..., None]
+    reach = DAMPING_SECONDS * (1.0 - torch.exp(-beyond.abs() / DAMPING_SECONDS))
+    return torch.where(beyond < 0, -reach * end_rates[:, :1], reach * end_rates[:, 1:])

@@ -1,0 +1,109 @@
+"""How any temporal network is trained: corpus and framerate, tasks, form of the answer, optimiser."""
+
+import dataclasses
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Literal
+
+from motionkit.timegrid import parse_fps
+from motionkit.training.config import Precision
+
+Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic"]
+# What becomes of a network's answer: the poses themselves; a correction of the interpolation; a correction that
+# vanishes at observed frames, which then stay as they are.
+Form = Literal["plain", "residual", "exact"]
+
+
+@dataclass(frozen=True)
+class TaskSettings:
+    """What is observed of a training window, in frames of the table's framerate.
+
+    A step has one task, drawn by the shares. `interpolate`: `num_frames` frames, every s-th with s ~
+    U(`smallest_factor`, `largest_factor`), whole or not (paper §4.1). `gap`: up to `past_frames` frames, a gap of
+    `shortest_gap` to `longest_gap`, up to `future_frames` frames; every other such step has all the past and one future
+    frame, as the LaFAN1 benchmark. `scattered`: random frames of a span. `extend`: frames up to `longest_reach` beyond
+    either end.
+    """
+
+    interpolate: float = 1.0
+    gap: float = 0.0
+    scattered: float = 0.0
+    extend: float = 0.0
+    num_frames: int = 16
+    smallest_factor: float = 1.0
+    largest_factor: float = 4.0
+    past_frames: int = 10
+    future_frames: int = 10
+    shortest_gap: int = 5
+    longest_gap: int = 45
+    longest_reach: int = 30
+    num_queries: int = 16
+
+    def __post_init__(self) -> None:
+        if min(self.shares) < 0 or sum(self.shares) <= 0:
+            raise ValueError(f"the tasks' shares are 0 or more and not all 0, not {self.shares}")
+        if not 1 <= self.smallest_factor <= self.largest_factor:
+            raise ValueError(f"factors go from 1 on upwards, not from {self.smallest_factor} to {self.largest_factor}")
+        if not 1 <= self.shortest_gap <= self.longest_gap:
+            raise ValueError(f"gaps go from 1 frame on upwards, not from {self.shortest_gap} to {self.longest_gap}")
+        for name in ("num_frames", "num_queries", "past_frames", "future_frames", "longest_reach"):
+            if getattr(self, name) < 2:
+                raise ValueError(f"{name} is 2 at least, not {getattr(self, name)}")
+
+    @property
+    def shares(self) -> tuple[float, float, float, float]:
+        """Shares of the four tasks, in the order of their names here."""
+        return self.interpolate, self.gap, self.scattered, self.extend
+
+
+@dataclass(frozen=True)
+class TemporalSettings:
+    """Training of a temporal network, the same for PA-HiRes and all peers.
+
+    `fps`: the table's framerate; of a take at k·fps every k-th frame is used, from a random one of the first k on, and
+    takes of other framerates are left out. With `finer` a window of such a take has one of the framerates from `fps` up
+    to its own, so that what lies between the table's frames is learnt where it was captured. `layout` is `smpl22`, or
+    `native` for a corpus of one skeleton. `form` and `base`: see `pahires.prediction`. Loss: MSE + `velocity_weight` ·
+    MSE of differences between neighbouring frames (Eq. 8 to 10, as means); where it is `balanced`, a task's is divided
+    by that of the interpolation, so that gaps do not drown the rest. Schedule `steps` multiplies the rate by
+    `rate_drop` every `drop_every` share of the steps.
+    """
+
+    where: str = "split = 'train'"
+    fps: str = "30"
+    finer: bool = False
+    layout: Literal["smpl22", "native"] = "smpl22"
+    tasks: TaskSettings = dataclasses.field(default_factory=TaskSettings)
+    form: Form = "plain"
+    base: Base = "slerp"
+    correction_scale: float = 0.1
+    velocity_weight: float = 0.5
+    balanced: bool = False
+    mirrored: bool = True
+    steps: int | None = 2000
+    epochs: int | None = None
+    batch: int = 64
+    rate: float = 1e-3
+    schedule: Literal["constant", "cosine", "steps"] = "cosine"
+    rate_drop: float = 0.5
+    drop_every: float = 0.2
+    rate_warmup_fraction: float = 0.02
+    ema_decay: float = 0.0
+    precision: Precision = "float32"
+
+    def __post_init__(self) -> None:
+        if (self.steps is None) == (self.epochs is None):
+            raise ValueError(f"exactly one of steps and epochs must be given, not {self.steps} and {self.epochs}")
+        for name in ("steps", "epochs", "batch", "rate", "correction_scale", "drop_every"):
+            if (value := getattr(self, name)) is not None and not value > 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        if not self.velocity_weight >= 0:
+            raise ValueError(f"velocity_weight is 0 or more, not {self.velocity_weight}")
+        if not 0 <= self.ema_decay < 1:
+            raise ValueError(f"ema_decay lies in [0, 1), not {self.ema_decay}")
+        parse_fps(self.fps)
+
+    @property
+    def framerate(self) -> Fraction:
+        """The table's framerate, exactly."""
+        return parse_fps(self.fps)

@@ -1,0 +1,122 @@
+"""The training of any temporal network: one loop, one loss, one corpus, whatever the network (Eq. 8 to 10)."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+
+from motionkit.training.precision import autocast
+from motionkit.training.schedule import WeightAverage, rate_factor, scale_rates
+from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from pahires.base_curves import interpolated
+from pahires.prediction import Predictor
+from pahires.settings import TemporalSettings
+from pahires.tasks import TASKS, Task
+from pahires.windows import WINDOWS_PER_DRAW, TrainingBatch, WindowSampler
+
+_DRAWS_TO_BALANCE = 4
+
+
+class TemporalTraining:
+    """A network with its optimiser: what `train_loop` steps."""
+
+    def __init__(
+        self,
+        network: torch.nn.Module,
+        sampler: WindowSampler,
+        *,
+        seed: int,
+        device: torch.device,
+    ) -> None:
+        self.sampler, self.settings, self.device = sampler, sampler.settings, device
+        self.network = network.to(device)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x5CA1E,)))
+        self.scaling = sampler.measure(rng)
+        self.task_weights = self._task_weights(rng)
+        settings = self.settings
+        # What a network meets when it is made is standardised rows of the corpus; see `pahires.scaling`.
+        self.predictor = Predictor(
+            network, self.scaling.to(device), settings.form, settings.base, settings.correction_scale
+        )
+        self.optimizer = torch.optim.Adam([{"params": list(network.parameters()), "base_lr": settings.rate}])
+        self.average = WeightAverage(network, settings.ema_decay) if settings.ema_decay else None
+        self.steps = num_steps(settings, sampler)
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+        """One step on a batch of one task."""
+        settings = self.settings
+        rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
+        batch = self.sampler.batch(rng, self.scaling)
+        with autocast(settings.precision, self.device):
+            predicted = self.predictor(batch.window.to(self.device))
+        figures = losses(predicted, batch.targets.to(self.device))
+        loss = (figures["mse"] + settings.velocity_weight * figures["velocity"]) * self.task_weights[batch.task]
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        scale_rates(self.optimizer, self._factor(step))
+        self.optimizer.step()
+        if self.average is not None:
+            self.average.update(self.network, step)
+        return {"loss": loss, **figures}
+
+    def trained_tensors(self) -> dict[str, torch.Tensor]:
+        """The weights to keep: their average where there is one."""
+        return self.network.state_dict() if self.average is None else self.average.tensors()
+
+    def state_tensors(self) -> dict[str, torch.Tensor]:
+        """Weights, moments and averages."""
+        average = {} if self.average is None else prefixed("average", self.average.tensors())
+        return (
+            prefixed("network", self.network.state_dict())
+            | prefixed("optimizer", optimizer_tensors(self.optimizer))
+            | average
+        )
+
+    def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Go back to a state."""
+        self.network.load_state_dict(unprefixed("network", tensors))
+        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+        if self.average is not None:
+            self.average.load(unprefixed("average", tensors))
+
+    def _factor(self, step: int) -> float:
+        settings = self.settings
+        if settings.schedule != "steps":
+            return rate_factor(
+                step, self.steps, schedule=settings.schedule, warmup_fraction=settings.rate_warmup_fraction
+            )
+        return float(settings.rate_drop ** int(step / (settings.drop_every * self.steps)))
+
+    def _task_weights(self, rng: np.random.Generator) -> dict[Task, float]:
+        """1, or where tasks are `balanced` what makes the interpolation's loss 1 for each of them."""
+        if not self.settings.balanced:
+            return dict.fromkeys(TASKS, 1.0)
+        weights: dict[Task, float] = {}
+        for task, share in zip(TASKS, self.settings.tasks.shares, strict=True):
+            if share > 0:
+                raw = [self.sampler.draw(rng, task, WINDOWS_PER_DRAW) for _ in range(_DRAWS_TO_BALANCE)]
+                found = [self._interpolation_loss(self.sampler.standardised(each, task, self.scaling)) for each in raw]
+                weights[task] = 1.0 / max(1e-9, float(np.mean(found)))
+        return weights
+
+    def _interpolation_loss(self, batch: TrainingBatch) -> float:
+        figures = losses(interpolated(batch.window, self.settings.base, self.scaling), batch.targets)
+        return float(figures["mse"] + self.settings.velocity_weight * figures["velocity"])
+
+
+def losses(
+    predicted: Float32[torch.Tensor, "batch queries numbers"], targets: Float32[torch.Tensor, "batch queries numbers"]
+) -> dict[str, torch.Tensor]:
+    """Mean squared errors of standardised rows (Eq. 8) and of their differences from frame to frame (Eq. 9)."""
+    error = predicted - targets
+    return {"mse": error.square().mean(), "velocity": error.diff(dim=1).square().mean()}
+
+
+def num_steps(settings: TemporalSettings, sampler: WindowSampler) -> int:
+    """Training steps: `steps`, or epochs in which every second of the corpus is the start of a window once."""
+    if settings.steps is not None:
+        return settings.steps
+    assert settings.epochs is not None
+    seconds = float(sampler.takes.num_frames.sum()) / float(settings.framerate)
+    return max(1, int(np.ceil(settings.epochs * seconds / settings.batch)))

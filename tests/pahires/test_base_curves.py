@@ -1,0 +1,105 @@
+"""Interpolation in torch against the reference in numpy, and the forms of a network's answer."""
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.features.rotation_rows import poses_of, rows_of_poses
+from motionkit.interpolation.rotations import rotation_curve
+from motionkit.interpolation.values import curve
+from motionkit.motionfield import Poses
+from motionkit.skeleton import SMPL22
+from pahires.base_curves import interpolated, located, seconds_beyond
+from pahires.network import ObservedWindow
+from pahires.prediction import Predictor, gate
+from pahires.scaling import Scaling
+from pahires.settings import Base
+from tests.nerm.corpus import analytic_positions
+
+TIMES = np.array([0.0, 0.1, 0.15, 0.4, 0.45, 0.7])
+QUERIES = np.linspace(0.0, 0.7, 29)
+BASES: tuple[Base, ...] = ("hold", "linear", "slerp", "catmull-rom", "cubic")
+
+
+def rows_at(times: np.ndarray) -> np.ndarray:
+    return rows_of_poses(Poses(analytic_positions(times, 1)), SMPL22).vectors
+
+
+def asked(times: np.ndarray, queries: np.ndarray, scaling: Scaling) -> ObservedWindow:
+    return ObservedWindow(
+        scaling.apply(torch.from_numpy(rows_at(times)[None])),
+        torch.from_numpy(times[None].astype(np.float32)),
+        torch.from_numpy(queries[None].astype(np.float32)),
+        torch.full((1,), 1 / 30),
+    )
+
+
+@pytest.fixture
+def scaling() -> Scaling:
+    rng = np.random.default_rng(0)
+    mean, scale = rng.normal(size=135), rng.uniform(0.1, 2.0, 135)
+    return Scaling(torch.from_numpy(mean.astype(np.float32)), torch.from_numpy(scale.astype(np.float32)))
+
+
+@pytest.mark.parametrize("base", ["linear", "catmull-rom"])
+def test_curves_are_those_of_the_reference(base: Base, scaling: Scaling) -> None:
+    found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), base, scaling))[0].numpy()
+    np.testing.assert_allclose(found, curve(base, TIMES, rows_at(TIMES))(QUERIES), atol=2e-5)  # type: ignore[arg-type]
+
+
+def test_the_cubic_is_the_natural_spline(scaling: Scaling) -> None:
+    from scipy.interpolate import CubicSpline
+
+    found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), "cubic", scaling))[0].numpy()
+    np.testing.assert_allclose(found, CubicSpline(TIMES, rows_at(TIMES), bc_type="natural")(QUERIES), atol=5e-5)
+
+
+def test_slerp_turns_every_joint_on_its_great_arc(scaling: Scaling) -> None:
+    found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), "slerp", scaling))[0].numpy()
+    given = rows_of_poses(Poses(analytic_positions(TIMES, 1)), SMPL22)
+    rotations = given.poses().local_rotations
+    assert rotations is not None
+    expected = rotation_curve("slerp", TIMES, rotations.astype(np.float64))(QUERIES)
+    made = poses_of(found, given.bones[:1], SMPL22).local_rotations
+    assert made is not None
+    np.testing.assert_allclose(np.abs(np.sum(made * expected, axis=-1)), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_observed_frames_are_kept_and_ends_come_to_rest(base: Base, scaling: Scaling) -> None:
+    window = asked(TIMES, np.concatenate((TIMES, [-5.0, -6.0, 5.0, 6.0])), scaling)
+    found = interpolated(window, base, scaling)[0]
+    torch.testing.assert_close(found[:6], window.frames[0], atol=2e-5, rtol=1e-5)
+    torch.testing.assert_close(found[6], found[7])
+    torch.testing.assert_close(found[8], found[9])
+
+
+@pytest.mark.parametrize("base", BASES)
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_and_two_frames_are_enough(base: Base, count: int, scaling: Scaling) -> None:
+    found = interpolated(asked(TIMES[:count], QUERIES, scaling), base, scaling)
+    assert found.shape == (1, 29, 135) and torch.isfinite(found).all()
+    if count == 1:
+        torch.testing.assert_close(found[0, 5], found[0, 20])
+
+
+def test_queries_find_their_segment_and_what_lies_beyond(scaling: Scaling) -> None:
+    window = asked(TIMES, np.array([-0.2, 0.0, 0.05, 0.15, 0.7, 0.8]), scaling)
+    segment, fraction = located(window)
+    assert segment[0].tolist() == [0, 0, 0, 2, 4, 4]
+    assert fraction[0].tolist() == pytest.approx([0, 0, 0.5, 0, 1, 1], abs=1e-6)
+    assert seconds_beyond(window)[0].tolist() == pytest.approx([-0.2, 0, 0, 0, 0, 0.1], abs=1e-6)
+    assert gate(window)[0, [1, 3, 4], 0].abs().max() < 1e-5 and gate(window)[0, 2, 0] == pytest.approx(1.0)
+
+
+def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
+    window = asked(TIMES, QUERIES, scaling)
+    answer = torch.ones(1, len(QUERIES), 135)
+
+    def made(form: str) -> torch.Tensor:
+        return Predictor(lambda _: answer, scaling, form, "slerp", 0.1)(window)  # type: ignore[arg-type]
+
+    curve_alone = interpolated(window, "slerp", scaling)
+    torch.testing.assert_close(made("plain"), answer)
+    torch.testing.assert_close(made("residual"), curve_alone + 0.1)
+    torch.testing.assert_close(made("exact"), curve_alone + 0.1 * gate(window))
