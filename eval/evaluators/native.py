@@ -19,7 +19,7 @@ from jaxtyping import Float, Float32, Float64
 from torch import Tensor
 
 from eval.evaluators.native_config import NativeConfig
-from eval.evaluators.native_input import MIN_POSES, NUM_JOINTS, centre, rich_input
+from eval.evaluators.native_input import MIN_POSES, NUM_JOINTS, prepare, rich_input, standardised
 from eval.evaluators.native_network import TARGETS, NativeNetwork, TextProjection
 from motionkit.errors import MotionkitError
 from motionkit.training.config import from_plain
@@ -27,19 +27,23 @@ from motionkit.training.run import RunFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, unprefixed
 from nerm.text.encoders import TextEncoder, load_text_encoder
 
-VERSION = "native/1"
+VERSION = "native/2"
 STAGE_NAME = "evaluator"
 CLIPS_AT_ONCE = 256
 
 
 @dataclass(frozen=True, eq=False)
 class NativeEvaluator:
-    """A trained evaluator; `description` is the header of its file (settings, store fingerprint, framerates …)."""
+    """A trained evaluator: networks, statistics of inputs (`mean`, `scale`) and of embeddings (`whitening`).
+
+    `description` is the header of its file (settings, store fingerprint, framerates …).
+    """
 
     network: NativeNetwork
     text: TextProjection
     mean: Float32[Tensor, "channels"]
     scale: Float32[Tensor, "channels"]
+    whitening: Float32[Tensor, "features features"]
     description: dict[str, Any]
 
     @property
@@ -56,7 +60,8 @@ class NativeEvaluator:
     def fingerprint(self) -> str:
         """First 16 hex digits of the sha256 over version, settings, weights and statistics."""
         digest = hashlib.sha256(json.dumps(self.description, sort_keys=True).encode())
-        tensors = {"mean": self.mean, "scale": self.scale} | self.network.state_dict() | self.text.state_dict()
+        statistics = {"mean": self.mean, "scale": self.scale, "whitening": self.whitening}
+        tensors = statistics | self.network.state_dict() | self.text.state_dict()
         for name in sorted(tensors):
             digest.update(name.encode() + np.ascontiguousarray(tensors[name].numpy(), dtype="<f4").tobytes())
         return digest.hexdigest()[:16]
@@ -64,11 +69,12 @@ class NativeEvaluator:
     def describe(
         self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
     ) -> Float64[np.ndarray, "clips features"]:
-        """One embedding per clip, in order: joint positions of the 22 joints of SMPL22 in metres, y up.
+        """One whitened embedding per clip, in order: positions of the 22 joints of SMPL22 in metres, y up.
 
-        Raises `ValueError` for another number of joints or fewer than 8 poses.
+        Clean motion varies about equally in all directions (`native_whitening`). Raises `ValueError` for another number
+        of joints or fewer than 8 poses.
         """
-        return self._each(clips, fps, lambda embeddings: embeddings)
+        return self._each(clips, fps, lambda embeddings: embeddings @ self.whitening)
 
     def embed_motions(
         self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
@@ -118,8 +124,8 @@ class NativeEvaluator:
         with torch.inference_mode():
             # One empty batch at least, so that no clips give no rows of the right width.
             for start in range(0, max(len(clips), 1), CLIPS_AT_ONCE):
-                some = centre(clips[start : start + CLIPS_AT_ONCE].astype(np.float64)).astype(np.float32)
-                inputs = (rich_input(torch.from_numpy(some), float(fps)) - self.mean) * self.scale
+                some = torch.from_numpy(prepare(clips[start : start + CLIPS_AT_ONCE], float(fps)))
+                inputs = standardised(rich_input(some, float(fps)), self.mean, self.scale)
                 rows.append(head(self.network(inputs)).double().numpy())
         return np.concatenate(rows)
 
@@ -142,9 +148,8 @@ def load_native(run: Path) -> NativeEvaluator:
     text = TextProjection(int(description["text_dimension"]), config.network)
     network.load_state_dict(unprefixed("network", tensors))
     text.load_state_dict(unprefixed("text", tensors))
-    return NativeEvaluator(
-        network.eval(), text.eval(), tensors["statistics.mean"], tensors["statistics.scale"], description
-    )
+    mean, scale, whitening = (tensors[f"statistics.{name}"] for name in ("mean", "scale", "whitening"))
+    return NativeEvaluator(network.eval(), text.eval(), mean, scale, whitening, description)
 
 
 def describe_training(

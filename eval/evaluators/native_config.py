@@ -19,7 +19,9 @@ class NativeTrainingConfig:
     """What a step sees and how much each task counts.
 
     A step draws one framerate from `framerates` (those that the store reaches) and one m, a multiple of 4 in
-    `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are. `bank_seconds` bounds the motion that is
+    `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are. Input statistics
+    are those of `statistics_batches` batches; the embedding's scale is that of `whitening_batches` batches of clean
+    clips at every framerate. `bank_seconds` bounds the motion that is
     held in memory per framerate, `where` chooses the store's sequences. `text_encoder` is "" (no text) or a name that
     `nerm.text.encoders` knows.
     """
@@ -39,12 +41,15 @@ class NativeTrainingConfig:
     text_temperature: float = 0.1
     text_encoder: str = "minilm"
     statistics_batches: int = 24
+    whitening_batches: int = 8
     bank_seconds: float = 1200.0
     where: str = "split NOT IN ('val', 'test')"
 
     def __post_init__(self) -> None:
         if not 8 <= self.min_poses <= self.max_poses or self.min_poses % 4 or self.max_poses % 4:
             raise ValueError("min_poses and max_poses must be multiples of 4 with 8 <= min_poses <= max_poses")
+        if self.whitening_batches < 1:
+            raise ValueError("whitening_batches must be at least 1")
         if not 0 <= self.clean_fraction < 1:
             raise ValueError("clean_fraction must lie in [0, 1)")
 
@@ -65,7 +70,9 @@ def nano() -> NativeConfig:
 def demo() -> NativeConfig:
     """Two cores, well under a minute: enough to see every family, not to quote."""
     config = NativeConfig()
-    return replace(config, training=replace(config.training, steps=250, batch_size=96, statistics_batches=12))
+    return replace(
+        config, training=replace(config.training, steps=250, batch_size=96, statistics_batches=12, whitening_batches=4)
+    )
 
 
 def base() -> NativeConfig:

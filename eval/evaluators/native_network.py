@@ -1,8 +1,8 @@
 """The native-rate evaluator's network: Guo et al.'s movement and motion encoders, made small (evaluator of clips).
 
 Two convolutions of kernel 4 and stride 2, a bidirectional GRU, one embedding; from it linear heads for the strength of
-every kind of damage and the framerate, and a projection into a space shared with sentences.
-Architecture after text-to-motion (networks/modules.py), on framerate-free inputs.
+every kind of damage, and a projection into a space shared with sentences.
+Architecture after text-to-motion (networks/modules.py), on inputs per second.
 """
 
 import torch
@@ -12,12 +12,12 @@ from torch import Tensor, nn
 from eval.evaluators.native_config import NativeNetworkConfig
 from eval.evaluators.native_input import NUM_CHANNELS
 
-TARGETS = ("upsampling", "foot-sliding", "jitter", "low-pass", "framerate")
-"""What the heads regress: log strengths of damage, and the logarithm of the framerate."""
+TARGETS = ("upsampling", "foot-sliding", "jitter", "low-pass")
+"""What the heads regress: log strengths of damage."""
 
 
 class NativeNetwork(nn.Module):
-    """Clips' standardised rich inputs [B, m, 228] → embeddings [B, D]."""
+    """Clips' standardised rich inputs [B, m, 229] → embeddings [B, D]."""
 
     def __init__(self, config: NativeNetworkConfig) -> None:
         super().__init__()

@@ -17,6 +17,7 @@ LAYOUT = "smpl22"
 def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     """Train the evaluator; writes RUN/evaluator/model.safetensors, which `load_native` reads."""
     import numpy as np
+    import torch
 
     from eval.evaluators.native import STAGE_NAME, describe_training
     from eval.evaluators.native_bank import build_banks
@@ -49,7 +50,7 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     reached = [bank.fps for bank in banks]
     save_tensors(
         folder.model_path,
-        trainable.model_tensors(),
+        trainable.model_tensors() | {"statistics.whitening": torch.from_numpy(trainable.whitening(context.seed))},
         describe_training(to_plain(config), store.fingerprint, reached, encoder),
     )
     folder.finish(

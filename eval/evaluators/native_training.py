@@ -1,9 +1,9 @@
 """How the native-rate evaluator learns: from damage whose strength is known, and from captions.
 
 A step takes clips of one framerate and one length, spoils most of them with one family of `eval.corruptions` at a
-random strength, and lets the embedding tell by linear heads how much of what was done, and at which framerate it was
-sampled. Clips left clean are matched with their captions (InfoNCE); pairs with the same caption are no negatives.
-Classifying the kind of damage saturates at its mildest level (measured), so its log strength is regressed.
+random strength, and lets the embedding tell by linear heads how much of what was done. Clips left clean are matched
+with their captions (InfoNCE); pairs with the same caption are no negatives. Classifying the kind of damage saturates at
+its mildest level (measured), so its log strength is regressed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,8 +17,9 @@ from torch import Tensor
 from eval.corruptions import Family, families
 from eval.evaluators.native_bank import ClipBank, DrawnClips
 from eval.evaluators.native_config import NativeConfig
-from eval.evaluators.native_input import centre, rich_input
+from eval.evaluators.native_input import prepare, rich_input, standardised
 from eval.evaluators.native_network import TARGETS, NativeNetwork, TextProjection
+from eval.evaluators.native_whitening import shrunk_whitening
 from motionkit.motion import Caption
 from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.schedule import rate_factor, set_rate
@@ -31,8 +32,6 @@ TARGET_OF_FAMILY: Mapping[str, int] = {
     "jitter": TARGETS.index("jitter"),
     "low-pass": TARGETS.index("low-pass"),
 }
-FRAMERATE = TARGETS.index("framerate")
-REFERENCE_FPS = 60.0
 MARGIN_SECONDS = 0.3
 
 
@@ -98,7 +97,7 @@ def spoil(
 ) -> SpoiledClips:
     """Spoil all but the first `num_clean` clips, families in turn, strengths at random; then cut the margins off.
 
-    Positions become relative to the clip's first root, so that single precision is enough for accelerations.
+    What is left is made ready for the network's input (`native_input.prepare`).
     """
     spoiled = clips.copy()
     targets = np.zeros((len(clips), len(TARGETS)))
@@ -107,9 +106,8 @@ def spoil(
         strength = family.draw(rng, fps, len(rows))
         spoiled[rows] = family.corrupt(clips[rows], fps, strength, rng)
         targets[rows, TARGET_OF_FAMILY[family.name]] = family.severity(strength, fps)
-    targets[:, FRAMERATE] = np.log(fps / REFERENCE_FPS)
     cut = spoiled[:, margin : spoiled.shape[1] - margin]
-    return SpoiledClips(centre(cut).astype(np.float32), targets.astype(np.float32), num_clean)
+    return SpoiledClips(prepare(cut, fps), targets.astype(np.float32), num_clean)
 
 
 def matching_loss(
@@ -164,12 +162,22 @@ class NativeTraining:
         self.optimizer.step()
         return {"loss": loss, "strength": strength, "matching": matching}
 
+    def whitening(self, seed: int) -> Float32[np.ndarray, "features features"]:
+        """Scale of the embeddings, from clean clips of every framerate and of all lengths."""
+        rng = np.random.default_rng((seed, 2))
+        by_framerate = []
+        with torch.inference_mode():
+            for bank in self.banks:
+                rows = [self._embed_clean(bank, rng) for _ in range(self.config.training.whitening_batches)]
+                by_framerate.append(np.concatenate(rows))
+        return shrunk_whitening(by_framerate)
+
     def state_tensors(self) -> dict[str, Tensor]:
         """Networks, statistics, optimiser."""
         return self.model_tensors() | prefixed("optimizer", optimizer_tensors(self.optimizer))
 
     def model_tensors(self) -> dict[str, Tensor]:
-        """What `eval.evaluators.native.load_native` reads: networks and statistics."""
+        """What `eval.evaluators.native.load_native` reads besides the whitening: networks and statistics of inputs."""
         networks = prefixed("network", self.network.state_dict()) | prefixed("text", self.text.state_dict())
         return networks | {"statistics.mean": self.mean, "statistics.scale": self.scale}
 
@@ -184,17 +192,30 @@ class NativeTraining:
     def _batch(self, rng: np.random.Generator) -> tuple[SpoiledClips, DrawnClips, float]:
         training = self.config.training
         bank = self.banks[int(rng.integers(len(self.banks)))]
-        longest = min(training.max_poses, int(bank.num_frames.max()) // 4 * 4)
-        num_poses = 4 * int(rng.integers(training.min_poses // 4, longest // 4 + 1))
+        num_poses = self._draw_length(bank, rng)
         fps = float(bank.fps)
         margin = int(np.ceil(MARGIN_SECONDS * fps))
         drawn = bank.draw(rng, training.batch_size, num_poses, margin)
         num_clean = round(training.clean_fraction * training.batch_size)
         return spoil(drawn.positions, fps, margin, num_clean, self.damage, rng), drawn, fps
 
+    def _draw_length(self, bank: ClipBank, rng: np.random.Generator) -> int:
+        """Poses of a batch's clips: a multiple of 4 that some sequence of the bank holds."""
+        training = self.config.training
+        longest = min(training.max_poses, int(bank.num_frames.max()) // 4 * 4)
+        return 4 * int(rng.integers(training.min_poses // 4, longest // 4 + 1))
+
+    def _embed_clean(self, bank: ClipBank, rng: np.random.Generator) -> Float32[np.ndarray, "clips features"]:
+        drawn = bank.draw(rng, self.config.training.batch_size, self._draw_length(bank, rng))
+        fps = float(bank.fps)
+        embeddings: Float32[np.ndarray, "clips features"] = (
+            self.network(self._inputs(prepare(drawn.positions, fps), fps)).cpu().numpy()
+        )
+        return embeddings
+
     def _inputs(self, positions: Float32[np.ndarray, "clips poses 22 3"], fps: float) -> Tensor:
         raw = rich_input(torch.from_numpy(positions).to(self.device), fps)
-        return (raw - self.mean) * self.scale
+        return standardised(raw, self.mean, self.scale)
 
     def _matching(
         self, embeddings: Float[Tensor, "clips features"], num_clean: int, drawn: DrawnClips, rng: np.random.Generator

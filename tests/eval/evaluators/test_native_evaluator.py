@@ -59,7 +59,13 @@ def motion(index: int, fps: int, split: str = "train") -> Motion:
 TINY = NativeConfig(
     network=NativeNetworkConfig(convolution=16, recurrent=8, embedding=12, shared=5, text_hidden=8),
     training=NativeTrainingConfig(
-        steps=5, batch_size=12, framerates=(20.0, 60.0), max_poses=24, statistics_batches=2, text_encoder="minilm"
+        steps=5,
+        batch_size=12,
+        framerates=(20.0, 60.0),
+        max_poses=24,
+        statistics_batches=2,
+        whitening_batches=4,
+        text_encoder="minilm",
     ),
 )
 
@@ -145,6 +151,16 @@ def test_what_it_was_trained_on_travels_with_it(evaluator: NativeEvaluator, stor
     assert summary["sequences"] == 5 and summary["sentences"] == 3
 
 
+def test_clean_training_clips_have_a_common_scale(evaluator: NativeEvaluator, store: Path) -> None:
+    training_takes = [swinging(2 * fps, fps, seed)[:24] for seed, fps in ((0, 120), (1, 60), (2, 60))]
+    whitening = evaluator.whitening.double().numpy()
+    variances = np.linalg.eigvalsh(np.linalg.inv(whitening @ whitening))
+    # C + c: no direction has less than c, and their mean is 2·c.
+    assert variances.min() == pytest.approx(variances.mean() / 2, rel=0.1)
+    described = evaluator.describe(np.stack(training_takes), Fraction(60))
+    assert np.linalg.norm(described[0] - described[1]) > 1e-3
+
+
 def test_another_text_encoder_is_refused(evaluator: NativeEvaluator, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(HashEncoder, "fingerprint", "0" * 64)
     with pytest.raises(MotionkitError, match="is not the one"):
@@ -181,9 +197,9 @@ def test_training_is_deterministic_by_seed_and_resumes_exactly(
 def test_a_file_of_another_version_is_refused(run: Path, tmp_path: Path) -> None:
     folder = RunFolder(tmp_path).stage("evaluator")
     tensors, description = load_tensors(RunFolder(run).stage("evaluator").model_path)
-    save_tensors(folder.model_path, tensors, {**description, "version": "native/0"})
+    save_tensors(folder.model_path, tensors, {**description, "version": "native/1"})
     folder.finish({})
-    with pytest.raises(CheckpointError, match="native/0"):
+    with pytest.raises(CheckpointError, match=r"'native/1', expected 'native/2': train it again \(motionkit train"):
         load_native(tmp_path)
 
 
@@ -205,7 +221,9 @@ def test_the_stage_is_registered_with_recipes_of_every_size() -> None:
     assert torch.get_default_dtype() == torch.float32
 
 
-@pytest.mark.parametrize("field", [{"min_poses": 6}, {"max_poses": 30}, {"clean_fraction": 1.0}])
+@pytest.mark.parametrize(
+    "field", [{"min_poses": 6}, {"max_poses": 30}, {"clean_fraction": 1.0}, {"whitening_batches": 0}]
+)
 def test_settings_that_make_no_sense_are_refused(field: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=r"min_poses|clean_fraction"):
+    with pytest.raises(ValueError, match=r"min_poses|clean_fraction|whitening"):
         NativeTrainingConfig(**field)  # type: ignore[arg-type]

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from eval.corruptions import families, jitter, slide, translate, turn
 from eval.evaluators.native_bank import Takes, build_bank, build_banks
-from eval.evaluators.native_input import NUM_CHANNELS, rich_input
-from eval.evaluators.native_network import TARGETS
+from eval.evaluators.native_input import NUM_CHANNELS, prepare, rich_input, standardised
 from eval.evaluators.native_training import collect_sentences, matching_loss, spoil
 from motionkit.errors import UsageError
 from motionkit.motion import Caption
@@ -53,6 +52,8 @@ def test_input_ignores_where_and_which_way(yaw: float, x: float, z: float, fps: 
 def test_input_means_the_same_at_every_framerate() -> None:
     slow, fast = as_input(walking(31, 60.0)[None], 60.0), as_input(walking(61, 120.0)[None], 120.0)[:, ::2]
     inner = slice(4, -4)
+    assert np.allclose(fast[..., -1] - slow[..., -1], np.log(2.0))
+    slow, fast = slow[..., :-1], fast[..., :-1]
     # Forward differences of the slower clip look further ahead: they agree to first order.
     assert np.abs(slow[:, inner] - fast[:, inner]).max() < 0.35
     assert np.abs(slow[:, inner, :64] - fast[:, inner, :64]).max() < 1e-6
@@ -68,8 +69,19 @@ def test_input_of_static_and_degenerate_bodies_is_finite(positions: np.ndarray) 
 def test_slip_channels_see_sliding_of_a_standing_body() -> None:
     standing = np.repeat(walking(1, 60.0)[None], 32, axis=1)
     slid = slide(standing, 60.0, 0.05, np.random.default_rng(0))
-    difference = as_input(slid, 60.0)[..., -2:] - as_input(standing, 60.0)[..., -2:]
+    difference = as_input(slid, 60.0)[..., -3:-1] - as_input(standing, 60.0)[..., -3:-1]
     assert np.allclose(difference, np.log(0.055 / 0.005), atol=0.01)
+
+
+def test_a_glitch_is_held_within_five_deviations() -> None:
+    glitched = walking(32, 60.0)[None].copy()
+    glitched[0, 16, 20] += 30.0
+    raw = torch.from_numpy(as_input(glitched, 60.0))
+    mean, scale = raw.mean(dim=(0, 1)), torch.full((NUM_CHANNELS,), 2.0, dtype=torch.float64)
+    seen = standardised(raw, mean, scale)
+    plain = (raw - mean) * scale
+    assert plain.abs().max() > 1000 and seen.abs().max() == 5.0
+    assert torch.equal(seen[plain.abs() < 5], plain[plain.abs() < 5])
 
 
 def test_a_bank_holds_only_sequences_that_reach_the_framerate() -> None:
@@ -109,10 +121,8 @@ def test_spoiled_clips_carry_the_strength_that_was_done_to_them() -> None:
     clips = np.stack([walking(60, 60.0, seed) for seed in range(22)]).astype(np.float64)
     batch = spoil(clips, 60.0, 10, 7, families(), np.random.default_rng(0))
     assert batch.positions.shape == (22, 40, 22, 3) and batch.positions.dtype == np.float32
-    damage = batch.targets[:, : TARGETS.index("framerate")]
-    assert np.all(damage[:7] == 0) and np.all((damage[7:] > 0).sum(axis=1) == 1)
-    kept = clips[:7, 10:-10] - clips[:7, 10:11, :1] * np.array([1.0, 0.0, 1.0])
-    assert np.allclose(batch.positions[:7], kept, atol=1e-6)
+    assert np.all(batch.targets[:7] == 0) and np.all((batch.targets[7:] > 0).sum(axis=1) == 1)
+    assert np.array_equal(batch.positions[:7], prepare(clips[:7, 10:-10], 60.0))
     assert not np.allclose(np.diff(batch.positions[7:], axis=1), np.diff(clips[7:, 10:-10], axis=1), atol=1e-5)
 
 

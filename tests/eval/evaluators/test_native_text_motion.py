@@ -28,6 +28,7 @@ def evaluator() -> NativeTextMotion:
         TextProjection(3, SMALL).eval(),
         torch.zeros(NUM_CHANNELS),
         torch.full((NUM_CHANNELS,), 0.2),
+        torch.eye(SMALL.embedding),
         describe_training({}, "0" * 64, [Fraction(20)], None),
     )
     return NativeTextMotion(native)
