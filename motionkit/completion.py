@@ -1,5 +1,6 @@
 """Motions completed: more frames between, gaps filled, the ends continued. Written once, for any `MotionEncoder`."""
 
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -77,22 +78,70 @@ def complete(
     remedy. The grid is that of the motion's first frame. Raises `ValueError` for negative seconds or where no frame is
     observed.
     """
+    completion = begin(
+        motion, encoder, fps=fps, observed=observed, before_seconds=before_seconds, after_seconds=after_seconds
+    )
+    return completion.motion(0, completion.grid.num_frames).annotated_like(motion)
+
+
+@dataclass(frozen=True, eq=False)
+class Completion:
+    """A motion that is encoded and can be sampled, whole or in pieces: memory is bounded by the piece.
+
+    `known_frames` are the observed frames of the motion given. Frame `given_rows[i]` of `grid` is its frame
+    `given_frames[i]`; all ascend.
+    """
+
+    motion_given: Motion
+    known_frames: Int[np.ndarray, "known"]
+    field: MotionField
+    grid: TimeGrid
+    given_rows: Int[np.ndarray, "given"]
+    given_frames: Int[np.ndarray, "given"]
+
+    def seconds(self, start: int, stop: int) -> Float64[np.ndarray, "frames"]:
+        """Times of frames [start, stop) of the grid."""
+        rows = np.arange(start, stop, dtype=np.float64)
+        return np.asarray(self.grid.start_seconds + rows * self.grid.fps.denominator / self.grid.fps.numerator)
+
+    def motion(self, start: int, stop: int) -> Motion:
+        """Frames [start, stop) of the completed motion, with their own times; raises `ValueError` for none."""
+        if not 0 <= start < stop <= self.grid.num_frames:
+            raise ValueError(f"frames [{start}, {stop}) do not lie inside the completed {self.grid.num_frames}")
+        times = self.seconds(start, stop)
+        poses = self.field.query(np.clip(times, self.field.start_seconds, self.field.end_seconds))
+        here = slice(*np.searchsorted(self.given_rows, (start, stop)).tolist())
+        given = Poses.of(self.motion_given).rows(self.given_frames[here])
+        grid = TimeGrid(self.grid.fps, stop - start, float(times[0]))
+        return _with_given(poses, self.given_rows[here] - start, given).at(grid, self.motion_given.skeleton)
+
+
+def begin(
+    motion: Motion,
+    encoder: MotionEncoder,
+    *,
+    fps: Fraction | None = None,
+    observed: Bool[np.ndarray, "frames"] | None = None,
+    before_seconds: float = 0.0,
+    after_seconds: float = 0.0,
+) -> Completion:
+    """What `complete` samples, for motions that are written while they are made; raises what `complete` raises."""
     fps = motion.fps if fps is None else fps
     if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
         raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
     observation = Observation.of(motion, observed)
     grid = _grid(motion, fps, before_seconds, after_seconds)
-    times = grid.seconds()
+    last_second = grid.start_seconds + grid.span_seconds
     field = encoder.encode(
         observation,
-        before_seconds=max(0.0, observation.start_seconds - float(times[0])),
-        after_seconds=max(0.0, float(times[-1]) - observation.end_seconds),
+        before_seconds=max(0.0, observation.start_seconds - grid.start_seconds),
+        after_seconds=max(0.0, last_second - observation.end_seconds),
     )
-    poses = told_fps(field, fps).query(np.clip(times, field.start_seconds, field.end_seconds))
     new, given = _shared_frames(motion, grid, before_seconds)
     if observed is not None:
         new, given = new[observed[given]], given[observed[given]]
-    return _with_given(poses, new, Poses.of(motion).rows(given)).at(grid, motion.skeleton).annotated_like(motion)
+    known = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
+    return Completion(motion, known, told_fps(field, fps), grid, new, given)
 
 
 def observed_errors(field: MotionField, observation: Observation) -> Float64[np.ndarray, "frames joints"]:

@@ -5,11 +5,9 @@ they are listed; position channels replace the joint's OFFSET. Source: M. Meredi
 Formats Explained", University of Sheffield CS-01-11, 2001.
 """
 
-import re
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -20,29 +18,19 @@ from motionkit.errors import FormatError
 from motionkit.formats import body_frame, clock, number_table, sourcefile
 from motionkit.formats.bvh import channels as bvh_channels
 from motionkit.formats.bvh.channels import ChannelPose
-from motionkit.formats.bvh.hierarchy import BvhHierarchy, parse_hierarchy
+from motionkit.formats.bvh.text import split_text, stated_fps
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.joint_channels import joint_channels
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import Skeleton
 from motionkit.skeleton_families import with_layout_map
-from motionkit.timegrid import TimeGrid, parse_fps
+from motionkit.timegrid import TimeGrid
 
 # Bones that change by less are noise of printed digits; a bone that changes by more is not rigid.
 RIGID_METRES = 1e-3
 # The log line by which readers of whole data sets know that frames count from one later.
 T_POSE_DROPPED = "frame 0 dropped: a T-pose (root unturned, all angles whole degrees, root where frame 1 is)"
 WRITTEN_DECIMALS = 6
-
-
-@dataclass(frozen=True)
-class _File:
-    hierarchy: BvhHierarchy
-    num_frames: int
-    frame_time: str
-    frame_time_line: int
-    body: bytes
-    body_line: int
 
 
 def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
@@ -54,9 +42,8 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
     """
     options = options or ReadOptions()
     data = sourcefile.read_bytes(path)
-    # Lines of old Macintoshes end in a carriage return alone.
-    file = _split(data if b"\n" in data else data.replace(b"\r", b"\n"), path)
-    fps, operations = clock.fps_in_use(options.fps, lambda: _stated_fps(file, path))
+    file = split_text(data, path)
+    fps, operations = clock.fps_in_use(options.fps, lambda: stated_fps(file, path))
     table = number_table.parse_table(
         file.body,
         num_rows=file.num_frames,
@@ -119,94 +106,6 @@ def _unit(pose: ChannelPose, options: ReadOptions, path: Path) -> tuple[float, s
             reason="unit",
         )
     return unit.metres, unit.reason
-
-
-def _split(data: bytes, path: Path) -> _File:
-    head = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
-    if not head[:9].upper().startswith(b"HIERARCHY"):
-        raise FormatError(
-            f"looks like {sourcefile.describe_content(data)}, expected a BVH file that begins with HIERARCHY",
-            path=path,
-            reason="not-what-it-says",
-            line=1,
-        )
-    motion = re.search(rb"(?m)^[ \t]*MOTION[ \t]*\r?$", data)
-    if motion is None:
-        hierarchy = parse_hierarchy(sourcefile.decode(data, path), path)
-        raise FormatError(
-            f"the file ends after the hierarchy of {len(hierarchy.joints)} joints, expected MOTION",
-            path=path,
-            reason="truncated",
-            line=data.count(b"\n") + 1,
-        )
-    hierarchy = parse_hierarchy(sourcefile.decode(data[: motion.start()], path), path)
-    if not hierarchy.num_channels:
-        raise FormatError("no joint has CHANNELS, so nothing moves", path=path, reason="channels")
-    position, frames, frame_time, frame_time_line = motion.end(), "", "", 0
-    while not (frames and frame_time):
-        end = data.find(b"\n", position)
-        end = len(data) if end < 0 else end
-        line = data.count(b"\n", 0, position) + 1
-        words = sourcefile.decode(data[position:end], path).strip()
-        key, colon, value = words.partition(":")
-        if words:
-            match " ".join(key.lower().split()) if colon else "":
-                case "frames":
-                    frames = value.strip()
-                case "frame time":
-                    frame_time, frame_time_line = value.strip(), line
-                case _:
-                    missing = "Frame Time: seconds" if frames else "Frames: count"
-                    raise FormatError(
-                        f"{words[:40]!r} where '{missing}' was expected",
-                        path=path,
-                        reason="frame-time" if frames else "frame-count",
-                        line=line,
-                    )
-        if end == len(data) and not (frames and frame_time):
-            raise FormatError(
-                "the file ends before its first frame, expected 'Frames:' and 'Frame Time:'",
-                path=path,
-                reason="truncated",
-                line=line,
-            )
-        position = end + 1
-    body_line = data.count(b"\n", 0, min(position, len(data))) + 1
-    return _File(
-        hierarchy, _num_frames(frames, path, body_line), frame_time, frame_time_line, data[position:], body_line
-    )
-
-
-def _num_frames(stated: str, path: Path, body_line: int) -> int:
-    if not (stated.isascii() and stated.isdecimal() and len(stated) < 12):
-        raise FormatError(
-            f"'Frames: {stated[:40]}', expected a whole number", path=path, reason="frame-count", line=body_line
-        )
-    if int(stated) == 0:
-        raise FormatError("0 frames, expected at least one", path=path, reason="no-frames", line=body_line)
-    return int(stated)
-
-
-def _stated_fps(file: _File, path: Path) -> Fraction:
-    try:
-        return _fps_of(file.frame_time)
-    except (ValueError, OverflowError) as error:
-        raise FormatError(
-            f"'Frame Time: {file.frame_time[:40]}' is not a usable time between frames in seconds ({error}); "
-            "correct it, or give the framerate",
-            path=path,
-            reason="frame-time",
-            line=file.frame_time_line,
-        ) from None
-
-
-@lru_cache(maxsize=256)
-def _fps_of(frame_time: str) -> Fraction:
-    # The few frame times of a corpus come back in all of its files.
-    seconds = float(frame_time)
-    if not seconds > 0:
-        raise ValueError("it must be positive")
-    return parse_fps(1.0 / seconds)
 
 
 def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:

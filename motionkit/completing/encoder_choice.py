@@ -1,0 +1,87 @@
+"""Which encoder completes: the one that is asked for, else a trained PA-HiRes, else the best interpolator."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from motionkit.anchoring import Anchored
+from motionkit.encoders import load_encoder, runs_with, trained_encoder_names
+from motionkit.errors import UsageError
+from motionkit.interpolation.fields import INTERPOLATORS
+from motionkit.motionfield import MotionEncoder
+from motionkit.skeleton import Skeleton
+from motionkit.skeleton_map import SkeletonMapError
+from motionkit.skeleton_transfer import Transferred, counterpart_joints
+
+PREFERRED = "pahires"
+# Of all interpolators the one with the smallest errors on captures (docs/complete.md); its acceleration is continuous.
+BASE = INTERPOLATORS["rotation-cubic"]
+ALIASES = {"spline": "rotation-cubic"}
+
+
+@dataclass(frozen=True)
+class ChosenEncoder:
+    """An encoder under the name by which people know it; `explanation` says why this one and how to have another.
+
+    A trained one knows the 22 joints only. `longest_gap_seconds` is how far apart the frames were that it has learnt
+    from, where it says so.
+    """
+
+    name: str
+    encoder: MotionEncoder
+    is_trained: bool
+    explanation: str
+
+    @property
+    def longest_gap_seconds(self) -> float | None:
+        """Longest time without a frame in its training, None where it does not say."""
+        seconds = getattr(self.encoder, "longest_gap_seconds", None)
+        return float(seconds) if isinstance(seconds, int | float) else None
+
+    def for_skeleton(self, skeleton: Skeleton) -> tuple[MotionEncoder, str]:
+        """The encoder to use on a skeleton; and if that is another, because this one does not know it, why."""
+        if not self.is_trained:
+            return self.encoder, ""
+        try:
+            counterpart_joints(skeleton)
+        except SkeletonMapError as error:
+            return BASE, f"{self.name} does not know its skeleton, {BASE.name} is used: {error}"
+        return Transferred(Anchored(self.encoder), BASE), ""
+
+
+def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncoder:
+    """The encoder of a name, an interpolator or a trained one of a run; raises `UsageError` where there is none.
+
+    Without a name it is a trained PA-HiRes, of the run or of the one trained last, or else an interpolator.
+    """
+    name = ALIASES.get(name, name) if name else name
+    if name in INTERPOLATORS:
+        if run is not None:
+            raise UsageError(f"--model {name} is an interpolator, which no run holds: leave --run out")
+        return ChosenEncoder(name, load_encoder(name, runs), False, f"{name}, an interpolator")
+    if name is None and run is None and not (PREFERRED in trained_encoder_names() and runs_with(PREFERRED, runs)):
+        return ChosenEncoder(
+            BASE.name,
+            BASE,
+            False,
+            f"{BASE.name}, an interpolator, for no run in {runs} has a trained {PREFERRED}: "
+            f"motionkit train --stage {PREFERRED} trains one",
+        )
+    return _trained(name or PREFERRED, run, runs)
+
+
+def _trained(name: str, run: str | None, runs: Path) -> ChosenEncoder:
+    if name not in trained_encoder_names():
+        load_encoder(name, runs)  # raises, naming those that there are
+    if run is None:
+        found = runs_with(name, runs)
+        if not found:
+            raise UsageError(
+                f"no run in {runs} has a stage {name!r} that is complete: motionkit train --stage {name}, or name the "
+                "run with --run"
+            )
+        place = found[-1]
+    else:
+        # A path where it is one, else a name in the folder of all runs, as everywhere.
+        place = Path(run) if Path(run).is_dir() and not (runs / run).is_dir() else runs / run
+    encoder = load_encoder(name, place)
+    return ChosenEncoder(name, encoder, True, f"{encoder.name}, trained in {place}")

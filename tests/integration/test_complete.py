@@ -1,0 +1,206 @@
+"""`motionkit complete`, file to file: every kind of clip, what is made of it, and what is said when nothing can be."""
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Outcome
+
+from motionkit.features import humanml3d
+from motionkit.features.humanml3d_processing import process
+from motionkit.formats.arrays.joints_npy import read_joints_npy
+from motionkit.formats.arrays.npz import motion_arrays, read_npz, write_npz
+from motionkit.formats.bvh.document import read_document
+from motionkit.formats.bvh.motion import read_bvh, write_bvh
+from motionkit.motion import Caption, Motion
+from motionkit.motionfield import to_motion
+from motionkit.store import StoreWriter
+from motionkit.synthetic import make_body, perform
+
+Run = Callable[..., Outcome]
+PAGE = Path(__file__).parents[2] / "docs" / "complete.md"
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    """Two seconds of a walk at 30 fps, with rotations."""
+    performance = perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0)
+    walked = to_motion(performance, Fraction(30)).frames(0, 60)
+    return replace(walked, sequence_id="walk", captions=(Caption("a person walks"),))
+
+
+@pytest.fixture
+def walk(tmp_path: Path, motion: Motion) -> Path:
+    write_bvh(motion, tmp_path / "walk.bvh")
+    return tmp_path / "walk.bvh"
+
+
+def test_bvh_at_four_times_the_framerate(motionkit: Run, walk: Path) -> None:
+    outcome = motionkit("complete", walk, "--fps", "120", "--runs", walk.parent / "none")
+    assert outcome.code == 0
+    made = walk.with_name("walk.completed.bvh")
+    assert outcome.stdout.split() == [str(made)]
+    assert "rotation-cubic" in outcome.stderr and "train --stage pahires" in outcome.stderr
+    before, after = read_document(walk), read_document(made)
+    assert after.lines[::4] == before.lines and after.motion.fps == 120
+    assert len(after.lines) == 4 * (len(before.lines) - 1) + 1
+    again = motionkit("complete", walk, "--fps", "120")
+    assert again.code == 1 and "--overwrite" in again.stderr and again.stdout == ""
+    assert motionkit("complete", walk, "--fps", "90", "--overwrite").code == 0
+    assert read_bvh(made).fps == 90
+
+
+def test_the_page_of_the_docs_is_right_about_python(walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(walk.parent)
+    names: dict[str, Any] = {}
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    exec(code, names)
+    assert names["motion"].num_frames == 4 * 59 + 1 + 24
+
+
+def test_gaps_and_ends_with_json_and_a_page(motionkit: Run, walk: Path, motion: Motion) -> None:
+    last = motion.num_frames
+    out = walk.parent / "new" / "made.bvh"
+    outcome = motionkit(
+        *("complete", walk, "--keep", f"0:10,40:{last}", "--extend", "0.2,6f", "--fps", "60000/1001", "--json"),
+        *("--out", out, "--compare", "slerp,spline", "--model", "squad"),
+    )
+    assert outcome.code == 0
+    report = json.loads(outcome.stdout)
+    (clip,) = report["clips"]
+    assert report["encoder"] == clip["encoder"] == "squad" and report["failed"] == []
+    assert clip["completed_fps"] == "60000/1001" and clip["longest_gap_seconds"] == pytest.approx(31 / 30)
+    made = read_bvh(out)
+    assert made.num_frames == clip["num_completed_frames"] == clip["num_given_frames"] + clip["num_made_frames"]
+    assert made.num_frames == int(0.2 * 59.94) + int(59.94 * ((last - 1) / 30 + 0.2)) + 1
+    page = out.with_suffix(".html").read_text(encoding="utf-8")
+    data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)[1])  # type: ignore[index]
+    assert [panel["name"] for panel in data["panels"]] == ["the clip, 30 fps", "squad", "slerp", "rotation-cubic"]
+    assert data["numFrames"] == len(data["given"]) == made.num_frames
+    # Some are given, some are made; nothing is loaded from elsewhere.
+    assert 0 < sum(data["given"]) < made.num_frames and "http" not in page.replace("http://www.w3.org", "")
+
+
+def test_npz_keeps_all_it_knows(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
+    write_npz(motion, tmp_path / "walk.npz")
+    assert motionkit("complete", tmp_path / "walk.npz", "--fps", "60").code == 0
+    made = read_npz(tmp_path / "walk.completed.npz")
+    np.testing.assert_array_equal(made.joint_positions[::2], motion.joint_positions)
+    assert made.captions == motion.captions and made.skeleton == motion.skeleton
+    assert (made.local_rotations is None) == (motion.local_rotations is None)
+    assert made.provenance.operations[-1].startswith("complete 60 frames at 30 fps -> 119 at 60")
+
+
+def test_arrays_of_joints_and_of_vectors(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
+    np.save(tmp_path / "joints.npy", motion.joint_positions)
+    vectors = humanml3d.vectors(process(motion.joint_positions, "smpl22"), "smpl22")
+    np.save(tmp_path / "vectors.npy", vectors)
+    told = motionkit("complete", tmp_path / "joints.npy", "--fps", "120")
+    assert told.code == 1 and "framerate" in told.stderr
+    outcome = motionkit("complete", tmp_path / "joints.npy", "--fps", "120", "--source-fps", "30")
+    made = read_joints_npy(Path(outcome.stdout.strip()))
+    assert made.fps == 120  # by the motions.json of a folder of its own
+    np.testing.assert_array_equal(made.joint_positions[::4], motion.joint_positions)
+    assert not (tmp_path / "motions.json").exists()
+    outcome = motionkit("complete", tmp_path / "vectors.npy", "--fps", "40")
+    made_vectors = np.load(outcome.stdout.strip())
+    assert made_vectors.shape == (2 * (len(vectors) - 1), 263)
+    again = humanml3d.positions(made_vectors, "smpl22")
+    np.testing.assert_allclose(again[::2], humanml3d.positions(vectors, "smpl22")[:-1], atol=2e-4)
+
+
+def test_ids_of_a_store(motionkit: Run, tmp_path: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+    with StoreWriter.create(tmp_path / "store") as writer:
+        writer.add(replace(motion, sequence_id="set/walk"))
+    monkeypatch.chdir(tmp_path)
+    assert motionkit("complete", "set/walk", "--extend", "0.1").code == 0
+    assert read_npz(tmp_path / "set_walk.completed.npz").num_frames == motion.num_frames + 3
+    assert motionkit("complete", "set/walk", "--extend", "0.1", "--format", "bvh", "--out", "here").code == 0
+    assert read_bvh(tmp_path / "here" / "set_walk.bvh").num_frames == motion.num_frames + 3
+    outcome = motionkit("complete", "set/run", "--fps", "60")
+    assert outcome.code == 2 and "set/run is no file" in outcome.stderr
+
+
+def test_a_bad_file_costs_nothing_of_the_others(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
+    folder = tmp_path / "takes"
+    (folder / "deep").mkdir(parents=True)
+    write_bvh(motion, folder / "a.bvh")
+    write_bvh(motion.frames(0, 1), folder / "b.bvh")
+    (folder / "c.bvh").write_text((folder / "a.bvh").read_text(encoding="utf-8")[:-400], encoding="utf-8")
+    write_npz(motion, folder / "deep" / "d.npz")
+    outcome = motionkit("complete", folder, "--fps", "60", "--out", tmp_path / "out", "--json")
+    assert outcome.code == 1
+    report = json.loads(outcome.stdout)
+    assert [Path(clip["file"]).relative_to(tmp_path / "out").as_posix() for clip in report["clips"]] == [
+        "a.bvh",
+        "deep/d.npz",
+    ]
+    assert [Path(each["clip"]).name for each in report["failed"]] == ["b.bvh", "c.bvh"]
+    assert "one frame" in outcome.stderr and "the file ends" in outcome.stderr
+    assert sorted(path.name for path in (tmp_path / "out").rglob("*.*")) == ["a.bvh", "d.npz"]
+    # A second call on the folder does not take what the first one made for clips.
+    assert motionkit("complete", folder / "a.bvh", "--fps", "60").code == 0
+    report = json.loads(motionkit("complete", folder, "--fps", "90", "--overwrite", "--json").stdout)
+    assert len(report["clips"]) == 2
+
+
+def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
+    motionkit: Run, tmp_path: Path, motion: Motion
+) -> None:
+    arrays = {name: array for name, array in motion_arrays(motion).items() if not name.startswith("fps")}
+    for name, order in {"repeated": [0, 1, 1, *range(3, 60)], "unsorted": [0, 2, 1, *range(3, 60)]}.items():
+        np.savez(tmp_path / f"{name}.npz", **{**arrays, "time_seconds": arrays["time_seconds"][order]})
+        outcome = motionkit("complete", tmp_path / f"{name}.npz", "--fps", "60")
+        assert outcome.code == 1 and re.search(rf"{name}.npz, frame \d", outcome.stderr)
+    lost = motion.joint_positions.copy()
+    lost[20:26, 3] = np.nan
+    np.savez(tmp_path / "lost.npz", **{**arrays, "joint_positions": lost})
+    outcome = motionkit("complete", tmp_path / "lost.npz", "--fps", "30")
+    assert outcome.code == 0 and "6 frames hold nan" in outcome.stderr
+    made = read_npz(tmp_path / "lost.completed.npz")
+    np.testing.assert_array_equal(made.joint_positions[:20], motion.joint_positions[:20])
+    off = np.linalg.norm(made.joint_positions - motion.joint_positions, axis=-1)[20:26]
+    assert 0 < off.mean() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        ([], 2, "nothing to make"),
+        (["--fps", "24"], 1, "less than its 30"),
+        (["--fps", "0"], 2, "--fps 0"),
+        (["--fps", "nan"], 2, "--fps nan"),
+        (["--fps", "1e9"], 2, "10000"),
+        (["--keep", "0:900"], 1, "60 frames, 0:60"),
+        (["--keep", "10:5"], 2, "no frame"),
+        (["--keep", "0:10,5:20"], 2, "overlap"),
+        (["--extend", "-1"], 2, "--extend"),
+        (["--extend", "1e5"], 1, "at most 60 s"),
+        (["--fps", "60", "--model", "sprline"], 2, "'sprline'"),
+        (["--fps", "60", "--model", "slerp", "--run", "nano"], 2, "leave --run out"),
+        (["--fps", "60", "--format", "fbx"], 2, "bvh or npz"),
+        (["--fps", "60", "--compare", "slurp"], 2, "'slurp'"),
+        (["--fps", "60", "--model", "nerm", "--runs", "none"], 2, "--run"),
+    ],
+)
+def test_what_makes_no_sense_is_told_in_a_line(
+    motionkit: Run, walk: Path, arguments: list[str], code: int, told: str
+) -> None:
+    outcome = motionkit("complete", walk, *arguments)
+    assert outcome.code == code and outcome.stdout == ""
+    assert told in outcome.stderr.splitlines()[-1]
+    assert sorted(path.name for path in walk.parent.iterdir()) == ["walk.bvh"]
+
+
+def test_a_folder_that_cannot_be_written(motionkit: Run, walk: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    outcome = motionkit("complete", walk, "--fps", "60", "--out", tmp_path / "file" / "below")
+    assert outcome.code == 1 and "file" in outcome.stderr.splitlines()[-1]
+    outcome = motionkit("complete", tmp_path / "no such.bvh", "--fps", "60")
+    assert outcome.code == 2 and "no such.bvh is no file" in outcome.stderr
