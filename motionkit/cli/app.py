@@ -30,10 +30,12 @@ def build_app() -> typer.Typer:
     return app
 
 
-def _print_version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> bool:
+    # What it returns becomes the option's value.
     if wanted:
         stdout.print(f"motionkit {motionkit.__version__}", markup=False)
         raise typer.Exit
+    return wanted
 
 
 def _options(
