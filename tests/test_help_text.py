@@ -1,12 +1,14 @@
 """What the command line says of itself: help texts as they are written, and the installed version."""
 
 from importlib.metadata import version
+from pathlib import Path
 
 import typer
 from rich.text import Text
 from typer.testing import CliRunner
 
 from motionkit.cli.app import build_app
+from motionkit.errors import StoreError
 
 
 def test_no_help_text_is_read_as_markup() -> None:
@@ -26,3 +28,8 @@ def test_no_help_text_is_read_as_markup() -> None:
 def test_the_version_is_the_distributions() -> None:
     result = CliRunner().invoke(build_app(), ["--version"], catch_exceptions=False)
     assert (result.exit_code, result.stdout) == (0, f"motionkit {version('motionkit')}\n")
+
+
+def test_commands_run_beside_the_apps_own_options(tmp_path: Path) -> None:
+    result = CliRunner().invoke(build_app(), ["info", "--store", str(tmp_path / "none")])
+    assert isinstance(result.exception, StoreError), result.exception
