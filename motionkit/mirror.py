@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float32, Int
 
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
@@ -24,12 +24,19 @@ def mirror(motion: Motion) -> Motion:
     rotations, root = motion.local_rotations, motion.root_translation
     mirrored = replace(
         motion,
-        joint_positions=motion.joint_positions[:, order] * FLIP,
+        joint_positions=mirrored_positions(motion.joint_positions, motion.skeleton),
         skeleton=motion.skeleton if rotations is None else _mirrored_skeleton(motion.skeleton, order),
         local_rotations=None if rotations is None else rotations[:, order] * TURN_BACK,
         root_translation=None if root is None else root * FLIP,
     )
     return mirrored.logged("mirrored: x ← −x, left and right joints exchanged")
+
+
+def mirrored_positions(
+    joint_positions: Float32[np.ndarray, "frames joints 3"], skeleton: Skeleton
+) -> Float32[np.ndarray, "frames joints 3"]:
+    """The mirror image of joint positions alone. Raises `ValueError` as `mirror` does."""
+    return joint_positions[:, _partners(skeleton)] * FLIP
 
 
 def _partners(skeleton: Skeleton) -> Int[np.ndarray, "joints"]:

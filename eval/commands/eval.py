@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from eval.clip_fid import PoseRange, SecondsRange
     from eval.evaluators.guo_files import GuoFiles
+    from eval.report.results import Result
     from eval.tables.registry import TableRequest
 
 DEFAULT_RUN = "nano"
@@ -78,9 +79,23 @@ def evaluate(
         draws=draws,
         seed=seed,
     )
-    _build(request, table if figure is None else f"figure{figure}", paper, as_json)
+    result = _build(request, table if figure is None else f"figure{figure}", paper, as_json)
+    _refuse_rowless(request, result)
     if not allow_broken:
         _refuse_broken(request)
+
+
+def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
+    """End with exit code 1 where samples that were given have no row in the table, with the reason."""
+    from eval.sample_folder import SampleFolderError
+    from eval.tables.nearest_training import TITLE as COPIES
+
+    scored = [block for block in result.blocks if block.title != COPIES]
+    shown = {row.name for block in scored for row in block.rows if row.cells}
+    for name in request.samples:
+        if name not in shown:
+            told = [line for line in result.missing if line.startswith(name)]
+            raise SampleFolderError(f"the table was written without a row for {told[0] if told else repr(name)}")
 
 
 def _refuse_broken(request: "TableRequest") -> None:
@@ -100,7 +115,8 @@ def _refuse_broken(request: "TableRequest") -> None:
         raise SampleFolderError(f"the table was built without broken samples ({names}); --allow-broken accepts that")
 
 
-def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool) -> None:
+def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool) -> "Result":
+    """Build, write and print a table (None: the calibration)."""
     from dataclasses import asdict
 
     from eval.report.render import to_markdown
@@ -108,8 +124,13 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
     from eval.tables.calibration import build_calibration
     from eval.tables.registry import find_table
 
-    build = build_calibration if table is None else find_table(paper, table).build
-    result = build(request)
+    if table is None:
+        result = build_calibration(request)
+    else:
+        found = find_table(paper, table)
+        if request.samples and not found.takes_samples:
+            raise UsageError(f"{found.title!r} has no rows of samples: leave out --samples")
+        result = found.build(request)
     path = write_result(result, request.results)
     if result.figure:
         from eval.report.calibration_figure import calibration_figure
@@ -124,6 +145,7 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
         print(text, end="")
     beside = " and ".join(filter(None, (path.with_suffix(".md").name, result.figure)))
     stderr.print(f"written: {path}, beside it {beside}", markup=False)
+    return result
 
 
 def _guo_files(weights: Path | None, glove: Path | None, statistics: Path | None) -> "GuoFiles | None":
@@ -183,5 +205,9 @@ def _samples(pairs: list[str]) -> dict[str, Path]:
         name, separator, folder = pair.partition("=")
         if not separator or not name or not folder:
             raise UsageError(f"--samples {pair}: give NAME=DIR")
+        if name in named:
+            raise UsageError(f"--samples {pair}: there are samples of this name already; give every folder its own")
+        if name == "real" or name.startswith(("real,", "real (", "NeRM")):
+            raise UsageError(f"--samples {pair}: tables have a row {name!r} of their own; choose another name")
         named[name] = Path(folder)
     return named

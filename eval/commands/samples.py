@@ -70,7 +70,7 @@ def _write_manifest(folder: Path, stated: dict[str, object]) -> None:
     if not folder.is_dir():
         raise UsageError(f"--init writes into a folder, and {str(folder)!r} is none")
     path = folder / MANIFEST
-    if path.exists():
+    if path.exists() and path.stat().st_size:
         raise UsageError(f"{path} is there already: edit it, or remove it first")
     if stated.get("statistics") not in (None, RAW, NORMALISED):
         raise UsageError(f"--statistics {stated['statistics']}: expected {RAW} or {NORMALISED}")

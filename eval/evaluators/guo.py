@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64
 
-from eval.evaluators.guo_files import GuoFiles, Padding
+from eval.evaluators.guo_files import REACH_FRAMES, GuoFiles, Padding
 from eval.evaluators.guo_kind import GuoError, GuoKind, read_statistics
 from eval.evaluators.guo_networks import FRAMES_PER_TOKEN, PUBLISHED, GuoNetworks, GuoWidths, networks_of
 from eval.evaluators.guo_words import WordVectors, read_word_vectors
@@ -31,8 +31,6 @@ VERSION = "guo/1"
 MAX_FRAMES = 196
 """Frames of the longest motion in the published protocol, whose loaders drop motions of 200 frames and more."""
 ROWS_AT_ONCE = 64
-# The last token's convolutions reach this far past the frames that it stands for.
-REACH_FRAMES = 3
 # Heights of standardised vectors are negative half of the time, heights above the floor hardly ever.
 MAX_NEGATIVE_HEIGHTS = 0.1
 # A body that lies down has its root at a seventh of its usual height; a wrong unit is 39-fold (inches) at least.
@@ -180,19 +178,21 @@ class GuoEvaluator:
         tokens = [length // FRAMES_PER_TOKEN for length in frames]
 
         def embed(chosen: list[int]) -> torch.Tensor:
-            inputs = [torch.from_numpy(self._inputs(motions[index], tokens[index])) for index in chosen]
+            inputs = [torch.from_numpy(self._inputs(motions[index], frames[index])) for index in chosen]
             return self.networks.embed_motions(inputs, [tokens[index] for index in chosen])
 
         return self._in_batches(tokens, embed)
 
     def _inputs(
-        self, motion: Float[np.ndarray, "frames numbers"], num_tokens: int
+        self, motion: Float[np.ndarray, "frames numbers"], num_frames: int
     ) -> Float64[np.ndarray, "inputs read"]:
         """Standardised frames of whole tokens, and after them what the padding lets the convolutions see."""
-        own, num_inputs = num_tokens * FRAMES_PER_TOKEN, self.kind.num_inputs
+        own, num_inputs = num_frames // FRAMES_PER_TOKEN * FRAMES_PER_TOKEN, self.kind.num_inputs
         reach = 0 if self.padding == "masked" or own >= MAX_FRAMES else REACH_FRAMES
         inputs = np.zeros((own + reach, num_inputs))
-        seen = motion[: own if self.padding == "zeros" else own + reach, :num_inputs].astype(np.float64)
+        # Published loaders crop real motion to whole tokens: only what was stored past a motion's end can be seen.
+        follows = reach if self.padding == "frames" and len(motion) > num_frames else 0
+        seen = motion[: own + follows, :num_inputs].astype(np.float64)
         inputs[: len(seen)] = (seen - self.statistics.mean[:num_inputs]) / self.statistics.std[:num_inputs]
         return inputs
 

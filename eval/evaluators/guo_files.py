@@ -4,6 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+REACH_FRAMES = 3
+"""How far past the frames that it stands for the last token's convolutions see."""
+
 Padding = Literal["masked", "zeros", "frames"]
 """What the last token sees past a motion's end: nothing (`masked`), standardised zeros up to frame 196 (`zeros`: the
 published protocol), or the frames that follow there, then zeros (`frames`: where generated ones were left in)."""

@@ -57,7 +57,10 @@ class PoseVectorEvaluator(TextMotionEvaluator, Protocol):
         ...
 
     def embed_vectors(
-        self, motions: Sequence[Float32[np.ndarray, "_frames numbers"]]
+        self, motions: Sequence[Float32[np.ndarray, "_frames numbers"]], lengths: Sequence[int] | None = None
     ) -> Float64[np.ndarray, "motions features"]:
-        """One row per motion given as pose vectors in their own units. Raises `MotionkitError` for what are none."""
+        """One row per motion given as pose vectors in their own units; what lies past `lengths` is padding.
+
+        Raises `MotionkitError` for what are none.
+        """
         ...

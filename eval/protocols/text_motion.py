@@ -66,7 +66,8 @@ class TextMotionProtocol:
     whole real set ("whole"), the real motions of the same texts ("paired") or another random order of the real set with
     its own remainder ("redraw"). `asks`: the direction whose R-Precision the source quotes; both are computed.
     `details`: metrics that are computed once, on the first draw. `known_bugs`: names in `eval.protocols.compat` that
-    its published code has. `kit_lengths` are the `lengths` of KIT-ML. Raises `ValueError` for senseless numbers.
+    its published code has. `leak`: what the padding leak shows, zeros or the generated frames
+    that follow. `kit_lengths` are the `lengths` of KIT-ML. Raises `ValueError` for senseless numbers.
     """
 
     name: str
@@ -85,6 +86,7 @@ class TextMotionProtocol:
     kit_lengths: LengthRule = PUBLISHED_KIT_LENGTHS
     details: tuple[str, ...] = ()
     known_bugs: tuple[str, ...] = ()
+    leak: Literal["zeros", "frames"] = "zeros"
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -127,6 +129,8 @@ MDM = TextMotionProtocol(
     reference="redraw",
     multimodality=MultiModalityRule(num_texts=128, replications=5),
     known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
+    # Its generated motions are 196 frames long whatever their length, and are handed on so.
+    leak="frames",
     remarks=("MDM generates 1,024 motions: its FID does not compare with that of 4,640.",),
 )
 MLD = TextMotionProtocol(

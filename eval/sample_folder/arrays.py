@@ -35,7 +35,8 @@ EXPECTED = (
 class StoredMotion:
     """One motion as it lies in a file: `numbers` are joints [T, J, 3] or pose vectors [T, D], a view where it can be.
 
-    `index` is its place in a batch, None where the file holds one motion.
+    `index` is its place in a batch, None where the file holds one motion; `padding` is what follows the motion where
+    the file says how long it is.
     """
 
     numbers: np.ndarray
@@ -44,6 +45,7 @@ class StoredMotion:
     action: str = ""
     group: str = ""
     fps: Fraction | None = None
+    padding: np.ndarray | None = None
 
     @property
     def is_vectors(self) -> bool:
@@ -131,7 +133,7 @@ def _of_dictionary(found: Mapping[str, Any], path: Path) -> list[StoredMotion]:
     groups = _groups(found, len(motions), path)
     fps = _fps(found.get("fps"), path)
     return [
-        StoredMotion(numbers[:length], index if batched else None, caption, action, group, fps)
+        StoredMotion(numbers[:length], index if batched else None, caption, action, group, fps, numbers[length:])
         for index, (numbers, length, caption, action, group) in enumerate(
             zip(motions, lengths, captions, actions, groups, strict=True)
         )

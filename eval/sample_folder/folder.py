@@ -42,8 +42,9 @@ class SampleFolder:
     same prompt (MultiModality); where nothing says so, each is its own group. `left_out` are the motions that could not
     be read or hold NaN, `remarks` what was found and done, for people.
 
-    `vectors` are the pose vectors of every motion, in their own units, as many frames as its positions: where all came
-    as vectors of one size and were to be kept (`SampleOptions.keep_published`); else empty. `kit_joints` are KIT-ML's
+    `vectors` are the pose vectors of every motion, in their own units, as many frames as its positions and up to 3 of
+    the padding that was stored after them: where all came as vectors of one size and were to be kept
+    (`SampleOptions.keep_published`); else empty. `kit_joints` are KIT-ML's
     21 joints in metres, likewise: where all motions came as these or as vectors of them.
     """
 

@@ -56,12 +56,12 @@ class Manifest:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read `folder/samples.toml`; an absent one says nothing. Raises `FormatError` (`manifest`) for what it cannot be.
+    """Read `folder/samples.toml`; an absent or empty one says nothing. Raises `FormatError` (`manifest`).
 
     Paths in it count from the folder and may not leave it.
     """
     path = folder / MANIFEST
-    if not path.is_file():
+    if not path.is_file() or not path.stat().st_size:
         return Manifest()
     try:
         stated = tomllib.loads(sourcefile.decode(sourcefile.read_bytes(path), path))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
+from eval.evaluators.guo_files import REACH_FRAMES
 from eval.sample_folder.arrays import StoredMotion, read_stored
 from eval.sample_folder.bodies import check_bodies, padding_remark, turn_upright
 from eval.sample_folder.folder import Packer, SampleFolder, SampleFolderError, SampleText, left_out_line
@@ -79,8 +80,8 @@ def _checked(folder: SampleFolder, num_of_arrays: int, listing: Listing) -> Samp
     return replace(folder, remarks=remarks)
 
 
-Vectors = Float32[np.ndarray, "frames numbers"]
-KitJoints = Float32[np.ndarray, "frames 21 3"]
+Vectors = Float32[np.ndarray, "_frames numbers"]
+KitJoints = Float32[np.ndarray, "_frames 21 3"]
 Read = tuple[Float32[np.ndarray, "frames joints 3"], Fraction, SampleText, Vectors | None, KitJoints | None]
 
 
@@ -158,6 +159,8 @@ class _Reader:
             positions = map_joints(Motion(positions, KIT21, TimeGrid(fps, len(positions))), SMPL22.name)
         if not self.options.keep_published:
             vectors = kit_joints = None
+        if vectors is not None:
+            vectors = np.concatenate((vectors, self._restored(_following(stored, len(numbers)))))
         return positions, fps, self._with_prompt(text), vectors, kit_joints
 
     def _trimmed(self, numbers: np.ndarray, path: Path) -> np.ndarray:
@@ -247,6 +250,13 @@ def _check_finite(numbers: np.ndarray, path: Path, index: int | None) -> None:
     which = "" if index is None else f"motion {index}: "
     reason = "range" if np.isfinite(value) else "nan"
     raise FormatError(f"{which}{value} where a number of a body was expected", path=path, reason=reason, frame=frame)
+
+
+def _following(stored: StoredMotion, num_frames: int) -> np.ndarray:
+    """The few frames after a motion that an evaluator's convolutions may see; none where they are no numbers."""
+    parts = (stored.numbers[num_frames:], *([] if stored.padding is None else [stored.padding]))
+    following = np.concatenate([part[:REACH_FRAMES] for part in parts])[:REACH_FRAMES]
+    return following if np.isfinite(following).all() else following[:0]
 
 
 def _sidecar(path: Path) -> str:

@@ -280,7 +280,8 @@ def _nothing_printed(ablation: Ablation) -> str:
 
 
 TABLES = {
-    name: Table("nerm", name, ablation.title, partial(build_ablation, ablation)) for name, ablation in ABLATIONS.items()
+    name: Table("nerm", name, ablation.title, partial(build_ablation, ablation), takes_samples=False)
+    for name, ablation in ABLATIONS.items()
 }
 TABLE_5, TABLE_6, TABLE_7, TABLE_8, TABLE_9 = (TABLES[number] for number in "56789")
 TABLE_OURS = TABLES["ours"]

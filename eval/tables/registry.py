@@ -75,12 +75,13 @@ class TableRequest:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a paper that can be built here."""
+    """A table of a paper that can be built here; without `takes_samples` it has no rows of other systems' motions."""
 
     paper: str
     number: str
     title: str
     build: Callable[[TableRequest], Result]
+    takes_samples: bool = True
 
 
 def installed_tables() -> dict[str, str]:

@@ -216,8 +216,8 @@ def _folders(
 ) -> list[_System]:
     systems = []
     for folder in request.sample_folders:
-        folder.require_actions()
         try:
+            folder.require_actions()
             known = known_actions(folder.at(source.fps), recogniser.actions)
             recognised = known.recognised(recogniser)
         except MotionkitError as error:

@@ -79,9 +79,14 @@ def _embedded(
         joints, of_what = _in_layout_of(real, folder, samples, most_frames)
         return embedder.motions(joints), f"{BY_JOINTS}{of_what} ({reason})"
     # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
-    vectors = [middle(motion, most_frames - 1) for motion in folder.vectors]
-    key = {"vectors": fingerprint_of_vectors(vectors)}
-    return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors)), AS_VECTORS
+    lengths = np.minimum(folder.num_frames, most_frames - 1).tolist()
+    vectors = [
+        # Of a crop, what follows is the motion itself; the padding that was stored follows whole motions alone.
+        motion if length == frames else middle(motion[:frames], length)
+        for motion, length, frames in zip(folder.vectors, lengths, folder.num_frames.tolist(), strict=True)
+    ]
+    key = {"vectors": fingerprint_of_vectors(vectors), "lengths": lengths}
+    return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors, lengths)), AS_VECTORS
 
 
 def _in_layout_of(real: SampleSet, folder: SampleFolder, samples: SampleSet, most_frames: int) -> tuple[SampleSet, str]:

@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
+from eval.evaluators.guo_files import Padding
 from eval.evaluators.text_motion import TextMotionEvaluator
 from eval.protocols.compat import PADDING_LEAK, chosen_bugs
 from eval.protocols.text_motion import TextMotionProtocol
@@ -21,7 +23,10 @@ def text_motion_evaluators(
     evaluator does not have, and where not one can be had.
     """
     chosen_bugs(protocol.name, protocol.known_bugs, request.compat)
-    known: dict[str, Callable[[TableRequest], TextMotionEvaluator]] = {"native": _native, "guo": _guo}
+    known: dict[str, Callable[[TableRequest], TextMotionEvaluator]] = {
+        "native": _native,
+        "guo": partial(_guo, leak=protocol.leak),
+    }
     evaluators, reasons = [], []
     for name in request.features or DEFAULT:
         if name not in known:
@@ -47,7 +52,7 @@ def _native(request: TableRequest) -> TextMotionEvaluator:
     return NativeTextMotion(load_native(request.run))
 
 
-def _guo(request: TableRequest) -> TextMotionEvaluator:
+def _guo(request: TableRequest, leak: Padding) -> TextMotionEvaluator:
     from eval.evaluators.guo import load_guo
 
     if request.guo is None:
@@ -55,5 +60,5 @@ def _guo(request: TableRequest) -> TextMotionEvaluator:
     if request.guo.glove is None:
         raise UsageError("--evaluator guo reads captions with GloVe's word vectors: --glove DIR (docs/evaluators.md)")
     if PADDING_LEAK.name in request.compat and request.guo.padding == "masked":
-        return load_guo(replace(request.guo, padding="zeros"))
+        return load_guo(replace(request.guo, padding=leak))
     return load_guo(request.guo)

@@ -8,7 +8,8 @@ import pytest
 from eval import memorisation
 from eval.memorisation import distances_to_training
 from eval.samples import SampleSet, sample_set
-from eval.tables.nearest_training import HELD_OUT, nearest_training_block
+from eval.tables.nearest_training import HELD_OUT, MIRRORED, nearest_training_block
+from motionkit.mirror import mirrored_positions
 from motionkit.skeleton import SMPL22
 
 FPS = Fraction(20)
@@ -72,8 +73,13 @@ def test_the_block_tells_a_model_that_copies_from_one_that_does_not() -> None:
     sets = {"copying": copying, "too short": as_set(swinging(0, 1.0))}
     block = nearest_training_block(held_out, TRAINING, sets, {"copying": "says so"})
     rows = {row.name: row for row in block.rows}
-    assert set(rows) == {HELD_OUT, "copying"}
+    assert set(rows) == {HELD_OUT, HELD_OUT + MIRRORED, "copying", "copying" + MIRRORED}
     assert rows["copying"].cells["95 %"].value < 0.1 < 20 < rows[HELD_OUT].cells["nearest"].value
     assert rows["copying"].note == "3 motions; says so"
+    assert rows["copying" + MIRRORED].cells["nearest"].value > 20
+    # Who copies mirrored motion is found out by the row of mirror images alone.
+    images = as_set(*(mirrored_positions(sequence, SMPL22) for sequence in copying.sequences()))
+    mirrored = {row.name: row for row in nearest_training_block(held_out, TRAINING, {"it": images}, {}).rows}
+    assert mirrored["it"].cells["nearest"].value > 20 > 0.1 > mirrored["it" + MIRRORED].cells["95 %"].value
     values = [rows[HELD_OUT].cells[column].value for column in block.columns]
     assert values == sorted(values)

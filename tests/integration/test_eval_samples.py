@@ -98,6 +98,33 @@ def test_broken_samples_are_left_out_and_cost_the_exit_code(motionkit, store, tm
     assert "built without broken samples (2 of 'mine'); --allow-broken accepts that" in done.stderr
 
 
+def test_samples_without_a_row_cost_the_exit_code_and_are_told(motionkit, store, tmp_path):
+    folder = published.write_t2m_gpt(tmp_path / "gpt")
+    arguments = ("--store", store, "--results", tmp_path / "results", "--samples-fps", 20, *SMALL)
+    done = motionkit("eval", "--table", 2, "--samples", f"mine={folder}", *arguments, "--sizes", "16:80", "--json")
+    assert done.code == 1 and json.loads(done.stdout)["blocks"]
+    assert "the table was written without a row for mine, 20 fps: mine: no sequence has the 80 poses" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("samples", "says"),
+    [
+        (("mine=a", "mine=b"), "there are samples of this name already"),
+        (("NeRM=a",), "tables have a row 'NeRM' of their own"),
+        (("mine",), "give NAME=DIR"),
+    ],
+)
+def test_names_of_rows_are_told_apart(motionkit, store, tmp_path, samples, says):
+    named = [part for each in samples for part in ("--samples", each)]
+    done = motionkit("eval", "--table", 2, "--store", store, "--results", tmp_path, *named, *SMALL)
+    assert done.code == 2 and says in " ".join(done.stderr.split())
+
+
+def test_a_table_without_rows_of_samples_says_so(motionkit, store, tmp_path):
+    done = motionkit("eval", "--table", 4, "--store", store, "--results", tmp_path, "--samples", f"mine={tmp_path}")
+    assert done.code == 2 and "has no rows of samples: leave out --samples" in " ".join(done.stderr.split())
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

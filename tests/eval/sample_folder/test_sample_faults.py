@@ -255,3 +255,12 @@ def test_a_csv_row_without_its_file_is_told(tmp_path: Path) -> None:
     assert (samples.captions, samples.positions.shape[0]) == (("walks",), 9)
     assert "1 rows of the CSV describe files that are not there, first 'b.npy'" in samples.describe()
     assert [problem.reason for problem in samples.left_out] == ["path", "annotations"]
+
+
+def test_an_empty_manifest_says_nothing(tmp_path: Path) -> None:
+    folder = published.write_t2m_gpt(tmp_path / "gpt")
+    (folder / "samples.toml").touch()
+    assert read_sample_folder("mine", folder, SampleOptions(Fraction(20))).num_motions == 6
+    (folder / "samples.toml").write_text("fps = ", encoding="utf-8")
+    with pytest.raises(FormatError, match="not TOML"):
+        read_sample_folder("mine", folder)

@@ -106,8 +106,10 @@ class KitVectors(First):
 
     fps, vector_size = Fraction(20), 251
 
-    def embed_vectors(self, motions: Sequence[np.ndarray]) -> np.ndarray:
-        return np.array([[float(motion[0, 0]), float(len(motion))] for motion in motions])
+    def embed_vectors(self, motions: Sequence[np.ndarray], lengths: Sequence[int] | None = None) -> np.ndarray:
+        self.seen = [len(motion) for motion in motions]
+        numbers = self.seen if lengths is None else lengths
+        return np.array([[float(motion[0, 0]), float(number)] for motion, number in zip(motions, numbers, strict=True)])
 
 
 def test_vectors_reach_an_evaluator_that_reads_them_and_no_other() -> None:
@@ -124,3 +126,15 @@ def test_vectors_reach_an_evaluator_that_reads_them_and_no_other() -> None:
         assert by_joints.path.startswith(BY_JOINTS) and reason in by_joints.path
         assert by_joints.draws[0].motions.tolist() == [[10, 197], [11, 197]]
     assert sample_embeddings(kit, real(), NATIVE, EMBEDDER).path == ""
+
+
+def test_stored_padding_follows_whole_motions_alone() -> None:
+    short = folder(["0", "1"], ["walks", "sits"], frames=50)
+    padded = replace(short, vectors=tuple(np.full((53, 251), 70 + i, dtype=np.float32) for i in range(2)))
+    evaluator = KitVectors()
+    found = sample_embeddings(padded, real(), NATIVE, Embedder(evaluator, None))
+    assert found.draws[0].motions.tolist() == [[70, 50], [71, 50]] and evaluator.seen == [53, 53]
+    long = folder(["0", "1"], ["walks", "sits"], frames=300)
+    cropped = replace(long, vectors=tuple(np.zeros((303, 251), dtype=np.float32) for _ in range(2)))
+    sample_embeddings(cropped, real(), NATIVE, Embedder(evaluator, None))
+    assert evaluator.seen == [196, 196]

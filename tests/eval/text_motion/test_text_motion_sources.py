@@ -40,15 +40,21 @@ def evaluators(protocol: str, **changes: object) -> tuple[list[object], list[str
 
 
 @pytest.mark.parametrize(
-    ("compat", "stated", "padding"),
-    [((), "masked", "masked"), (("padding-leak",), "masked", "zeros"), (("padding-leak",), "frames", "frames")],
+    ("protocol", "compat", "stated", "padding"),
+    [
+        ("t2m", (), "masked", "masked"),
+        ("mdm", (), "masked", "masked"),
+        ("t2m", ("padding-leak",), "masked", "zeros"),
+        ("mdm", ("padding-leak",), "masked", "frames"),
+        ("t2m", ("padding-leak",), "frames", "frames"),
+    ],
 )
 def test_the_padding_leak_is_switched_on_by_name(
-    compat: tuple[str, ...], stated: str, padding: str, monkeypatch: pytest.MonkeyPatch
+    protocol: str, compat: tuple[str, ...], stated: str, padding: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(guo, "load_guo", Loaded)
     files = GuoFiles(PUBLISHED.weights, PUBLISHED.glove, padding=stated)  # type: ignore[arg-type]
-    found, missing = evaluators("t2m", features=("guo",), guo=files, compat=compat)
+    found, missing = evaluators(protocol, features=("guo",), guo=files, compat=compat)
     assert [each.files.padding for each in found] == [padding]  # type: ignore[attr-defined]
     assert not missing
 
