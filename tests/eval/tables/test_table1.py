@@ -271,7 +271,7 @@ def test_an_evaluator_that_cannot_read_the_captions_leaves_the_others(
         def embed_texts(self, captions: Sequence[Caption]) -> np.ndarray:
             raise MotionkitError("captions have no word/POS tokens")
 
-    monkeypatch.setattr(sources, "_guo", lambda request: Deaf())
+    monkeypatch.setattr(sources, "_guo", lambda request, leak: Deaf())
     result = build(store, tmp_path / "results", run, features=("guo", "native"))
     assert [block.provenance["evaluator"] for block in result.blocks[:2]] == ["shapes", "shapes"]
     assert "evaluator 'deaf': captions have no word/POS tokens" in result.missing

@@ -194,3 +194,17 @@ def test_one_framerate_and_short_windows_are_told() -> None:
     assert "every training sequence has 30 fps" in one
     assert "2 of 2 windows are shorter than a clip of field.num_poses=32" in short
     assert remarks(analytic_source(), training_windows(analytic_source(), config), config) == []
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("field.warmup_fps=40", "1 of 4 windows are slower than field.warmup_fps=40: during the warm-up"),
+        ("field.lowest_fps=500", "field.lowest_fps=500 has no effect: the fastest training sequence has 120 fps"),
+    ],
+)
+def test_framerates_that_the_windows_do_not_have_are_told(setting: str, told: str) -> None:
+    config = _settings("nano", setting)
+    source = analytic_source()
+    (only,) = remarks(source, training_windows(source, config), config)
+    assert told in only

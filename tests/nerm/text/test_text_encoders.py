@@ -218,6 +218,20 @@ def test_an_unreachable_hub_name_is_explained(monkeypatch):
         load_text_encoder("nobody/no-such-encoder")
 
 
+def test_a_hub_without_an_address_is_not_asked_again_and_again(monkeypatch, capsys, caplog):
+    def unknown(*_):
+        raise socket.gaierror("Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    for name in ("http_proxy", "https_proxy", "all_proxy"):
+        monkeypatch.delenv(name, raising=False)
+        monkeypatch.delenv(name.upper(), raising=False)
+    monkeypatch.setattr("huggingface_hub.file_download.http_get", lambda *_, **__: pytest.fail("the hub was asked"))
+    with pytest.raises(MotionkitError, match="not in the hub's cache, and the hub cannot be reached"):
+        load_text_encoder("nobody/no-such-encoder")
+    assert not caplog.records and not capsys.readouterr().err
+
+
 def test_without_the_extra(monkeypatch):
     monkeypatch.setattr(nerm.text.encoders, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"pip install 'motionkit\[text\]'"):
