@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float32
 
 from motionkit.training.precision import autocast
+from motionkit.training.randomness import dropout_from
 from motionkit.training.schedule import WeightAverage, rate_factor, scale_rates
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from pahires.base_curves import interpolated
@@ -48,7 +49,7 @@ class TemporalTraining:
         settings = self.settings
         rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
         batch = self.sampler.batch(rng, self.scaling)
-        with autocast(settings.precision, self.device):
+        with dropout_from(generator, self.device), autocast(settings.precision, self.device):
             predicted = self.predictor(batch.window.to(self.device))
         figures = losses(predicted, batch.targets.to(self.device))
         loss = (figures["mse"] + settings.velocity_weight * figures["velocity"]) * self.task_weights[batch.task]

@@ -24,3 +24,11 @@ def seeded_initialisation(seed: int, purpose: str) -> Iterator[None]:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(_state(seed, purpose, 0))
         yield
+
+
+@contextmanager
+def dropout_from(generator: torch.Generator, device: torch.device, rank: int = 0) -> Iterator[None]:
+    """Dropout inside follows from the generator and the rank; torch's global generators are left as they were."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        torch.manual_seed(int(torch.randint(2**62, (), generator=generator)) + rank)
+        yield

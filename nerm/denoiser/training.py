@@ -1,13 +1,12 @@
 """Training of the latent denoiser ε_φ by Eq. 5 on a corpus of posteriors."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
 from motionkit.training.precision import autocast, compile_each
-from motionkit.training.randomness import seeded_initialisation, step_generator
+from motionkit.training.randomness import dropout_from, seeded_initialisation, step_generator
 from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.schedule import WeightAverage, rate_factor, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
@@ -66,7 +65,7 @@ class DenoiserTraining:
         noisy = add_noise(latents, noise, steps, self.alphas)
         target = prediction_target(diffusion.prediction, latents, noise, steps, self.alphas)
         given = Conditions(conditions.text[mine], conditions.action[mine], conditions.duration[mine])
-        with _dropout_from(generator, self.ranks.rank, self.device), autocast(config.precision, self.device):
+        with dropout_from(generator, self.device, self.ranks.rank), autocast(config.precision, self.device):
             output = self.denoiser(noisy[mine].to(self.device), steps[mine].to(self.device), given.to(self.device))
         used = in_use(self.first_read, conditions.duration)
         weights = used * self.weights[steps, None].to(torch.float32) / used.sum()
@@ -107,11 +106,3 @@ class DenoiserTraining:
         self.denoiser.load_state_dict(unprefixed("denoiser", tensors))
         self.average.load(unprefixed("average", tensors))
         load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
-
-
-@contextmanager
-def _dropout_from(generator: torch.Generator, rank: int, device: torch.device) -> Iterator[None]:
-    """Dropout inside follows from the generator and the rank; torch's global generators are left as they were."""
-    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
-        torch.manual_seed(int(torch.randint(2**62, (), generator=generator)) + rank)
-        yield

@@ -1,0 +1,58 @@
+"""From a stage's settings to its network, and from a run to its encoder."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from eval.baselines.peers.a_liif import ALiif
+from eval.baselines.peers.delta_interp import DeltaInterp
+from eval.baselines.peers.liif import Liif
+from eval.baselines.peers.lmf import Lmf
+from eval.baselines.peers.meta_sr import MetaSr
+from eval.baselines.peers.recipes import (
+    ALiifConfig,
+    DeltaInterpConfig,
+    LiifConfig,
+    LmfConfig,
+    MetaSrConfig,
+    PeerConfig,
+    TsFormerConfig,
+)
+from eval.baselines.peers.ts_former import TsFormer
+from motionkit.motionfield import MotionEncoder
+from pahires.encoder import NetworkEncoder
+from pahires.trained import load_network
+
+
+def network_of(config: PeerConfig, numbers: int) -> nn.Module:
+    """The network of a peer's settings for rows of so many numbers, its weights drawn from torch's generator."""
+    match config:
+        case LiifConfig():
+            return Liif(config.network, numbers)
+        case MetaSrConfig():
+            return MetaSr(config.network, numbers)
+        case ALiifConfig():
+            return ALiif(config.network, numbers)
+        case LmfConfig():
+            return Lmf(config.network, numbers)
+        case DeltaInterpConfig():
+            return DeltaInterp(config.network, numbers)
+        case TsFormerConfig():
+            return TsFormer(config.network, numbers)
+
+
+def _load(stage: str, config_type: type[Any], run: Path) -> MotionEncoder:
+    trained = load_network(run, stage, config_type, network_of, lambda config: config.training)
+    return NetworkEncoder(trained)
+
+
+# Entry points of `motionkit.encoders`.
+load_liif: Callable[[Path], MotionEncoder] = partial(_load, "liif", LiifConfig)
+load_meta_sr: Callable[[Path], MotionEncoder] = partial(_load, "meta-sr", MetaSrConfig)
+load_a_liif: Callable[[Path], MotionEncoder] = partial(_load, "a-liif", ALiifConfig)
+load_lmf: Callable[[Path], MotionEncoder] = partial(_load, "lmf", LmfConfig)
+load_delta_interp: Callable[[Path], MotionEncoder] = partial(_load, "delta-interp", DeltaInterpConfig)
+load_ts_former: Callable[[Path], MotionEncoder] = partial(_load, "ts-former", TsFormerConfig)
