@@ -34,6 +34,13 @@ def checked_difference(
     return difference
 
 
+def checked_quaternions(predicted: Float[np.ndarray, "*predicted 4"], target: Float[np.ndarray, "*target 4"]) -> None:
+    """Raise `ValueError` where a quaternion has not unit length."""
+    for name, quaternions in (("predicted", predicted), ("target", target)):
+        if not np.allclose(np.linalg.norm(quaternions, axis=-1), 1.0, atol=1e-3):
+            raise ValueError(f"{name}: quaternions must have unit length")
+
+
 def checked_fps(fps: float) -> float:
     """A framerate; raises `ValueError` where it is not positive and finite."""
     if not 0 < fps < np.inf:

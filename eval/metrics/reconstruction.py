@@ -1,4 +1,4 @@
-"""How far reconstructed poses are from the true ones: MPJPE in metres, MRE in a vector's raw units.
+"""How far reconstructed poses are from the true ones: MPJPE in metres, angles, MRE in a vector's raw units.
 
 Arrays hold valid frames only, of one sequence or of many concatenated; every frame has the same weight and padding
 has none.
@@ -7,7 +7,7 @@ has none.
 import numpy as np
 from jaxtyping import Float
 
-from eval.metrics.checks import checked_difference
+from eval.metrics.checks import checked_difference, checked_quaternions
 
 
 def mpjpe_global(
@@ -45,6 +45,22 @@ def mpjpe_procrustes(
     size = np.einsum("fji,fji->f", x, x)
     scale = np.where(size > 0, (singular * signs).sum(axis=1) / np.where(size > 0, size, 1.0), 1.0)
     return float(np.linalg.norm(scale[:, None, None] * (x @ rotation) - y, axis=-1).mean())
+
+
+def rotation_angle_error(
+    predicted: Float[np.ndarray, "frames joints 4"], target: Float[np.ndarray, "frames joints 4"]
+) -> float:
+    """Mean angle in degrees of the turn from each predicted joint rotation to the true one (geodesic distance).
+
+    Unit quaternions of either sign, local or global ones on both sides. Raises `ValueError` for others.
+    """
+    checked_difference(predicted, target)
+    checked_quaternions(predicted, target)
+    p, q = predicted.astype(np.float64), target.astype(np.float64)
+    # ‖p − q‖ and ‖p + q‖ are 2·sin and 2·cos of a quarter of the angle: exact for small angles too, where arccos is not.
+    apart, together = np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1)
+    quarter = np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
+    return float(np.degrees(4.0 * quarter).mean())
 
 
 def mre(predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray, "frames numbers"]) -> float:

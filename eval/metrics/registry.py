@@ -90,8 +90,12 @@ def _steps(order: int) -> Callable[..., float]:
     return lambda first, *_: float(len(first) - order)
 
 
-def _one(*_: Array) -> float:
-    return 1.0
+def _clips(first: Array, *_: Array) -> float:
+    return float(np.prod(first.shape[:-2]))
+
+
+def _clip_steps(order: int) -> Callable[..., float]:
+    return lambda first, *_: float(np.prod(first.shape[:-3]) * (first.shape[-3] - order))
 
 
 def _clips_times_frames(first: Array, *_: Array) -> float:
@@ -271,6 +275,17 @@ METRICS: tuple[Metric, ...] = (
         _frames,
     ),
     Metric(
+        "rotation_angle_error",
+        "Rotation error",
+        "°",
+        False,
+        1,
+        "geodesic distance on SO(3)",
+        "predicted, target",
+        reconstruction.rotation_angle_error,
+        _frames,
+    ),
+    Metric(
         "velocity_error",
         "Velocity error",
         "m/s",
@@ -279,7 +294,7 @@ METRICS: tuple[Metric, ...] = (
         "mean joint distance of differences",
         "predicted, target",
         derivatives.velocity_error,
-        _steps(1),
+        _clip_steps(1),
     ),
     Metric(
         "acceleration_error",
@@ -290,7 +305,7 @@ METRICS: tuple[Metric, ...] = (
         "Kanazawa et al. 2019",
         "predicted, target",
         derivatives.acceleration_error,
-        _steps(2),
+        _clip_steps(2),
     ),
     Metric(
         "jerk_error",
@@ -301,7 +316,7 @@ METRICS: tuple[Metric, ...] = (
         "mean joint distance of third differences",
         "predicted, target",
         derivatives.jerk_error,
-        _steps(3),
+        _clip_steps(3),
     ),
     Metric(
         "skating_speed",
@@ -358,13 +373,24 @@ METRICS: tuple[Metric, ...] = (
         bone_lengths.bone_length_error,
         _frames,
     ),
-    Metric("psnr", "PSNR", "dB", True, 1, "motionkit", "predicted, target", signal.psnr, _one),
-    Metric("ssim", "SSIM", "", True, 1, "Wang et al. 2004", "predicted, target", signal.ssim, _one),
+    Metric("psnr", "PSNR", "dB", True, 1, "motionkit", "predicted, target", signal.psnr, _clips),
+    Metric("ssim", "SSIM", "", True, 1, "Wang et al. 2004", "predicted, target", signal.ssim, _clips),
     Metric(
         "l2p", "L2P", "", False, 1, "Harvey et al. 2020", "predicted, target", inbetweening.l2p, _clips_times_frames
     ),
     Metric(
         "l2q", "L2Q", "", False, 1, "Harvey et al. 2020", "predicted, target", inbetweening.l2q, _clips_times_frames
+    ),
+    Metric(
+        "l2q_as_signed",
+        "L2Q (signs as they come)",
+        "",
+        False,
+        1,
+        "Harvey et al. 2020",
+        "predicted, target",
+        inbetweening.l2q_as_signed,
+        _clips_times_frames,
     ),
     Metric("npss", "NPSS", "", False, 1, "Gopalakrishnan et al. 2019", "predicted, target", npss.npss, _true_power),
 )

@@ -5,11 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from eval.metrics.bone_lengths import bone_length_error, bone_length_variation
 from eval.metrics.contact import contact_consistency
 from eval.metrics.derivatives import acceleration_error, jerk_error, velocity_error
 from eval.metrics.foot_skating import skating_ratio, skating_speed
+from eval.metrics.reconstruction import rotation_angle_error
 from motionkit.features.native import vectors
 
 HUMANML3D_CONTACTS = slice(259, 263)
@@ -54,6 +56,28 @@ def test_derivative_errors_ignore_where_a_motion_stands() -> None:
     motion = np.random.default_rng(1).normal(size=(10, 3, 3))
     for error in ERRORS:
         assert error(motion + 7.0, motion, 30.0) == pytest.approx(0.0, abs=1e-8)
+
+
+def test_clips_are_differentiated_each_by_itself() -> None:
+    predicted, target = np.random.default_rng(2).normal(size=(2, 4, 9, 3, 3))
+    for error in ERRORS:
+        alone = np.mean([error(one, other, 30.0) for one, other in zip(predicted, target, strict=True)])
+        assert error(predicted, target, 30.0) == pytest.approx(alone, rel=1e-12)
+
+
+def test_rotation_error_is_the_angle_between_whatever_the_signs() -> None:
+    rng = np.random.default_rng(5)
+    target = Rotation.random(60, random_state=rng)
+    axis = rng.normal(size=(60, 3))
+    angle = np.concatenate(([1e-7, np.pi], rng.uniform(0, np.pi, 58)))
+    turn = Rotation.from_rotvec(angle[:, None] * axis / np.linalg.norm(axis, axis=1, keepdims=True))
+    signs = rng.choice([-1.0, 1.0], size=(60, 1))
+    for k in range(60):
+        predicted = (signs * (target * turn).as_quat())[k].reshape(1, 1, 4)
+        found = rotation_angle_error(predicted, target.as_quat()[k].reshape(1, 1, 4))
+        assert found == pytest.approx(np.degrees(angle[k]), rel=1e-6)
+    with pytest.raises(ValueError, match="predicted: quaternions must have unit length"):
+        rotation_angle_error(np.full((1, 1, 4), 0.4), np.array([[[1.0, 0, 0, 0]]]))
 
 
 def sliding_feet(fps: float, height: float, speed: float) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from eval.metrics.inbetweening import l2p, l2q
+from eval.metrics.inbetweening import l2p, l2q, l2q_as_signed
 from eval.metrics.npss import npss, npss_weight
 from eval.metrics.signal import psnr, ssim, to_unit_range
 
@@ -43,6 +43,16 @@ def test_psnr_counts_synthesised_frames_only() -> None:
     assert psnr(predicted, target, ~synthesised) == math.inf
 
 
+def test_clips_of_one_length_give_the_mean_of_each_alone() -> None:
+    rng = np.random.default_rng(3)
+    predicted, target = rng.uniform(size=(2, 3, 2, 11, 5))
+    synthesised = np.arange(11) % 4 > 0
+    pairs = [(predicted[a, b], target[a, b]) for a in range(3) for b in range(2)]
+    alone = np.mean([psnr(one, other, synthesised) for one, other in pairs])
+    assert psnr(predicted, target, synthesised) == pytest.approx(alone, rel=1e-12)
+    assert ssim(predicted, target) == pytest.approx(np.mean([ssim_by_filters(*pair) for pair in pairs]), rel=1e-9)
+
+
 def test_unit_range_spans_two_deviations() -> None:
     mean, std = np.array([1.0, -2.0]), np.array([0.5, 3.0])
     np.testing.assert_allclose(
@@ -73,6 +83,16 @@ def test_l2q_knows_that_both_signs_are_one_rotation() -> None:
     # A turn by θ is a chord of 2·sin(θ/4) between unit quaternions; four joints make it twice as long.
     turned = Rotation.from_euler("y", 0.8) * Rotation.from_quat(target.reshape(-1, 4))
     assert l2q(turned.as_quat().reshape(target.shape), target) == pytest.approx(2 * 2 * math.sin(0.2), rel=1e-9)
+
+
+def test_signed_l2q_is_that_of_the_numbers_as_they_are() -> None:
+    rng = np.random.default_rng(4)
+    predicted, target = rng.normal(size=(2, 2, 3, 5, 4))
+    predicted, target = (q / np.linalg.norm(q, axis=-1, keepdims=True) for q in (predicted, target))
+    norms = [np.linalg.norm((predicted[c, t] - target[c, t]).ravel()) for c in range(2) for t in range(3)]
+    assert l2q_as_signed(predicted, target) == pytest.approx(np.mean(norms), rel=1e-12)
+    assert l2q(predicted, target) < l2q_as_signed(predicted, target)
+    assert l2q_as_signed(-target, target) == pytest.approx(2 * math.sqrt(5), rel=1e-12)
 
 
 def npss_by_loops(predicted: np.ndarray, target: np.ndarray) -> float:
