@@ -1,5 +1,6 @@
 """Motions completed: more frames between, gaps filled, the ends continued. Written once, for any `MotionEncoder`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -9,10 +10,12 @@ from jaxtyping import Bool, Float64, Int
 from motionkit.interpolation.fields import INTERPOLATORS
 from motionkit.motion import Motion
 from motionkit.motionfield import (
+    BatchEncoder,
     MotionEncoder,
     MotionField,
     Observation,
     Poses,
+    check_observed_alike,
     check_skeleton,
     to_motion,
     told_fps,
@@ -142,6 +145,26 @@ def begin(
         new, given = new[observed[given]], given[observed[given]]
     known = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
     return Completion(motion, known, told_fps(field, fps), grid, new, given)
+
+
+def query_many(
+    encoder: MotionEncoder,
+    observations: Sequence[Observation],
+    times_seconds: Float64[np.ndarray, "times"],
+    fps: Fraction,
+) -> list[Poses]:
+    """For each of many motions, observed at the same times, what its field says at these times: at once where it can.
+
+    Times may lie beyond the observed span; fields that depend on the framerate are told `fps`. Raises `ValueError` for
+    motions that are observed at different times or differ in their joints, and where the encoder cannot go that far.
+    """
+    check_observed_alike(observations)
+    if isinstance(encoder, BatchEncoder):
+        return encoder.query_many(observations, times_seconds)
+    before = max(0.0, observations[0].start_seconds - float(times_seconds.min()))
+    after = max(0.0, float(times_seconds.max()) - observations[0].end_seconds)
+    fields = (encoder.encode(observation, before_seconds=before, after_seconds=after) for observation in observations)
+    return [told_fps(field, fps).query(times_seconds) for field in fields]
 
 
 def observed_errors(field: MotionField, observation: Observation) -> Float64[np.ndarray, "frames joints"]:

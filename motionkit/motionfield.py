@@ -4,7 +4,7 @@ Splines, NeRM's latents and PA-HiRes are `MotionEncoder`s that make `MotionField
 and export are written once against the two.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Protocol, runtime_checkable
@@ -214,6 +214,21 @@ class MotionEncoder(Protocol):
 
 
 @runtime_checkable
+class BatchEncoder(Protocol):
+    """An encoder that can also answer for many motions at once, which were observed at the same times."""
+
+    def query_many(
+        self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
+    ) -> list[Poses]:
+        """For each motion the poses that its own field, reaching as far as is asked, has at these times.
+
+        Raises `ValueError` for motions that are not observed at the same times or differ in their joints, and where
+        the encoder cannot go that far.
+        """
+        ...
+
+
+@runtime_checkable
 class FramerateConditioned(Protocol):
     """A field that also depends on the framerate at which it is sampled (the s of NeRM's Eq. 2)."""
 
@@ -231,6 +246,17 @@ def check_times(field: MotionField, times_seconds: Float64[np.ndarray, "times"])
             f"{int((~inside).sum())} of {times_seconds.size} times lie outside the motion, the first at {first:.4f} s; "
             f"its domain is [{field.start_seconds:.4f}, {field.end_seconds:.4f}] s"
         )
+
+
+def check_observed_alike(observations: Sequence[Observation]) -> None:
+    """Raise `ValueError` unless all motions are observed at the same times and have joints that hang together alike."""
+    for number, observation in enumerate(observations):
+        if not np.array_equal(observation.times_seconds, observations[0].times_seconds):
+            raise ValueError(f"motion {number} of {len(observations)} is not observed at the times of the first")
+        if observation.skeleton.parents != observations[0].skeleton.parents:
+            raise ValueError(f"motion {number} of {len(observations)} has other joints than the first")
+    if not observations:
+        raise ValueError("no motion is observed")
 
 
 def check_skeleton(field: MotionField, observation: Observation) -> None:

@@ -7,22 +7,23 @@ straight line while every joint turns at a constant rate and bones keep their le
 """
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64
 
-from motionkit.interpolation.joints import Joints
+from motionkit.interpolation.joints import JointsOfMany
 from motionkit.interpolation.rotations import RotationKind, rotation_curve
 from motionkit.interpolation.values import CurveKind, curve
 from motionkit.motion import Motion
-from motionkit.motionfield import Observation, Poses, check_times
+from motionkit.motionfield import Observation, Poses, check_observed_alike, check_times
 from motionkit.skeleton import Skeleton
 
 Method = Literal["hold", "linear", "catmull-rom", "cubic", "slerp", "rotation-catmull-rom", "squad", "rotation-cubic"]
-PosesAt = Callable[[Float64[np.ndarray, "times"]], Poses]
+# Poses of several motions at the same times, a `Poses` for each motion.
+PosesAt = Callable[[Float64[np.ndarray, "times"]], list[Poses]]
 
 TIMES_AT_ONCE = 4096
 # An instant this close to an observed one is that one: time stamps are rounded to float64, frames are not.
@@ -66,7 +67,7 @@ class InterpolatedField:
             rows, poses_at = np.flatnonzero(block == number), self._block(number)
             for start in range(0, max(1, len(rows)), TIMES_AT_ONCE):
                 some = rows[start : start + TIMES_AT_ONCE]
-                poses = poses_at(times[some])
+                (poses,) = poses_at(times[some])
                 result = result or poses.room_for(len(times))
                 result.put(some, poses)
         assert result is not None
@@ -76,7 +77,7 @@ class InterpolatedField:
         if number not in self._blocks:
             margin, first = self.interpolator.margin_frames, number * FRAMES_AT_ONCE
             frames = slice(max(0, first - margin), first + FRAMES_AT_ONCE + 1 + margin)
-            self._blocks[number] = self.interpolator.make(self.observation.rows(frames))
+            self._blocks[number] = self.interpolator.make([self.observation.rows(frames)])
             while len(self._blocks) > BLOCKS_KEPT:
                 self._blocks.popitem(last=False)
         self._blocks.move_to_end(number)
@@ -85,10 +86,13 @@ class InterpolatedField:
 
 @dataclass(frozen=True)
 class Interpolator:
-    """A `MotionEncoder` that needs no training: curves through frames, and how far off a frame is still felt."""
+    """A `MotionEncoder` that needs no training: curves through frames, and how far off a frame is still felt.
+
+    It is a `BatchEncoder` too: motions observed at the same times share their curves.
+    """
 
     name: Method
-    make: Callable[[Observation], PosesAt] = field(repr=False)
+    make: Callable[[Sequence[Observation]], PosesAt] = field(repr=False)
     margin_frames: int
 
     def encode(
@@ -104,50 +108,78 @@ class Interpolator:
             observation.end_seconds + after_seconds,
         )
 
+    def query_many(
+        self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
+    ) -> list[Poses]:
+        """Poses of each motion at the same times, inside the observed span or beyond it, as its own field gives them.
+
+        Raises `ValueError` for motions that are not observed at the same times, or have other joints.
+        """
+        check_observed_alike(observations)
+        times = _snapped(times_seconds, observations[0].times_seconds)
+        return self.make([observation.with_continuous_rotations() for observation in observations])(times)
+
 
 def interpolate(motion: Motion, method: Method = "slerp") -> InterpolatedField:
     """A motion as a field, from its first frame to its last."""
     return INTERPOLATORS[method].encode(Observation.of(motion))
 
 
-def _hold(observation: Observation) -> PosesAt:
+def _hold(observations: Sequence[Observation]) -> PosesAt:
     """Each pose until the next one (zero-order hold)."""
 
-    def poses_at(times: Float64[np.ndarray, "times"]) -> Poses:
-        rows = np.searchsorted(observation.times_seconds, times, side="right") - 1
-        return observation.poses.rows(np.maximum(rows, 0))
+    def poses_at(times: Float64[np.ndarray, "times"]) -> list[Poses]:
+        rows = np.maximum(np.searchsorted(observations[0].times_seconds, times, side="right") - 1, 0)
+        return [observation.poses.rows(rows) for observation in observations]
 
     return poses_at
 
 
-def _on_positions(kind: CurveKind) -> Callable[[Observation], PosesAt]:
-    def make(observation: Observation) -> PosesAt:
-        positions = curve(kind, observation.times_seconds, observation.poses.joint_positions)
-        return lambda times: Poses(positions(times).astype(np.float32))
+def _on_positions(kind: CurveKind) -> Callable[[Sequence[Observation]], PosesAt]:
+    def make(observations: Sequence[Observation]) -> PosesAt:
+        observed = np.stack([observation.poses.joint_positions for observation in observations], axis=1)
+        positions = curve(kind, observations[0].times_seconds, observed)
+
+        def poses_at(times: Float64[np.ndarray, "times"]) -> list[Poses]:
+            made = positions(times).astype(np.float32)
+            return [Poses(np.ascontiguousarray(made[:, motion])) for motion in range(len(observations))]
+
+        return poses_at
 
     return make
 
 
-def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable[[Observation], PosesAt]:
+def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable[[Sequence[Observation]], PosesAt]:
     """Poses without rotations get those of inverse kinematics; as these are not observed, the field then has none."""
 
-    def make(observation: Observation) -> PosesAt:
-        times_seconds, poses, skeleton = observation.times_seconds, observation.poses, observation.skeleton
-        joints = Joints.of(poses, skeleton)
-        rotations = rotation_curve(rotation_kind, times_seconds, joints.rotations)
+    def make(observations: Sequence[Observation]) -> PosesAt:
+        times_seconds, skeleton = observations[0].times_seconds, observations[0].skeleton
+        joints = JointsOfMany.of(observations)
+        # Joints of all motions side by side.
+        shape = joints.rotations.shape[1:]
+        rotations = rotation_curve(rotation_kind, times_seconds, joints.rotations.reshape(len(times_seconds), -1, 4))
         bones = curve(root_kind, times_seconds, joints.bones)
         root = curve(root_kind, times_seconds, joints.root)
-        translation = None
-        if poses.root_translation is not None:
-            translation = curve(root_kind, times_seconds, poses.root_translation)
+        translations = [
+            None
+            if observation.poses.root_translation is None
+            else curve(root_kind, times_seconds, observation.poses.root_translation)
+            for observation in observations
+        ]
 
-        def poses_at(times: Float64[np.ndarray, "times"]) -> Poses:
-            between = Joints(rotations(times), bones.clamped(times), root(times))
-            return Poses(
-                joint_positions=between.positions(skeleton),
-                local_rotations=None if poses.local_rotations is None else between.rotations.astype(np.float32),
-                root_translation=None if translation is None else translation(times).astype(np.float32),
-            )
+        def poses_at(times: Float64[np.ndarray, "times"]) -> list[Poses]:
+            turned = rotations(times).reshape(len(times), *shape)
+            positions = JointsOfMany(turned, bones.clamped(times), root(times)).positions(skeleton)
+            return [
+                Poses(
+                    joint_positions=np.ascontiguousarray(positions[:, motion]),
+                    local_rotations=(
+                        None if observation.poses.local_rotations is None else turned[:, motion].astype(np.float32)
+                    ),
+                    root_translation=None if translation is None else translation(times).astype(np.float32),
+                )
+                for motion, (observation, translation) in enumerate(zip(observations, translations, strict=True))
+            ]
 
         return poses_at
 

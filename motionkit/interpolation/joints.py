@@ -1,12 +1,13 @@
 """Poses taken apart into what can be mixed without bending a body: rotations, bones, root."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
 from motionkit import kinematics
-from motionkit.motionfield import Poses
+from motionkit.motionfield import Observation, Poses
 from motionkit.skeleton import Skeleton
 
 
@@ -41,3 +42,31 @@ class Joints:
     def positions(self, skeleton: Skeleton) -> Float32[np.ndarray, "frames joints 3"]:
         """Forward kinematics, metres."""
         return kinematics.forward_kinematics(self.rotations, self.root, skeleton, self.bones).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class JointsOfMany:
+    """`Joints` of several motions over the same times, so that one curve goes through all of them at once."""
+
+    rotations: Float64[np.ndarray, "frames motions joints 4"]
+    bones: Float64[np.ndarray, "frames motions joints 3"]
+    root: Float64[np.ndarray, "frames motions 3"]
+
+    @classmethod
+    def of(cls, observations: Sequence[Observation]) -> "JointsOfMany":
+        """Take all poses of motions of equal length apart, as `Joints.of` does."""
+        each = [Joints.of(observation.poses, observation.skeleton) for observation in observations]
+        return cls(
+            np.stack([joints.rotations for joints in each], axis=1),
+            np.stack([joints.bones for joints in each], axis=1),
+            np.stack([joints.root for joints in each], axis=1),
+        )
+
+    def positions(self, skeleton: Skeleton) -> Float32[np.ndarray, "frames motions joints 3"]:
+        """Forward kinematics, metres."""
+        frames, motions, joints = self.rotations.shape[:3]
+        count = frames * motions
+        flat = Joints(
+            self.rotations.reshape(count, joints, 4), self.bones.reshape(count, joints, 3), self.root.reshape(count, 3)
+        )
+        return flat.positions(skeleton).reshape(frames, motions, joints, 3)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 from turning_body import random_motion
 
 from motionkit import kinematics
+from motionkit.completion import query_many
 from motionkit.interpolation import fields
 from motionkit.interpolation.fields import INTERPOLATORS, TIMES_AT_ONCE, Method, interpolate
 from motionkit.motion import Motion
@@ -63,6 +64,33 @@ def test_observed_frames_are_exact_at_even_and_uneven_times(method: Method, rota
             assert np.abs(poses.root_translation - observation.poses.root_translation).max() < 1e-6
         else:
             assert method not in ON_ROTATIONS or not rotations
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("rotations", [True, False])
+def test_many_motions_at_once_are_each_as_alone(method: Method, rotations: bool) -> None:
+    motions = [random_motion(seed, rotations=rotations) for seed in range(3)]
+    kept = np.flatnonzero(np.random.default_rng(1).uniform(size=motions[0].num_frames) < 0.5)
+    observations = [Observation.of(motion).rows(kept) for motion in motions]
+    times = np.concatenate((motions[0].timegrid.seconds(), observations[0].times_seconds[:1] - [0.05, 0.2]))
+    before, after = np.ptp(times), np.ptp(times)
+    together = query_many(INTERPOLATORS[method], observations, times, motions[0].fps)
+    for observation, found in zip(observations, together, strict=True):
+        field = INTERPOLATORS[method].encode(observation, before_seconds=before, after_seconds=after)
+        expected = field.query(times)
+        assert found.is_like(expected)
+        assert np.abs(found.joint_positions - expected.joint_positions).max() < 1e-6
+        if expected.local_rotations is not None:
+            assert found.local_rotations is not None
+            assert turn_between(found.local_rotations, expected.local_rotations).max() < 1e-5
+
+
+def test_many_motions_must_be_observed_alike() -> None:
+    first, second = (Observation.of(random_motion(seed)) for seed in (0, 1))
+    with pytest.raises(ValueError, match="motion 1 of 2 is not observed at the times of the first"):
+        INTERPOLATORS["slerp"].query_many([first, second.rows(slice(0, -1))], first.times_seconds)
+    with pytest.raises(ValueError, match="no motion is observed"):
+        INTERPOLATORS["hold"].query_many([], first.times_seconds)
 
 
 @pytest.mark.parametrize("method", METHODS)
