@@ -27,16 +27,32 @@ class Part:
 
 def kept(results: Path, name: str, terms: Mapping[str, Any], compute: Callable[[], Part]) -> Part:
     """The part `name` for these terms (plain values), read where it was computed before, else computed and written."""
+    part = find_part(results, name, terms)
+    if part is None:
+        part = compute()
+        keep_part(results, name, terms, part)
+    return part
+
+
+def find_part(results: Path, name: str, terms: Mapping[str, Any]) -> Part | None:
+    """The part that was kept for these terms; None where there is none."""
+    path, key = _place(results, name, terms)
+    if not path.is_file():
+        return None
+    document = json.loads(path.read_text(encoding="utf-8"))
+    if document["key"] != key:
+        return None
+    rows = {row: {column: Cell(**cell) for column, cell in cells.items()} for row, cells in document["rows"].items()}
+    return Part(rows, tuple(document["missing"]))
+
+
+def keep_part(results: Path, name: str, terms: Mapping[str, Any], part: Part) -> None:
+    """Write a part for `find_part`."""
+    path, key = _place(results, name, terms)
+    write_json(path, {"key": key, **asdict(part)})
+
+
+def _place(results: Path, name: str, terms: Mapping[str, Any]) -> tuple[Path, Any]:
     key = json.loads(json.dumps({"format": FORMAT, "name": name, **terms}))
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
-    path = results / FOLDER / f"{name}-{digest[:16]}.json"
-    if path.is_file():
-        document = json.loads(path.read_text(encoding="utf-8"))
-        if document["key"] == key:
-            rows = {
-                row: {column: Cell(**cell) for column, cell in cells.items()} for row, cells in document["rows"].items()
-            }
-            return Part(rows, tuple(document["missing"]))
-    part = compute()
-    write_json(path, {"key": key, **asdict(part)})
-    return part
+    return results / FOLDER / f"{name}-{digest[:16]}.json", key

@@ -38,6 +38,7 @@ def evaluate(
     samples: options.SampleFolders = None,
     samples_fps: options.SamplesFps = None,
     allow_broken: options.AllowBroken = False,
+    encoder: options.Encoders = None,
     low_pass: options.LowPass = None,
     evaluator: options.Evaluators = None,
     weights: options.Weights = None,
@@ -78,6 +79,7 @@ def evaluate(
         compat=tuple(compat.split(",")) if compat else (),
         draws=draws,
         seed=seed,
+        encoders=_encoders(encoder or [], runs or default_path("runs")),
     )
     result = _build(request, table if figure is None else f"figure{figure}", paper, as_json)
     _refuse_rowless(request, result)
@@ -197,6 +199,18 @@ def _sizes(text: str) -> "PoseRange | SecondsRange":
     if not valid:
         raise UsageError(f"--sizes {text}: give poses such as 16:64 (at least 8), or seconds such as 0.4s:1.6s")
     return chosen
+
+
+def _encoders(pairs: list[str], runs: Path) -> tuple[tuple[str, Path], ...]:
+    named = []
+    for pair in pairs:
+        name, separator, run = pair.partition("=")
+        if not separator or not name or not run:
+            raise UsageError(f"--encoder {pair}: give NAME=RUN, such as liif=wide for the LIIF of runs/wide")
+        if not (runs / run).is_dir():
+            raise UsageError(f"--encoder {pair}: there is no run {str(runs / run)!r}")
+        named.append((name, runs / run))
+    return tuple(named)
 
 
 def _samples(pairs: list[str]) -> dict[str, Path]:

@@ -68,6 +68,15 @@ AllowBroken = Annotated[
         rich_help_panel=EVALUATED,
     ),
 ]
+Encoders = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--encoder",
+        metavar="NAME=RUN",
+        help="Of completed motion: another run's trained encoder, as a row: liif=wide.",
+        rich_help_panel=EVALUATED,
+    ),
+]
 LowPass = Annotated[
     float | None,
     typer.Option(

@@ -43,8 +43,8 @@ def _derivative_error(
     *,
     order: int,
 ) -> float:
-    # Differences across the seam of two sequences would count as motion, so clips have an axis of their own. Differences
-    # are linear: the difference of derivatives is the derivative of the difference.
+    # Differences across the seam of two sequences would count as motion, so clips have an axis of their own. They are
+    # linear: the difference of derivatives is the derivative of the difference.
     difference = checked_difference(predicted, target)
     num_frames = difference.shape[-3]
     if num_frames <= order:

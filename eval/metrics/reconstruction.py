@@ -57,7 +57,7 @@ def rotation_angle_error(
     checked_difference(predicted, target)
     checked_quaternions(predicted, target)
     p, q = predicted.astype(np.float64), target.astype(np.float64)
-    # ‖p − q‖ and ‖p + q‖ are 2·sin and 2·cos of a quarter of the angle: exact for small angles too, where arccos is not.
+    # ‖p − q‖ and ‖p + q‖ are 2·sin and 2·cos of a quarter of the angle: exact for small angles, where arccos is not.
     apart, together = np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1)
     quarter = np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
     return float(np.degrees(4.0 * quarter).mean())

@@ -3,6 +3,8 @@
 There is no precedent for either on motion; this definition is motionkit's own (docs/metrics.md).
 """
 
+import math
+
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
@@ -30,11 +32,13 @@ def psnr(
     predicted: Float[np.ndarray, "*clips frames numbers"],
     target: Float[np.ndarray, "*clips frames numbers"],
     synthesised: Bool[np.ndarray, "marks"],
+    ceiling_db: float = math.inf,
 ) -> float:
     """−10·log₁₀ of the mean squared error of a clip in the unit range, dB, over its synthesised frames alone.
 
     Given frames are right by definition: counted, they would raise the figure with the share of them. Of several clips,
-    which have the same frames given, the mean of their dB. Infinite where nothing of a clip differs.
+    which have the same frames given, the mean of their dB. Infinite where nothing of a clip differs, unless each clip
+    counts with at most `ceiling_db`.
     """
     num_frames = predicted.shape[-2]
     if synthesised.shape != (num_frames,):
@@ -44,7 +48,7 @@ def psnr(
     difference = checked_difference(predicted, target)[..., synthesised, :]
     error = np.mean(difference * difference, axis=(-2, -1))
     with np.errstate(divide="ignore"):
-        return float(np.mean(-10.0 * np.log10(error)))
+        return float(np.mean(np.minimum(-10.0 * np.log10(error), ceiling_db)))
 
 
 def ssim(

@@ -30,7 +30,8 @@ class TableRequest:
     the real sequences that are compared with, `where` those of them for which this SQL holds; `guo` names the files of
     a published evaluator; `low_pass_hz`, where given, smooths every set alike before clips are drawn. Tables of whole
     motions follow the protocol called `published`, with the known bugs `compat` switched on, and ask models `draws`
-    times for every motion.
+    times for every motion. Tables of completed motion show the trained encoders that `run` holds and those of
+    `encoders`, pairs of an encoder's name and a run.
     """
 
     store: Path
@@ -50,6 +51,7 @@ class TableRequest:
     compat: tuple[str, ...] = ()
     draws: int = 1
     seed: int = 0
+    encoders: tuple[tuple[str, Path], ...] = ()
 
     @property
     def restriction(self) -> str:

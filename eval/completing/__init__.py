@@ -1,0 +1,1 @@
+"""Motions completed and held against the truth: takes, encoders, what each table gives and asks for."""
