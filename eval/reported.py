@@ -7,6 +7,9 @@ from importlib.resources import files
 SOURCES = {
     "nerm": "Wei et al., NeRM: Learning Neural Representations for High-Framerate Human Motion Synthesis, ICLR 2024",
     "pahires": "Xu et al., Towards Arbitrary Motion Completing via Hierarchical Continuous Representation",
+    "lafan1": "Harvey et al., Robust Motion In-betweening, ACM TOG 2020 (its benchmark's code)",
+    "delta-interp": "Oreshkin et al., Motion In-betweening via Deep Δ-Interpolator, IEEE TVCG 2023",
+    "ts-former": "Qin et al., Motion In-betweening via Two-stage Transformers, ACM TOG 2022",
 }
 
 
