@@ -7,6 +7,7 @@ it, `runs_with` finds the runs that have one. Interpolators need no run and are 
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from motionkit.errors import UsageError
 from motionkit.interpolation.fields import INTERPOLATORS
@@ -14,6 +15,21 @@ from motionkit.motionfield import MotionEncoder
 from motionkit.training.run import RunFolder
 
 GROUP = "motionkit.encoders"
+
+
+@runtime_checkable
+class KnowsItsTraining(Protocol):
+    """An encoder that can say what it has seen; beyond that it is asked all the same, and people are told."""
+
+    @property
+    def longest_gap_seconds(self) -> float:
+        """The longest time between neighbouring observed frames in training."""
+        ...
+
+    @property
+    def reach_seconds(self) -> float:
+        """How far beyond what is observed training went."""
+        ...
 
 
 def trained_encoder_names() -> tuple[str, ...]:

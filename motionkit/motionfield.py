@@ -139,7 +139,8 @@ class Observation:
                 f"observed is a mask of {motion.num_frames} bools, one for each frame, not {observed.dtype} "
                 f"{observed.shape}"
             )
-        rows = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
+        # All frames are the motion's own arrays, not copies of them.
+        rows = slice(None) if observed is None or observed.all() else np.flatnonzero(observed)
         return cls(motion.timegrid.seconds()[rows], Poses.of(motion).rows(rows), motion.skeleton)
 
     def rows(self, rows: np.ndarray | slice) -> "Observation":

@@ -12,10 +12,10 @@ from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
 
-from motionkit.interpolation.fields import INTERPOLATORS, Interpolator
-from motionkit.interpolation.joints import Joints
+from motionkit.interpolation.fields import INTERPOLATORS
+from motionkit.interpolation.joints import Joints, with_rotations
 from motionkit.kinematics import global_rotations, quaternion_conjugate, quaternion_multiply
 from motionkit.motion import Motion
 from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, told_fps
@@ -39,7 +39,7 @@ class Transferred:
     """
 
     encoder: MotionEncoder
-    interpolator: Interpolator = INTERPOLATORS["rotation-cubic"]
+    interpolator: MotionEncoder = INTERPOLATORS["rotation-cubic"]
 
     @property
     def name(self) -> str:
@@ -52,7 +52,7 @@ class Transferred:
         """The own skeleton's field; raises `SkeletonMapError` for an unknown skeleton and what the encoder raises."""
         skeleton = observation.skeleton
         counterparts = counterpart_joints(skeleton)
-        own, joints = _with_rotations(observation)
+        own = with_rotations(observation)
         canonical = canonical_observation(observation)
         reach = {"before_seconds": before_seconds, "after_seconds": after_seconds}
         return TransferredField(
@@ -60,7 +60,7 @@ class Transferred:
             model=self.encoder.encode(canonical, **reach),
             base=self.interpolator.encode(canonical, **reach),
             counterparts=counterparts,
-            moved_joint=_moved_joint(skeleton, counterparts[_PELVIS], joints.bones),
+            moved_joint=_moved_joint(own, counterparts[_PELVIS]),
             like=observation.poses.rows(slice(0, 0)),
         )
 
@@ -189,18 +189,10 @@ def canonical_observation(observation: Observation) -> Observation:
     return Observation(observation.times_seconds, canonical, SMPL22)
 
 
-def _with_rotations(observation: Observation) -> tuple[Observation, Joints]:
-    poses = observation.poses
-    joints = Joints.of(poses, observation.skeleton)
-    if poses.local_rotations is None:
-        rotations: Float32[np.ndarray, "frames joints 4"] = joints.rotations.astype(np.float32)
-        poses = Poses(poses.joint_positions, rotations, poses.root_translation)
-    return Observation(observation.times_seconds, poses, observation.skeleton), joints
-
-
-def _moved_joint(skeleton: Skeleton, pelvis: int, bones: Float64[np.ndarray, "frames joints 3"]) -> int:
+def _moved_joint(observation: Observation, pelvis: int) -> int:
     """The joint that carries the body's path: the one nearest the pelvis whose bone is not rigid, else the root."""
-    for joint in _and_above(skeleton, pelvis):
+    bones = Joints.of(observation.poses, observation.skeleton).bones
+    for joint in _and_above(observation.skeleton, pelvis):
         if joint and np.ptp(bones[:, joint], axis=0).max() > _RIGID_METRES:
             return joint
     return 0

@@ -45,6 +45,16 @@ class NetworkEncoder:
         """Name for tables and operation logs."""
         return self.trained.name
 
+    @property
+    def longest_gap_seconds(self) -> float:
+        """The longest time between neighbouring observed frames in training."""
+        return self.trained.longest_gap_seconds
+
+    @property
+    def reach_seconds(self) -> float:
+        """How far beyond what is observed training went."""
+        return self.trained.reach_seconds
+
     def encode(
         self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "NetworkField":

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeGuard
 
 from motionkit.anchoring import Anchored
-from motionkit.encoders import load_encoder, runs_with, trained_encoder_names
+from motionkit.encoders import KnowsItsTraining, load_encoder, runs_with, trained_encoder_names
 from motionkit.errors import UsageError
-from motionkit.interpolation.fields import INTERPOLATORS
+from motionkit.interpolation.fields import INTERPOLATORS, Method
+from motionkit.interpolation.settling import Settling
 from motionkit.motionfield import MotionEncoder
 from motionkit.skeleton import Skeleton
 from motionkit.skeleton_map import SkeletonMapError
@@ -14,7 +16,9 @@ from motionkit.skeleton_transfer import Transferred, counterpart_joints
 
 PREFERRED = "pahires"
 # Of all interpolators the one with the smallest errors on captures (docs/complete.md); its acceleration is continuous.
-BASE = INTERPOLATORS["rotation-cubic"]
+BASE = Settling(INTERPOLATORS["rotation-cubic"])
+# Those that turn joints: beyond the ends they come to rest.
+SETTLING = frozenset({"slerp", "rotation-catmull-rom", "squad", "rotation-cubic"})
 ALIASES = {"spline": "rotation-cubic"}
 
 
@@ -22,8 +26,7 @@ ALIASES = {"spline": "rotation-cubic"}
 class ChosenEncoder:
     """An encoder under the name by which people know it; `explanation` says why this one and how to have another.
 
-    A trained one knows the 22 joints only. `longest_gap_seconds` is how far apart the frames were that it has learnt
-    from, where it says so.
+    A trained one knows the 22 joints only.
     """
 
     name: str
@@ -34,8 +37,17 @@ class ChosenEncoder:
     @property
     def longest_gap_seconds(self) -> float | None:
         """Longest time without a frame in its training, None where it does not say."""
-        seconds = getattr(self.encoder, "longest_gap_seconds", None)
-        return float(seconds) if isinstance(seconds, int | float) else None
+        return self.encoder.longest_gap_seconds if isinstance(self.encoder, KnowsItsTraining) else None
+
+    @property
+    def reach_seconds(self) -> float | None:
+        """How far beyond the ends its training went, None where it does not say."""
+        return self.encoder.reach_seconds if isinstance(self.encoder, KnowsItsTraining) else None
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether beyond the ends it goes on at constant velocity."""
+        return not self.is_trained and self.name not in (*SETTLING, "hold")
 
     def for_skeleton(self, skeleton: Skeleton) -> tuple[MotionEncoder, str]:
         """The encoder to use on a skeleton; and if that is another, because this one does not know it, why."""
@@ -54,10 +66,12 @@ def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncod
     Without a name it is a trained PA-HiRes, of the run or of the one trained last, or else an interpolator.
     """
     name = ALIASES.get(name, name) if name else name
-    if name in INTERPOLATORS:
+    if name is not None and _is_interpolator(name):
         if run is not None:
             raise UsageError(f"--model {name} is an interpolator, which no run holds: leave --run out")
-        return ChosenEncoder(name, load_encoder(name, runs), False, f"{name}, an interpolator")
+        encoder = INTERPOLATORS[name]
+        settling = Settling(encoder) if name in SETTLING else encoder
+        return ChosenEncoder(name, settling, False, f"{name}, an interpolator")
     if name is None and run is None and not (PREFERRED in trained_encoder_names() and runs_with(PREFERRED, runs)):
         return ChosenEncoder(
             BASE.name,
@@ -67,6 +81,10 @@ def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncod
             f"motionkit train --stage {PREFERRED} trains one",
         )
     return _trained(name or PREFERRED, run, runs)
+
+
+def _is_interpolator(name: str) -> TypeGuard[Method]:
+    return name in INTERPOLATORS
 
 
 def _trained(name: str, run: str | None, runs: Path) -> ChosenEncoder:

@@ -14,7 +14,7 @@ from motionkit.completion import Completion
 from motionkit.errors import MotionkitError
 from motionkit.timegrid import format_fps
 
-# Beyond this no constant velocity is a motion: joints go on turning.
+# Beyond this no constant velocity is a motion.
 LONGEST_PLAUSIBLE_SECONDS = 0.5
 
 
@@ -126,11 +126,14 @@ def _warnings(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> list[st
     if longest is not None and gap > longest + 1e-6:
         found.append(f"a gap of {gap:.2f} s is longer than the {longest:.2f} s that {chosen.name} has learnt to close")
     reach = max(wanted.before_seconds, wanted.after_seconds)
-    if not chosen.is_trained and chosen.name != "hold" and reach > LONGEST_PLAUSIBLE_SECONDS:
+    if chosen.goes_on and reach > LONGEST_PLAUSIBLE_SECONDS:
         found.append(
-            f"{chosen.name} goes on at constant velocity for {reach:g} s; beyond {LONGEST_PLAUSIBLE_SECONDS:g} s limbs "
-            "turn where no body goes (--model hold stands still)"
+            f"{chosen.name} goes on at constant velocity for {reach:g} s; beyond {LONGEST_PLAUSIBLE_SECONDS:g} s that "
+            "is no body's motion (--model spline comes to rest)"
         )
+    trained = chosen.reach_seconds
+    if trained is not None and reach > trained + 1e-6:
+        found.append(f"{reach:g} s beyond an end is farther than the {trained:.2f} s that {chosen.name} has learnt")
     if int(wanted.observed.sum()) == 1:
         found.append("one frame is known, so the body stands still in it")
     return found

@@ -70,3 +70,13 @@ class JointsOfMany:
             self.rotations.reshape(count, joints, 4), self.bones.reshape(count, joints, 3), self.root.reshape(count, 3)
         )
         return flat.positions(skeleton).reshape(frames, motions, joints, 3)
+
+
+def with_rotations(observation: Observation) -> Observation:
+    """The observation itself if its poses have rotations, else with those of inverse kinematics in time."""
+    poses = observation.poses
+    if poses.local_rotations is not None:
+        return observation
+    rotations = Joints.of(poses, observation.skeleton).rotations.astype(np.float32)
+    turned = Poses(poses.joint_positions, rotations, poses.root_translation)
+    return Observation(observation.times_seconds, turned, observation.skeleton)

@@ -31,6 +31,7 @@ from motionkit.timegrid import TimeGrid
 WRITTEN_DECIMALS = 6
 # Places that differ by less from what is expected are as good: positions are float32.
 _SAME_METRES = 2e-6
+_FRAMES_AT_ONCE = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +73,11 @@ def read_document(path: Path, options: ReadOptions | None = None) -> BvhDocument
     """
     options = options or ReadOptions()
     data = sourcefile.read_bytes(path)
-    file = split_text(data, path)
+    file, sha256 = split_text(data, path), sourcefile.sha256(data)
     fps, operations = clock.fps_in_use(options.fps, lambda: stated_fps(file, path))
+    del data
     _check_orders(file.hierarchy, path)
-    body, seen = _without_nan(file.body, path)
+    body, seen = _without_nan(file.body, file.num_frames, path)
     columns = file.hierarchy.num_channels
     table = number_table.parse_table(
         body, num_rows=file.num_frames, num_columns=columns, path=path, first_line=file.body_line
@@ -88,7 +90,7 @@ def read_document(path: Path, options: ReadOptions | None = None) -> BvhDocument
     motion, unit, turned = _motion(table, file.hierarchy, fps, options, path)
     provenance = Provenance(
         source_path=path.name,
-        source_sha256=sourcefile.sha256(data),
+        source_sha256=sha256,
         source_format="bvh",
         stated_fps=f"Frame Time: {file.frame_time}",
         operations=tuple(operations),
@@ -117,12 +119,12 @@ def _check_orders(hierarchy: BvhHierarchy, path: Path) -> None:
             raise FormatError(message, path=path, reason="channels")
 
 
-def _without_nan(body: bytes, path: Path) -> tuple[bytes, Bool[np.ndarray, "frames"]]:
+def _without_nan(body: bytes, num_frames: int, path: Path) -> tuple[bytes, Bool[np.ndarray, "frames"]]:
     """The lines, those that hold `nan` replaced by the one before (or the first that has none), and which have none."""
     is_nan = re.compile(rb"(?i)(?<![^\s])[-+]?nan(?![^\s])")
+    if is_nan.search(body) is None:
+        return body, np.ones(num_frames, bool)
     lines = [line for line in body.splitlines() if line.strip()]
-    if b"nan" not in body.lower():
-        return body, np.ones(len(lines), bool)
     seen = np.array([is_nan.search(line) is None for line in lines], bool)
     if not seen.any():
         raise FormatError("every frame holds nan: nothing is observed", path=path, reason="nan")
@@ -143,11 +145,12 @@ def _motion(
     unit = options.unit_metres or (inferred.metres if inferred else 1.0)
     skeleton = skeleton.scaled(unit)
     rotations, root = np.ascontiguousarray(pose.rotations), (pose.root * unit).astype(np.float32)
-    offsets = None
-    if pose.placed_joints:
-        offsets = np.repeat(skeleton.offsets[None], len(root), axis=0)
-        offsets[:, list(pose.placed_joints)] = pose.places * unit
-    positions = kinematics.forward_kinematics(rotations, root, skeleton, offsets)
+    positions = np.empty((len(root), skeleton.num_joints, 3), np.float32)
+    for start in range(0, len(root), _FRAMES_AT_ONCE):  # what it needs is several times what it gives
+        some = slice(start, start + _FRAMES_AT_ONCE)
+        offsets = np.repeat(skeleton.offsets[None], len(root[some]), axis=0)
+        offsets[:, list(pose.placed_joints)] = pose.places[some] * unit
+        positions[some] = kinematics.forward_kinematics(rotations[some], root[some], skeleton, offsets)
     turned = body_frame.is_z_up(skeleton, positions)
     if turned:
         skeleton, positions, rotations, root = body_frame.z_up_to_y_up(skeleton, positions, rotations, root)
@@ -163,7 +166,7 @@ class ChannelLines:
 
     def __init__(self, document: BvhDocument, anchors: Int64[np.ndarray, "anchors"]) -> None:
         self._document = document
-        self._known_rows = document.table[anchors]
+        self._frames = anchors
         self._known_seconds = document.motion.timegrid.seconds()[anchors]
         self._last_row: Float64[np.ndarray, "1 channels"] | None = None
         self._last_after = -1
@@ -196,7 +199,7 @@ class ChannelLines:
             back = np.flatnonzero(leading)[::-1]
             rows = np.empty_like(expected)
             rows[back] = self._converted(
-                poses.rows(back), expected[back], self._known_rows[:1], np.zeros_like(after[back])
+                poses.rows(back), expected[back], self._document.table[self._frames[:1]], np.zeros_like(after[back])
             )
             rest = np.flatnonzero(~leading)
             if rest.size:
@@ -209,7 +212,7 @@ class ChannelLines:
     ) -> tuple[Float64[np.ndarray, "anchors channels"], Int64[np.ndarray, "times"]]:
         # The known rows that count here; a stretch that began in the call before goes on from its last row.
         first, goes_on = int(after[0]), self._last_row is not None and self._last_after == after[0]
-        known = self._known_rows[first : int(after[-1]) + 1].copy()
+        known = self._document.table[self._frames[first : int(after[-1]) + 1]]
         if goes_on and self._last_row is not None:
             known[0] = self._last_row[0]
         self._last_after = int(after[-1])
@@ -217,12 +220,13 @@ class ChannelLines:
 
     def _expected(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times channels"]:
         # Channels on straight lines between known frames, and at rest beyond them.
-        known, rows = self._known_seconds, self._known_rows
+        known = self._known_seconds
         left = np.clip(np.searchsorted(known, seconds, side="right") - 1, 0, max(0, len(known) - 2))
         right = np.minimum(left + 1, len(known) - 1)
         span = np.where(right > left, known[right] - known[left], 1.0)
         fraction = np.clip((seconds - known[left]) / span, 0.0, 1.0)[:, None]
-        return np.asarray(rows[left] + fraction * (rows[right] - rows[left]))
+        before, behind = (self._document.table[self._frames[places]] for places in (left, right))
+        return np.asarray(before + fraction * (behind - before))
 
     def _converted(
         self,

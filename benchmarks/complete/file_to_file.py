@@ -1,0 +1,100 @@
+"""`motionkit complete` from file to file: seconds and memory of a clip of a minute and of half an hour.
+
+    python benchmarks/complete/file_to_file.py [--minutes 1 30] [--fps 120] [--arguments "--run runs/nano"] [--json]
+
+The clip is a synthetic motion of the 22 joints at 30 fps, as BVH. Each figure is of a process of its own: wall seconds,
+CPU seconds (user and system), peak resident memory. The floor is a process that reads the clip's numbers and writes as
+many as the result has, repeated, with the same parser and writer: what is left is completing.
+"""
+
+import argparse
+import json
+import resource
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+PIECE_SECONDS = 60.0
+FLOOR = """
+import sys
+from pathlib import Path
+from motionkit.formats import number_table
+from motionkit.formats.bvh.text import split_text
+path, repeats = Path(sys.argv[1]), int(sys.argv[2])
+file = split_text(path.read_bytes(), path)
+table = number_table.parse_table(
+    file.body, num_rows=file.num_frames, num_columns=file.hierarchy.num_channels, path=path, first_line=1
+)
+with open(sys.argv[3], "wb") as out:
+    for start in range(0, len(table), 1024):
+        out.write(number_table.format_table(table[start : start + 1024].repeat(repeats, axis=0)))
+"""
+COMPLETE = "from motionkit.cli.app import main; main()"
+
+
+def write_clip(path: Path, minutes: float) -> None:
+    """A BVH file at 30 fps: a minute's motion there and back, over and over."""
+    from motionkit.formats.bvh.motion import write_bvh
+    from motionkit.motionfield import to_motion
+    from motionkit.synthetic import make_body, perform
+
+    field = perform(np.random.default_rng(0), make_body("benchmark"), ["walk", "squat", "jump", "bow"], PIECE_SECONDS)
+    write_bvh(to_motion(field, Fraction(30)), path)
+    head, _, body = path.read_text(encoding="utf-8").partition("MOTION\n")
+    _, frame_time, *lines = body.strip().splitlines()
+    count = round(minutes * 60 * 30)
+    lines = [*lines, *lines[-2:0:-1]] * (count // (2 * len(lines) - 2) + 1)
+    path.write_text(
+        f"{head}MOTION\nFrames: {count}\n{frame_time}\n" + "\n".join(lines[:count]) + "\n", encoding="utf-8"
+    )
+
+
+def measure(command: list[str]) -> dict[str, float]:
+    """Wall and CPU seconds and peak memory of a command."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    started = time.perf_counter()
+    script = "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL, "
+    script += "stderr=subprocess.DEVNULL); print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
+    told = subprocess.run([sys.executable, "-c", script, *command], check=True, capture_output=True, text=True)
+    wall = time.perf_counter() - started
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {"wall_seconds": wall, "cpu_seconds": cpu, "peak_megabytes": int(told.stdout) / 1000}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, nargs="+", default=[1.0, 30.0])
+    parser.add_argument("--fps", type=int, default=120)
+    parser.add_argument("--arguments", default="", help="Further arguments of motionkit complete.")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        clip, out = Path(folder) / "clip.bvh", Path(folder) / "out.bvh"
+        for minutes in arguments.minutes:
+            write_clip(clip, minutes)
+            further = ["--fps", str(arguments.fps), "--out", str(out), "--overwrite", *shlex.split(arguments.arguments)]
+            floor = [sys.executable, "-c", FLOOR, str(clip), str(arguments.fps // 30), str(out)]
+            rows.append({"minutes": minutes, "what": "floor", **measure(floor)})
+            made = [sys.executable, "-c", COMPLETE, "complete", str(clip), *further]
+            rows.append({"minutes": minutes, "what": f"30 → {arguments.fps} fps", **measure(made)})
+    if arguments.json:
+        print(json.dumps({"arguments": arguments.arguments, "figures": rows}, indent=2, ensure_ascii=False))
+        return
+    print(f"{'minutes':>8}  {'':14} {'wall s':>8} {'CPU s':>8} {'peak MB':>8}")
+    for row in rows:
+        print(
+            f"{row['minutes']:8g}  {row['what']:14} {row['wall_seconds']:8.2f} {row['cpu_seconds']:8.2f} "
+            f"{row['peak_megabytes']:8.0f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
