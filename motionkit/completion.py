@@ -24,6 +24,7 @@ from motionkit.timegrid import TimeGrid, num_frames_within
 
 SLERP: MotionEncoder = INTERPOLATORS["slerp"]
 _TOLERANCE_FRAMES = 1e-6
+_SAME_SECONDS = 1e-6
 
 
 def upsample(motion: Motion, fps: Fraction, encoder: MotionEncoder = SLERP) -> Motion:
@@ -130,21 +131,55 @@ def begin(
 ) -> Completion:
     """What `complete` samples, for motions that are written while they are made; raises what `complete` raises."""
     fps = motion.fps if fps is None else fps
-    if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
-        raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
-    observation = Observation.of(motion, observed)
-    grid = _grid(motion, fps, before_seconds, after_seconds)
+    grid = _grid(motion.timegrid.start_seconds, motion.timegrid.span_seconds, fps, before_seconds, after_seconds)
+    new, given = _shared_frames(motion, grid, before_seconds)
+    if observed is not None:
+        new, given = new[observed[given]], given[observed[given]]
+    known = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
+    return _completion(motion, Observation.of(motion, observed), encoder, grid, known, new, given)
+
+
+def begin_uneven(
+    motion: Motion,
+    times_seconds: Float64[np.ndarray, "frames"],
+    encoder: MotionEncoder,
+    *,
+    fps: Fraction,
+    observed: Bool[np.ndarray, "frames"] | None = None,
+    before_seconds: float = 0.0,
+    after_seconds: float = 0.0,
+) -> Completion:
+    """`begin` for frames that were at `times_seconds`, which ascend, whatever the motion's own time grid says.
+
+    The new grid is that of the first frame. A given frame lies on it where it is nearer to it than a microsecond.
+    Raises what `begin` raises, and `ValueError` for times that do not ascend.
+    """
+    known = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
+    observation = Observation(times_seconds[known], Poses.of(motion).rows(known), motion.skeleton)
+    first, last = float(times_seconds[0]), float(times_seconds[-1])
+    grid = _grid(first, last - first, fps, before_seconds, after_seconds)
+    rows = np.rint((observation.times_seconds - grid.start_seconds) * float(fps)).astype(np.int64)
+    rows = np.clip(rows, 0, grid.num_frames - 1)
+    near = np.flatnonzero(np.abs(grid.seconds()[rows] - observation.times_seconds) < _SAME_SECONDS)
+    return _completion(motion, observation, encoder, grid, known, rows[near], known[near])
+
+
+def _completion(
+    motion: Motion,
+    observation: Observation,
+    encoder: MotionEncoder,
+    grid: TimeGrid,
+    known: Int[np.ndarray, "known"],
+    new: Int[np.ndarray, "given"],
+    given: Int[np.ndarray, "given"],
+) -> Completion:
     last_second = grid.start_seconds + grid.span_seconds
     field = encoder.encode(
         observation,
         before_seconds=max(0.0, observation.start_seconds - grid.start_seconds),
         after_seconds=max(0.0, last_second - observation.end_seconds),
     )
-    new, given = _shared_frames(motion, grid, before_seconds)
-    if observed is not None:
-        new, given = new[observed[given]], given[observed[given]]
-    known = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
-    return Completion(motion, known, told_fps(field, fps), grid, new, given)
+    return Completion(motion, known, told_fps(field, grid.fps), grid, new, given)
 
 
 def query_many(
@@ -177,10 +212,14 @@ def observed_errors(field: MotionField, observation: Observation) -> Float64[np.
     return np.asarray(np.linalg.norm(made - observation.poses.joint_positions, axis=-1))
 
 
-def _grid(motion: Motion, fps: Fraction, before_seconds: float, after_seconds: float) -> TimeGrid:
+def _grid(
+    start_seconds: float, span_seconds: float, fps: Fraction, before_seconds: float, after_seconds: float
+) -> TimeGrid:
+    if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
+        raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
     before = int(np.floor(before_seconds * float(fps) + _TOLERANCE_FRAMES))
-    after = num_frames_within(motion.timegrid.span_seconds + after_seconds, fps)
-    return TimeGrid(fps, before + after, motion.timegrid.start_seconds - float(before / fps))
+    after = num_frames_within(span_seconds + after_seconds, fps)
+    return TimeGrid(fps, before + after, start_seconds - float(before / fps))
 
 
 def _shared_frames(

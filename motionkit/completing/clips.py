@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64
 
 from motionkit.completing import vectors_npy
 from motionkit.completing.holes import read_with_holes
@@ -36,6 +36,7 @@ class Clip:
     """One clip to complete: its motion, which of its frames are whole, and its form.
 
     `write` writes a completed motion of it to a path; what cannot be written as it came goes to another `suffix`.
+    `uneven_seconds` are the times of its frames where they are not those of the motion's grid.
     """
 
     motion: Motion
@@ -43,6 +44,12 @@ class Clip:
     suffix: str
     write: Callable[[Completion, Path, Progress], None]
     note: str = ""
+    uneven_seconds: Float64[np.ndarray, "frames"] | None = None
+
+    @property
+    def seconds(self) -> Float64[np.ndarray, "frames"]:
+        """When its frames were."""
+        return self.motion.timegrid.seconds() if self.uneven_seconds is None else self.uneven_seconds
 
 
 @dataclass(frozen=True)
@@ -90,10 +97,11 @@ def _read(item: SourceItem, options: ReadOptions) -> Clip:
         document = read_document(item.path, options)
         document = replace(document, motion=replace(document.motion, captions=item.captions))
         return Clip(document.motion, document.seen, ".bvh", lambda *told: write_document(document, *told))
-    motion, seen = read_with_holes(item, options)
+    read = read_with_holes(item, options)
     if item.path.parent.name == VECTORS_FOLDER:
-        return Clip(motion, seen, ".npy", _writing(vectors_npy.write_vectors))
-    return as_clip(motion, seen, item.path.suffix.lower(), f"{item.format} cannot be written")
+        return Clip(read.motion, read.seen, ".npy", _writing(vectors_npy.write_vectors))
+    clip = as_clip(read.motion, read.seen, item.path.suffix.lower(), f"{item.format} cannot be written")
+    return replace(clip, uneven_seconds=read.uneven_seconds)
 
 
 def as_clip(motion: Motion, seen: Bool[np.ndarray, "frames"], suffix: str, why_not: str) -> Clip:

@@ -1,7 +1,7 @@
-"""Frames that a tracker lost are nan in its arrays: they are read as not observed, and completed like any gap.
+"""Clips with holes: frames that a tracker lost are nan, frames that a camera dropped leave uneven time stamps.
 
-Readers refuse nan, for a corpus must not hold any. Here a copy without it is read, each lost frame repeating a whole
-one, together with the mask that says which frames are whole.
+Readers refuse both, for a corpus must not hold any. Here a copy without nan is read, each lost frame repeating a whole
+one, together with the mask that says which frames are whole and with the times at which they were.
 """
 
 import io
@@ -9,11 +9,11 @@ import shutil
 import tempfile
 import zipfile
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64
 
 from motionkit.errors import FormatError
 from motionkit.formats import registry, sourcefile
@@ -21,23 +21,63 @@ from motionkit.formats.arrays import npy, npz_archive
 from motionkit.formats.arrays.joints_npy import MANIFEST
 from motionkit.formats.items import ReadOptions, SourceItem
 from motionkit.motion import Motion
+from motionkit.timegrid import parse_fps
 
 FRAME_ARRAYS = ("joint_positions", "local_rotations", "root_translation")
 NAN = "nan"
 
 
-def read_with_holes(item: SourceItem, options: ReadOptions) -> tuple[Motion, Bool[np.ndarray, "frames"]]:
-    """A motion and which of its frames are whole; raises `FormatError` as `registry.read`, and where none is whole.
+@dataclass(frozen=True, eq=False)
+class ReadClip:
+    """A motion as read, which of its frames are whole, and where they lie in time if its grid does not say that."""
 
-    Only .npz and .npy arrays may have holes.
+    motion: Motion
+    seen: Bool[np.ndarray, "frames"]
+    uneven_seconds: Float64[np.ndarray, "frames"] | None = None
+
+
+def read_with_holes(item: SourceItem, options: ReadOptions) -> ReadClip:
+    """A clip with its holes; raises `FormatError` as `registry.read`, and where no frame is whole.
+
+    Only .npz and .npy arrays may have holes, only .npz uneven times: those have to ascend.
     """
     try:
-        motion = registry.read(item, options)
+        motion, uneven = _read_timed(item, options)
     except FormatError as error:
         if error.reason != NAN or item.path.suffix.lower() not in (".npz", ".npy") or item.key:
             raise
         return _read_filled(item, options)
-    return motion, np.ones(motion.num_frames, bool)
+    return ReadClip(motion, np.ones(motion.num_frames, bool), uneven)
+
+
+def _read_timed(item: SourceItem, options: ReadOptions) -> tuple[Motion, Float64[np.ndarray, "frames"] | None]:
+    try:
+        return registry.read(item, options), None
+    except FormatError as error:
+        if error.reason != "frame-time" or item.format != "npz":
+            raise
+        seconds = _ascending_seconds(item.path, error)
+    # The usual step stands for a framerate where one is needed: how fast the clip is.
+    motion = registry.read(item, replace(options, fps=parse_fps(float(1 / np.median(np.diff(seconds))))))
+    return motion.logged("time stamps are uneven: each frame taken at its own"), seconds
+
+
+def _ascending_seconds(path: Path, error: FormatError) -> Float64[np.ndarray, "frames"]:
+    archive = npz_archive.open_archive(path, sourcefile.read_bytes(path))
+    if "time_seconds" not in archive:
+        raise error
+    seconds = npz_archive.read_exact(archive, "time_seconds", (None,))
+    if len(seconds) < 2 or not np.isfinite(seconds).all():
+        raise error
+    late = np.diff(seconds) <= 0
+    if late.any():
+        frame = int(np.argmax(late)) + 1
+        before, here = seconds[frame - 1 : frame + 1]
+        message = (
+            f"is at {here:.6g} s, after a frame at {before:.6g} s: sort frames by time and keep one of each instant"
+        )
+        raise FormatError(message, path=path, reason="frame-time", frame=frame)
+    return seconds
 
 
 def filled_rows(
@@ -54,7 +94,7 @@ def filled_rows(
     return {name: array[source] for name, array in arrays.items()}, seen
 
 
-def _read_filled(item: SourceItem, options: ReadOptions) -> tuple[Motion, Bool[np.ndarray, "frames"]]:
+def _read_filled(item: SourceItem, options: ReadOptions) -> ReadClip:
     data = sourcefile.read_bytes(item.path)
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / item.path.name
@@ -65,10 +105,10 @@ def _read_filled(item: SourceItem, options: ReadOptions) -> tuple[Motion, Bool[n
             np.save(copy, filled[""], allow_pickle=False)
             if (item.path.parent / MANIFEST).is_file():
                 shutil.copy(item.path.parent / MANIFEST, folder)
-        motion = registry.read(replace(item, path=copy, root=Path(folder)), options)
+        motion, uneven = _read_timed(replace(item, path=copy, root=Path(folder)), options)
     provenance = replace(motion.provenance, source_sha256=sourcefile.sha256(data))
     lost = f"{int((~seen).sum())} frames hold nan: not observed"
-    return replace(motion, provenance=provenance).logged(lost), seen
+    return ReadClip(replace(motion, provenance=provenance).logged(lost), seen, uneven)
 
 
 def _copy_npz(path: Path, data: bytes, copy: Path) -> Bool[np.ndarray, "frames"]:

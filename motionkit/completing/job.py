@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motionkit import completion
 from motionkit.completing.clips import Clip, ClipSource, Progress, as_format, write_whole
 from motionkit.completing.encoder_choice import ChosenEncoder
 from motionkit.completing.page import write_page
 from motionkit.completing.request import ClipRequest, CompletionRequest
-from motionkit.completion import Completion
+from motionkit.completion import Completion, begin, begin_uneven
 from motionkit.errors import MotionkitError
+from motionkit.motionfield import MotionEncoder
 from motionkit.timegrid import format_fps
 
 # Beyond this no constant velocity is a motion.
@@ -71,7 +71,7 @@ class Job:
         clip = source.read()
         if self.suffix is not None:
             clip = as_format(clip, self.suffix)
-        wanted = self.request.for_clip(clip.motion, clip.seen)
+        wanted = self.request.for_clip(clip.motion, clip.seen, clip.uneven_seconds)
         path = path_of(source, clip.suffix, format_fps(wanted.fps))
         page = path.with_suffix(".html") if self.compared else None
         for each in (path, page):
@@ -82,7 +82,7 @@ class Job:
         write_whole(clip, made, path, progress)
         if page is not None:
             others = [(other.name, self._begin(clip, wanted, other)[0]) for other in self.compared]
-            write_page(page, source.name, clip.motion, wanted.observed, [(name, made), *others])
+            write_page(page, source.name, clip, wanted.observed, [(name, made), *others])
         if clip.note:
             warnings.append(clip.note)
         lost = int((~clip.seen).sum())
@@ -97,7 +97,7 @@ class Job:
             num_frames=clip.motion.num_frames,
             num_completed=made.grid.num_frames,
             num_given=len(made.given_rows),
-            longest_gap_seconds=wanted.longest_gap_seconds(clip.motion.fps),
+            longest_gap_seconds=wanted.longest_gap_seconds,
             page=page,
             warnings=tuple(warnings),
         )
@@ -107,22 +107,28 @@ class Job:
         name = encoder.name if warning else chosen.name
         warnings = [warning] if warning else _warnings(clip, wanted, chosen)
         try:
-            made = completion.begin(
-                clip.motion,
-                encoder,
-                fps=wanted.fps,
-                observed=wanted.observed,
-                before_seconds=wanted.before_seconds,
-                after_seconds=wanted.after_seconds,
-            )
+            made = _encoded(clip, wanted, encoder)
         except ValueError as error:
             raise MotionkitError(f"{chosen.name} cannot complete it: {error}") from None
         return made, name, warnings
 
 
+def _encoded(clip: Clip, wanted: ClipRequest, encoder: MotionEncoder) -> Completion:
+    fps, observed, before, after = wanted.fps, wanted.observed, wanted.before_seconds, wanted.after_seconds
+    if clip.uneven_seconds is None:
+        return begin(clip.motion, encoder, fps=fps, observed=observed, before_seconds=before, after_seconds=after)
+    return begin_uneven(
+        *(clip.motion, clip.uneven_seconds, encoder),
+        fps=fps,
+        observed=observed,
+        before_seconds=before,
+        after_seconds=after,
+    )
+
+
 def _warnings(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> list[str]:
     found = []
-    gap, longest = wanted.longest_gap_seconds(clip.motion.fps), chosen.longest_gap_seconds
+    gap, longest = wanted.longest_gap_seconds, chosen.longest_gap_seconds
     if longest is not None and gap > longest + 1e-6:
         found.append(f"a gap of {gap:.2f} s is longer than the {longest:.2f} s that {chosen.name} has learnt to close")
     reach = max(wanted.before_seconds, wanted.after_seconds)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
+from motionkit.completing.clips import Clip
 from motionkit.completion import Completion
 from motionkit.motion import Motion
 
@@ -25,7 +26,7 @@ PLACEHOLDER = "__PAGE_DATA__"
 def write_page(
     path: Path,
     title: str,
-    motion: Motion,
+    clip: Clip,
     observed: Bool[np.ndarray, "frames"],
     ways: Sequence[tuple[str, Completion]],
 ) -> None:
@@ -36,8 +37,9 @@ def write_page(
     rows = np.arange(0, first.grid.num_frames, step)[: int(PAGE_SECONDS * fps)]
     seconds = first.seconds(0, first.grid.num_frames)[rows]
     panels = [(f"{name}", _sampled(made, seconds)) for name, made in ways]
-    held, inside = _held(motion, seconds)
-    clip = f"the clip, {float(motion.fps):.6g} fps"
+    motion = clip.motion
+    held, inside = _held(clip, seconds)
+    as_it_was = f"the clip, {float(motion.fps):.6g} fps"
     low = min(float(joints.min()) for _, joints in [("", held), *panels])
     high = max(float(joints.max()) for _, joints in [("", held), *panels])
     scale = max((high - low) / 65_000, 1e-6)
@@ -57,9 +59,9 @@ def write_page(
         "parents": _drawn_parents(motion),
         "scale": scale,
         "centre": centre,
-        "given": _near_known(motion.timegrid.seconds()[observed], seconds, fps).astype(int).tolist(),
+        "given": _near_known(clip.seconds[observed], seconds, fps).astype(int).tolist(),
         "inside": inside.astype(int).tolist(),
-        "panels": [panel(clip, held), *(panel(*each) for each in panels)],
+        "panels": [panel(as_it_was, held), *(panel(*each) for each in panels)],
     }
     template = resources.files("motionkit.completing.templates").joinpath("compare.html").read_text(encoding="utf-8")
     # In a script nothing may look like the end of one.
@@ -84,12 +86,12 @@ def _sampled(made: Completion, seconds: Float64[np.ndarray, "times"]) -> Float32
 
 
 def _held(
-    motion: Motion, seconds: Float64[np.ndarray, "times"]
+    clip: Clip, seconds: Float64[np.ndarray, "times"]
 ) -> tuple[Float32[np.ndarray, "times joints 3"], Bool[np.ndarray, "times"]]:
     # The clip at its own framerate: each frame until the next; and whether an instant lies inside the clip.
-    frames = np.floor((seconds - motion.timegrid.start_seconds) * float(motion.fps) + 1e-6).astype(np.int64)
-    inside = (frames >= 0) & (frames < motion.num_frames)
-    return motion.joint_positions[np.clip(frames, 0, motion.num_frames - 1)], inside
+    frames = np.searchsorted(clip.seconds, seconds + 1e-6, side="right") - 1
+    inside = (frames >= 0) & (seconds <= clip.seconds[-1] + 1e-6)
+    return clip.motion.joint_positions[np.maximum(frames, 0)], np.asarray(inside)
 
 
 def _near_known(

@@ -8,7 +8,7 @@ from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64
 
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.motion import Motion
@@ -55,12 +55,21 @@ class CompletionRequest:
         if self.fps is None and not self.keep and not self.before.amount and not self.after.amount:
             raise UsageError("nothing to make: give --fps 120, --keep 0:10,40:50 or --extend 0.5,1")
 
-    def for_clip(self, motion: Motion, seen: Bool[np.ndarray, "frames"]) -> "ClipRequest":
+    def for_clip(
+        self,
+        motion: Motion,
+        seen: Bool[np.ndarray, "frames"],
+        uneven_seconds: Float64[np.ndarray, "frames"] | None = None,
+    ) -> "ClipRequest":
         """What is asked of one clip, of whose frames those that are `seen` are whole.
 
         Raises `MotionkitError` where that cannot be had: a lower framerate, frames that the clip has not.
         """
         fps = motion.fps if self.fps is None else self.fps
+        if uneven_seconds is not None and self.fps is None:
+            raise MotionkitError(
+                f"its frames are uneven in time, about {float(fps):.4g} a second: say with --fps how many to write"
+            )
         if fps < motion.fps:
             raise MotionkitError(
                 f"{format_fps(fps)} fps is less than its {format_fps(motion.fps)}: frames would be dropped, not made; "
@@ -72,26 +81,27 @@ class CompletionRequest:
         before, after = self.before.seconds(motion.fps), self.after.seconds(motion.fps)
         if motion.num_frames == 1 and not (before or after):
             raise MotionkitError("it has one frame, and nothing lies between; only --extend makes more of it")
-        for seconds in (before, after):
-            if seconds > LONGEST_REACH_SECONDS:
-                raise MotionkitError(f"--extend by {seconds:g} s: at most {LONGEST_REACH_SECONDS:g} s beyond an end")
-        return ClipRequest(fps, observed, before, after)
+        for reach in (before, after):
+            if reach > LONGEST_REACH_SECONDS:
+                raise MotionkitError(f"--extend by {reach:g} s: at most {LONGEST_REACH_SECONDS:g} s beyond an end")
+        seconds = motion.timegrid.seconds() if uneven_seconds is None else uneven_seconds
+        known = seconds[observed]
+        gap = float(np.diff(known).max()) if len(known) > 1 else 0.0
+        return ClipRequest(fps, observed, before, after, gap)
 
 
 @dataclass(frozen=True, eq=False)
 class ClipRequest:
-    """What to make of one clip: the framerate, which of its frames are known, seconds beyond both ends."""
+    """What to make of one clip: the framerate, which of its frames are known, seconds beyond both ends.
+
+    `longest_gap_seconds` is the longest time between two known frames.
+    """
 
     fps: Fraction
     observed: Bool[np.ndarray, "frames"]
     before_seconds: float
     after_seconds: float
-
-    def longest_gap_seconds(self, fps: Fraction) -> float:
-        """Longest time between two known frames of a clip of this framerate, where frames are to be made between."""
-        known = np.flatnonzero(self.observed)
-        steps = np.diff(known)
-        return float(int(steps.max()) / fps) if steps.size else 0.0
+    longest_gap_seconds: float
 
 
 def kept_frames(ranges: Sequence[FrameRange], num_frames: int) -> Bool[np.ndarray, "frames"]:

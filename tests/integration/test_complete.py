@@ -22,6 +22,7 @@ from motionkit.motion import Caption, Motion
 from motionkit.motionfield import to_motion
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
+from tests.motionkit.formats.samples import NUM_BVH_CHANNELS, bvh_text
 
 Run = Callable[..., Outcome]
 PAGE = Path(__file__).parents[2] / "docs" / "complete.md"
@@ -150,6 +151,60 @@ def test_a_bad_file_costs_nothing_of_the_others(motionkit: Run, tmp_path: Path, 
     assert len(report["clips"]) == 2
 
 
+LEARNT = """
+from motionkit.interpolation.fields import INTERPOLATORS
+from motionkit.skeleton import SMPL22
+
+class Learnt:
+    name, longest_gap_seconds, reach_seconds = "Learnt", 0.2, 0.1
+    def encode(self, observation, **reach):
+        assert observation.skeleton.joint_names == SMPL22.joint_names
+        return INTERPOLATORS["hold"].encode(observation, **reach)
+
+def load(run):
+    (run / "learnt" / "summary.json").read_text()
+    return Learnt()
+"""
+
+
+@pytest.fixture
+def learnt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A package with an encoder for 22 joints, which holds poses; and a folder of runs of which one has it trained."""
+    metadata = tmp_path / "site" / "learnt-1.0.dist-info"
+    metadata.mkdir(parents=True)
+    (tmp_path / "site" / "learnt_encoder.py").write_text(LEARNT, encoding="utf-8")
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: learnt\nVersion: 1.0\n", encoding="utf-8")
+    (metadata / "entry_points.txt").write_text("[motionkit.encoders]\nlearnt = learnt_encoder:load\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    (tmp_path / "runs" / "nano" / "learnt").mkdir(parents=True)
+    (tmp_path / "runs" / "nano" / "learnt" / "summary.json").write_text("{}", encoding="utf-8")
+    return tmp_path / "runs"
+
+
+def test_trained_encoders_complete_own_skeletons(motionkit: Run, tmp_path: Path, learnt: Path) -> None:
+    walk = tmp_path / "own.bvh"
+    walk.write_text(bvh_text([[10.0 * row, 95.0, *[5.0 * row] * (NUM_BVH_CHANNELS - 2)] for row in range(20)]), "utf-8")
+    asked = ("--runs", learnt, "--keep", "0:8,16:", "--extend", "0.2", "--model", "learnt", "--overwrite", "--json")
+    outcome = motionkit("complete", walk, *asked)
+    assert outcome.code == 0 and "Learnt, trained in" in outcome.stderr
+    (clip,) = json.loads(outcome.stdout)["clips"]
+    assert clip["encoder"] == "learnt"
+    gap, reach = clip["warnings"]
+    assert "0.30 s is longer than the 0.20 s" in gap and "0.2 s beyond" in reach
+    before, after = read_document(walk), read_document(Path(clip["file"]))
+    assert after.lines[:8] == before.lines[:8] and after.lines[16:20] == before.lines[16:]
+    # It stands still where it knows nothing, led from one given frame to the other: no interpolator does that.
+    plain = read_bvh(Path(motionkit("complete", walk, *asked[:6], "--overwrite").stdout.strip()))
+    assert np.abs(plain.joint_positions[8:16] - after.motion.joint_positions[8:16]).max() > 0.01
+    dog = tmp_path / "dog.bvh"
+    dog.write_text(re.sub(r"\b(Left|Right|Hips|Spine|Neck|Head)", r"dog\1", walk.read_text("utf-8")), "utf-8")
+    outcome = motionkit("complete", dog, *asked)
+    (clip,) = json.loads(outcome.stdout)["clips"]
+    assert clip["encoder"] == "rotation-cubic" and "learnt does not know its skeleton" in clip["warnings"][0]
+    outcome = motionkit("complete", walk, "--fps", "60", "--model", "learnt", "--runs", tmp_path)
+    assert outcome.code == 2 and "train --stage learnt" in outcome.stderr
+
+
 def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
     motionkit: Run, tmp_path: Path, motion: Motion
 ) -> None:
@@ -158,6 +213,17 @@ def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
         np.savez(tmp_path / f"{name}.npz", **{**arrays, "time_seconds": arrays["time_seconds"][order]})
         outcome = motionkit("complete", tmp_path / f"{name}.npz", "--fps", "60")
         assert outcome.code == 1 and re.search(rf"{name}.npz, frame \d", outcome.stderr)
+    # Times that ascend unevenly are taken as they are.
+    kept = np.delete(np.arange(60), [7, 8, 31])
+    uneven = {"joint_positions": motion.joint_positions[kept], "time_seconds": np.arange(60)[kept] / 30}
+    np.savez(tmp_path / "dropped.npz", **uneven)  # type: ignore[arg-type]
+    outcome = motionkit("complete", tmp_path / "dropped.npz", "--extend", "1")
+    assert outcome.code == 1 and "--fps" in outcome.stderr
+    assert motionkit("complete", tmp_path / "dropped.npz", "--fps", "60", "--compare", "slerp").code == 0
+    made = read_npz(tmp_path / "dropped.completed.npz")
+    assert made.num_frames == 119
+    np.testing.assert_array_equal(made.joint_positions[2 * kept], motion.joint_positions[kept])
+    np.testing.assert_allclose(made.joint_positions[::2], motion.joint_positions, atol=0.02)
     lost = motion.joint_positions.copy()
     lost[20:26, 3] = np.nan
     np.savez(tmp_path / "lost.npz", **{**arrays, "joint_positions": lost})
