@@ -94,10 +94,12 @@ def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
 
     scored = [block for block in result.blocks if block.title != COPIES]
     shown = {row.name for block in scored for row in block.rows if row.cells}
-    for name in request.samples:
-        if name not in shown:
-            told = [line for line in result.missing if line.startswith(name)]
-            raise SampleFolderError(f"the table was written without a row for {told[0] if told else repr(name)}")
+    rowless = [name for name in request.samples if name not in shown]
+    for name in rowless:
+        told = [line for line in result.missing if line.startswith(name)]
+        stderr.print(f"no row for {told[0] if told else name}", markup=False)
+    if rowless:
+        raise SampleFolderError(f"the table was written without rows for {', '.join(map(repr, rowless))}")
 
 
 def _refuse_broken(request: "TableRequest") -> None:

@@ -54,8 +54,10 @@ def to_csv(result: Result) -> str:
     return text.getvalue()
 
 
-def format_number(value: float) -> str:
-    """Three significant digits without exponents between 1e-4 and 1e6."""
+def format_number(value: float | int) -> str:
+    """Three significant digits without exponents between 1e-4 and 1e6; a count with all its digits."""
+    if isinstance(value, int):
+        return f"{value:,}"
     decimals = _decimals(value)
     return f"{value:.2e}" if decimals is None else f"{value:.{decimals}f}"
 

@@ -22,11 +22,14 @@ class ResultError(MotionkitError):
 
 @dataclass(frozen=True)
 class Cell:
-    """One number: `ci95` half its 95 % interval (None: there is none), `details` further metrics by name."""
+    """One number: `ci95` half its 95 % interval (None: there is none), `details` further metrics by name.
 
-    value: float
+    A count is an int, and is shown with all its digits.
+    """
+
+    value: float | int
     ci95: float | None = None
-    details: Mapping[str, float] = field(default_factory=dict)
+    details: Mapping[str, float | int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -102,6 +102,11 @@ def _check(real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionPro
             f"embeddings of real motions have {real.motions.shape[1]} numbers, "
             f"of generated ones {draw.motions.shape[1]}"
         )
+    if len(draw.motions) < protocol.pool:
+        raise ValueError(
+            f"{len(draw.motions)} motions: a text chooses among {protocol.pool} (protocol {protocol.name!r}), so there "
+            "must be that many at least"
+        )
     if protocol.reference == "paired" and len(draw.motions) != len(real.motions):
         raise ValueError(
             f"protocol {protocol.name!r} compares with the real motions of the same texts, but there are "

@@ -17,6 +17,7 @@ from eval.report.results import Block, Result, environment
 from eval.sample_folder import SampleFolder
 from eval.scoring.scores import Scores
 from eval.scoring.text_motion import TextMotionPairs, score_text_motion
+from eval.scoring.yardsticks import size_remarks
 from eval.tables.registry import Table, TableRequest
 from eval.tables.text_motion_blocks import ScoredRow, paper_block, scored_blocks
 from eval.text_motion.kit_joints import MADE_OF_22, kit_bone_lengths
@@ -263,7 +264,8 @@ def _model_row(
     finally:
         job.display.remove_task(task)
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
-    note = f"run {each.run.name!r}" + ("" if lengths is None else f"; {MADE_OF_22}")
+    remarks = size_remarks(reference.motions, draws[0].motions, job.request.seed)
+    note = "; ".join((f"run {each.run.name!r}", *([] if lengths is None else [MADE_OF_22]), *remarks))
     return ScoredRow(each.name, "ours", _score(job, reference, draws, repeated), note)
 
 
@@ -273,8 +275,8 @@ def _sample_row(
     found = sample_embeddings(folder, real, job.protocol, embedder)
     reference = pairs if found.real_rows is None else pairs.select(found.real_rows)
     scores = _score(job, reference, list(found.draws), found.repeated)
-    note = "; ".join(filter(None, (folder.describe(), found.path)))
-    return ScoredRow(folder.name, "ours", scores, note)
+    remarks = size_remarks(reference.motions, found.draws[0].motions, job.request.seed)
+    return ScoredRow(folder.name, "ours", scores, "; ".join((folder.describe(), *found.remarks, *remarks)))
 
 
 def _score(

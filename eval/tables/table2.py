@@ -138,7 +138,7 @@ def build_table2(request: TableRequest) -> Result:
         caption=_caption(sizes, request),
         blocks=(*(block for block in (*blocks, *nearest) if block.rows), _paper_block()),
         definition=_definition(sizes, request),
-        notes=(*_notes(sizes), *dict.fromkeys(remarks)),
+        notes=(*_notes(sizes), *_sample_notes(sizes, folders), *dict.fromkeys(remarks)),
         missing=tuple(dict.fromkeys(missing)),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
@@ -378,6 +378,15 @@ def _notes(columns: Sequence[ColumnSize]) -> tuple[str, ...]:
         f"Real sets: {sets}.",
         "Columns hold different sequences, so numbers compare down a column, not along a row.",
         "clip-FID here has nothing to do with the FID of images on CLIP features.",
+    )
+
+
+def _sample_notes(columns: Sequence[ColumnSize], folders: Sequence[SampleFolder]) -> tuple[str, ...]:
+    if not folders or len({column.num_sequences for column in columns}) == 1:
+        return ()
+    return (
+        "A folder of samples enters every column with all its motions, but a column's real set holds the takes that "
+        "are fast enough: where samples were made for other takes too, part of their score is what those do.",
     )
 
 

@@ -24,6 +24,7 @@ from eval.reported import SOURCES, reported_figures
 from eval.samples import SampleSet
 from eval.scoring.actions import LabelledRecognition, score_actions
 from eval.scoring.scores import Score, Scores
+from eval.scoring.yardsticks import size_remarks
 from eval.tables.registry import Table, TableRequest
 from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError
@@ -251,6 +252,7 @@ def _block(
         against = {
             name: features for name, features in references.items() if not (system.is_reference and name == "test")
         }
+        first = system.draws[0].recognition.features
         try:
             scores = score_actions(against, system.draws, protocol, request.seed)
         except ValueError as error:
@@ -258,7 +260,8 @@ def _block(
             continue
         origin: Origin = "reference" if system.is_reference else "ours"
         cells = _with_kid(_cells(scores, fids | COLUMN_OF), fids, against, system)
-        rows.append(Row(system.name, origin, cells, _note(system, scores, protocol)))
+        remarks = [] if system.is_reference else size_remarks(against["test"], first, request.seed)
+        rows.append(Row(system.name, origin, cells, "; ".join((_note(system, scores, protocol), *remarks))))
     columns = (*fids.values(), ACCURACY, DIVERSITY, MULTIMODALITY)
     return Block(
         f"Protocol {protocol.name!r}: {source.title}",

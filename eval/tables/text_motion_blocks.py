@@ -65,7 +65,7 @@ def scored_blocks(
     asked, turned = (texts_ask, motions_ask) if protocol.asks == "text" else (motions_ask, texts_ask)
     every = [*asked, "mm_dist", "fid", "diversity", protocol.multimodality.metric]
     oracle = _oracle(real, protocol, seed)
-    floor = {title_of("fid"): _cell(_halves(real, protocol, seed)), COUNT: Cell(float(len(real.motions) // 2))}
+    floor = {title_of("fid"): _cell(_halves(real, protocol, seed)), COUNT: Cell(len(real.motions) // 2)}
     main = Block(
         f"Table 1: {head}",
         (*map(title_of, every), COUNT),
@@ -129,7 +129,7 @@ def _row(row: ScoredRow, names: Sequence[str], leaving_out: Sequence[str] = ()) 
         fid = cells[title_of("fid")]
         cells[title_of("fid")] = Cell(fid.value, fid.ci95, details)
     sizes = row.scores.sizes
-    cells[COUNT] = Cell(float(sizes["generated"]))
+    cells[COUNT] = Cell(sizes["generated"])
     counted = f"N = {sizes['generated']:,} against {sizes['real']:,} real motions"
     if "multimodality texts" in sizes:
         counted += f", {sizes['multimodality generations']} motions of {sizes['multimodality texts']} texts"

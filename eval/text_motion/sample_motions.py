@@ -28,13 +28,13 @@ AS_KIT_JOINTS = "of KIT-ML's joints as they came"
 class SampleEmbeddings:
     """`draws` are the k-th answers to every prompt, `real_rows` the real motions of these where a protocol pairs.
 
-    `path` says how motions reached an evaluator that reads pose vectors; empty for others.
+    `remarks` says how motions reached an evaluator that reads pose vectors, and which have no real motion.
     """
 
     draws: tuple[TextMotionPairs, ...]
     repeated: Float64[np.ndarray, "texts generations features"] | None
     real_rows: npt.NDArray[np.int64] | None
-    path: str = ""
+    remarks: tuple[str, ...] = ()
 
 
 def sample_embeddings(
@@ -42,9 +42,9 @@ def sample_embeddings(
 ) -> SampleEmbeddings:
     """Embed a folder's motions and captions; motions longer than the real ones may be are cropped like these.
 
-    A caption that the real set has too keeps its tokens. Raises `SampleFolderError` where a caption is missing, and
-    `UsageError` where the protocol pairs motions with real ones and a sample says neither by its name nor by its
-    caption which it belongs to.
+    A caption that the real set has too keeps its tokens. Where the protocol pairs motions with real ones, prompts whose
+    real motion does not take part are left out. Raises `SampleFolderError` where a caption is missing, and `UsageError`
+    where no sample says by its name or its caption which real motion it belongs to.
     """
     folder.require_captions()
     fps = real.samples.fps
@@ -54,17 +54,26 @@ def sample_embeddings(
     motions, path = _embedded(folder, samples, real.samples, most_frames, embedder)
     texts = embedder.texts(captions)
     groups = [np.array(rows) for rows in samples.rows_by_group().values()]
+    repeated, remarks = _repeated(motions, groups), [path] if path else []
+    paired = None
+    if protocol.reference == "paired":
+        found = _real_rows(samples.select(np.array([rows[0] for rows in groups])), real)
+        paired = np.array([row for row in found if row is not None], dtype=np.int64)
+        if not len(paired):
+            raise UsageError(
+                f"protocol {protocol.name!r} compares with the real motions of the same texts; name the files after "
+                "the real sequences, or give them the captions of real sequences of this split"
+            )
+        if len(paired) < len(groups):
+            without = len(groups) - len(paired)
+            remarks.append(
+                f"{without:,} of {len(groups):,} have no real motion of their text that takes part: left out"
+            )
+        groups = [rows for rows, row in zip(groups, found, strict=True) if row is not None]
     fewest = min(len(rows) for rows in groups)
     firsts = [np.array([rows[number] for rows in groups]) for number in range(fewest)]
-    paired = _real_rows(samples.select(firsts[0]), real) if protocol.reference == "paired" else None
-    if protocol.reference == "paired" and paired is None:
-        raise UsageError(
-            f"{folder.name}: protocol {protocol.name!r} compares with the real motions of the same texts; name the "
-            "files after the real sequences, or give them the captions of real sequences of this split"
-        )
-    return SampleEmbeddings(
-        tuple(TextMotionPairs(texts[rows], motions[rows]) for rows in firsts), _repeated(motions, groups), paired, path
-    )
+    draws = tuple(TextMotionPairs(texts[rows], motions[rows]) for rows in firsts)
+    return SampleEmbeddings(draws, repeated, paired, tuple(remarks))
 
 
 def _embedded(
@@ -119,20 +128,18 @@ def _repeated(
     return motions[np.stack([rows for rows in groups if len(rows) == most])]
 
 
-def _real_rows(samples: SampleSet, real: CaptionedMotions) -> npt.NDArray[np.int64] | None:
-    """Which real motion each sample belongs to, by its name or else its caption, each once; None where one has none."""
+def _real_rows(samples: SampleSet, real: CaptionedMotions) -> list[int | None]:
+    """Which real motion each sample belongs to, each once, or None: by names where most fit, else by captions."""
     by_name = {name: row for row, name in enumerate(real.samples.sequence_ids)}
     stems = [name.rsplit("/", 1)[-1].rsplit(".", 1)[0] for name in samples.sequence_ids]
     named = [by_name.get(name, by_name.get(stem)) for name, stem in zip(samples.sequence_ids, stems, strict=True)]
-    if all(row is not None for row in named) and len(set(named)) == len(named):
-        return np.array(named, dtype=np.int64)
+    fitting = [row for row in named if row is not None]
+    if 2 * len(fitting) > len(named) and len(set(fitting)) == len(fitting):
+        return named
     by_caption: dict[str, list[int]] = defaultdict(list)
     for row in reversed(range(real.samples.num_sequences)):
         by_caption[real.samples.captions[row]].append(row)
-    found = [by_caption[text].pop() if by_caption[text] else None for text in samples.captions]
-    if any(row is None for row in found):
-        return None
-    return np.array(found, dtype=np.int64)
+    return [by_caption[text].pop() if by_caption[text] else None for text in samples.captions]
 
 
 def _cropped(samples: SampleSet, most_frames: int) -> SampleSet:

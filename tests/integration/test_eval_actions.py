@@ -72,6 +72,6 @@ def test_samples_without_actions_cost_the_exit_code(motionkit: Callable[..., Any
     outcome = motionkit(*table, "--samples", f"mine={folder}")
     assert outcome.code == 1 and "| real (test) |" in outcome.stdout
     told = " ".join(outcome.stderr.split())
-    assert "without a row for mine: --samples mine: 27 of 27 motions have no action, the first is '00'" in told
+    assert "no row for mine: --samples mine: 27 of 27 motions have no action, the first is '00'" in told
     outcome = motionkit(*table, "--evaluator", "humanact12", "--weights", folder / "00.npy")
     assert outcome.code == 1 and "00.npy" in outcome.stderr and len(outcome.stderr.strip().splitlines()) == 1

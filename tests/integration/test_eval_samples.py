@@ -103,7 +103,9 @@ def test_samples_without_a_row_cost_the_exit_code_and_are_told(motionkit, store,
     arguments = ("--store", store, "--results", tmp_path / "results", "--samples-fps", 20, *SMALL)
     done = motionkit("eval", "--table", 2, "--samples", f"mine={folder}", *arguments, "--sizes", "16:80", "--json")
     assert done.code == 1 and json.loads(done.stdout)["blocks"]
-    assert "the table was written without a row for mine, 20 fps: mine: no sequence has the 80 poses" in done.stderr
+    told = " ".join(done.stderr.split())
+    assert "no row for mine, 20 fps: mine: no sequence has the 80 poses" in told
+    assert "the table was written without rows for 'mine'" in told
 
 
 @pytest.mark.parametrize(

@@ -213,7 +213,7 @@ def test_refusals() -> None:
     native = find_text_motion_protocol("native")
     with pytest.raises(ValueError, match="no set of motions"):
         score_text_motion(make_pairs(64, 0), [], native, 0)
-    with pytest.raises(ValueError, match="needs at least 32 pairs, there are 20"):
+    with pytest.raises(ValueError, match="20 motions: a text chooses among 32"):
         score_text_motion(make_pairs(20, 0), [make_pairs(20, 1)], native, 0)
     broken = make_pairs(64, 1)
     broken.motions[3] = np.nan

@@ -85,10 +85,20 @@ def test_samples_belong_to_real_motions_by_name_or_else_by_caption() -> None:
     captioned = folder(["0", "1", "2"], ["walks", "sits", "walks"])
     told = sample_embeddings(captioned, real(), PAIRED, EMBEDDER)
     assert told.real_rows is not None and told.real_rows.tolist() == [0, 3, 2]
-    for captions in (["walks", "walks", "walks"], ["walks", "unheard of", "sits"]):
-        with pytest.raises(UsageError, match="mine: protocol 'mld' compares with the real motions of the same texts"):
-            sample_embeddings(folder(["0", "1", "2"], captions), real(), PAIRED, EMBEDDER)
+
+
+def test_samples_without_a_real_motion_are_left_out_and_told() -> None:
+    for captions, rows in ((["walks", "walks", "walks"], [0, 2]), (["walks", "unheard of", "sits"], [0, 3])):
+        found = sample_embeddings(folder(["0", "1", "2"], captions), real(), PAIRED, EMBEDDER)
+        assert found.real_rows is not None and found.real_rows.tolist() == rows
+        assert len(found.draws[0].motions) == 2
+        assert found.remarks == ("1 of 3 have no real motion of their text that takes part: left out",)
         assert sample_embeddings(folder(["0", "1", "2"], captions), real(), NATIVE, EMBEDDER).real_rows is None
+    # Most names fit: names decide, and the caption of another real motion doesn't.
+    named = sample_embeddings(folder(["r2", "r9", "r0"], ["sits"] * 3), real(), PAIRED, EMBEDDER)
+    assert named.real_rows is not None and named.real_rows.tolist() == [2, 0]
+    with pytest.raises(UsageError, match="protocol 'mld' compares with the real motions of the same texts"):
+        sample_embeddings(folder(["0", "1"], ["unheard of", "new"]), real(), PAIRED, EMBEDDER)
 
 
 def test_long_samples_are_cropped_like_real_motions() -> None:
@@ -120,12 +130,12 @@ def test_vectors_reach_an_evaluator_that_reads_them_and_no_other() -> None:
     reads = Embedder(KitVectors(), None)
     found = sample_embeddings(kit, real(), NATIVE, reads)
     # 9.8 s at 20 fps are 197 poses, and so many poses have 196 vectors.
-    assert found.path == AS_VECTORS and found.draws[0].motions.tolist() == [[70, 196], [71, 196]]
+    assert found.remarks == (AS_VECTORS,) and found.draws[0].motions.tolist() == [[70, 196], [71, 196]]
     for other, reason in ((joints, "not all came"), (wide, "263 numbers, it reads 251"), (slow, "another framerate")):
         by_joints = sample_embeddings(other, real(), NATIVE, reads)
-        assert by_joints.path.startswith(BY_JOINTS) and reason in by_joints.path
+        assert by_joints.remarks[0].startswith(BY_JOINTS) and reason in by_joints.remarks[0]
         assert by_joints.draws[0].motions.tolist() == [[10, 197], [11, 197]]
-    assert sample_embeddings(kit, real(), NATIVE, EMBEDDER).path == ""
+    assert sample_embeddings(kit, real(), NATIVE, EMBEDDER).remarks == ()
 
 
 def test_stored_padding_follows_whole_motions_alone() -> None:
