@@ -5,6 +5,7 @@ and in the middle of an overlap one window's answer gives way to the next. So me
 beyond its own rows, and a pose depends on what is observed and on its time alone.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,7 +14,7 @@ import torch
 from jaxtyping import Float32, Float64, Int64
 
 from motionkit.features.rotation_rows import PoseRows, poses_of, rows_of_poses
-from motionkit.motionfield import Observation, Poses, check_times
+from motionkit.motionfield import Observation, Poses, check_observed_alike, check_times
 from motionkit.skeleton import Skeleton
 from pahires.network import ObservedWindow
 from pahires.scaling import WindowFrames
@@ -24,13 +25,14 @@ Extrapolation = Literal["error", "clamp", "allow"]
 
 OVERLAP_FRAMES = 8
 WINDOWS_AT_ONCE = 32
+MOTIONS_AT_ONCE = 64
 QUERIES_AT_ONCE = 256
 TIMES_AT_ONCE = 8192
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkEncoder:
-    """A `motionkit.motionfield.MotionEncoder` over a trained network.
+    """A `motionkit.motionfield.MotionEncoder`, and `BatchEncoder`, over a trained network.
 
     Observations must have the joints that the network was trained on: the 22-joint layout, or with `layout=native` the
     corpus's own. Poses without rotations get those of inverse kinematics; the field then has none either.
@@ -79,6 +81,58 @@ class NetworkEncoder:
                 "(extrapolation='clamp')"
             )
         observation = observation.with_continuous_rotations()
+        return self._field(observation, before_seconds, after_seconds)
+
+    def query_many(
+        self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
+    ) -> list[Poses]:
+        """Poses of many motions at the same times, windows of all of them in one batch of the network.
+
+        See `motionkit.motionfield.BatchEncoder`; raises what `encode` does. Motions longer than a window are asked one
+        by one.
+        """
+        check_observed_alike(observations)
+        first = observations[0]
+        reach = (
+            max(0.0, first.start_seconds - float(times_seconds.min())),
+            max(0.0, float(times_seconds.max()) - first.end_seconds),
+        )
+        fields = [
+            self.encode(observation, before_seconds=reach[0], after_seconds=reach[1]) for observation in observations
+        ]
+        if len(first) > self.window_frames:
+            return [field.query(times_seconds) for field in fields]
+        asked = fields[0].within_reach(times_seconds)
+        made: list[Poses] = []
+        for start in range(0, len(fields), MOTIONS_AT_ONCE):
+            some = fields[start : start + MOTIONS_AT_ONCE]
+            rows = np.stack([field.rows.vectors for field in some])
+            vectors = self.answers(rows, np.tile(first.times_seconds, (len(some), 1)), np.tile(asked, (len(some), 1)))
+            made += [field.poses_of(times_seconds, answer) for field, answer in zip(some, vectors, strict=True)]
+        return made
+
+    @torch.no_grad()
+    def answers(
+        self,
+        rows: Float32[np.ndarray, "batch frames numbers"],
+        observed_seconds: Float64[np.ndarray, "batch frames"],
+        asked_seconds: Float64[np.ndarray, "batch queries"],
+    ) -> Float32[np.ndarray, "batch queries numbers"]:
+        """World rows at instants of windows, each window asked in its own frame."""
+        trained = self.trained
+        placed = WindowFrames.of(rows, trained.skeleton)
+        scaling = trained.predictor.scaling
+        device = scaling.mean.device
+        start = observed_seconds[:, :1]
+        asked = ObservedWindow(
+            frames=scaling.apply(torch.from_numpy(placed.enter(rows)).to(device)),
+            times_seconds=torch.from_numpy((observed_seconds - start).astype(np.float32)).to(device),
+            queries_seconds=torch.from_numpy((asked_seconds - start).astype(np.float32)).to(device),
+            query_spacing_seconds=torch.full((len(rows),), trained.spacing_seconds, device=device),
+        )
+        return placed.leave(scaling.invert(trained.predictor(asked)).cpu().numpy())
+
+    def _field(self, observation: Observation, before_seconds: float, after_seconds: float) -> "NetworkField":
         return NetworkField(
             self,
             observation,
@@ -111,7 +165,7 @@ class NetworkField:
         result: Poses | None = None
         for first in range(0, max(1, len(times_seconds)), TIMES_AT_ONCE):
             some = slice(first, first + TIMES_AT_ONCE)
-            poses = self._poses(times_seconds[some])
+            poses = self.poses_of(times_seconds[some], self.vectors(times_seconds[some]))
             if result is None:
                 result = poses.room_for(len(times_seconds))
             result.put(np.arange(len(times_seconds))[some], poses)
@@ -120,11 +174,7 @@ class NetworkField:
 
     def vectors(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times numbers"]:
         """World rotation rows at any times, as the network gives them (columns not yet made square)."""
-        if self.encoder.extrapolation == "clamp":
-            reach = self.encoder.trained.reach_seconds
-            times_seconds = np.clip(
-                times_seconds, self.observation.start_seconds - reach, self.observation.end_seconds + reach
-            )
+        times_seconds = self.within_reach(times_seconds)
         window, fade = self._windows_of(times_seconds)
         fading = np.flatnonzero(fade > 0)
         answers = self._ask(
@@ -134,6 +184,14 @@ class NetworkField:
         weight = fade[fading, None].astype(np.float32)
         vectors[fading] += weight * (following - vectors[fading])
         return vectors
+
+    def within_reach(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
+        """The times that the network is asked at: none further beyond the ends than it was trained, where it clamps."""
+        if self.encoder.extrapolation != "clamp":
+            return times_seconds
+        reach = self.encoder.trained.reach_seconds
+        lowest, highest = self.observation.start_seconds - reach, self.observation.end_seconds + reach
+        return np.asarray(np.clip(times_seconds, lowest, highest))
 
     def _windows_of(
         self, times: Float64[np.ndarray, "times"]
@@ -150,7 +208,6 @@ class NetworkField:
         u = np.clip(u, 0.0, 1.0)
         return window.astype(np.int64), u**3 * (u * (6.0 * u - 15.0) + 10.0)
 
-    @torch.no_grad()
     def _ask(
         self, window: Int64[np.ndarray, "asked"], times: Float64[np.ndarray, "asked"]
     ) -> Float32[np.ndarray, "asked numbers"]:
@@ -174,28 +231,18 @@ class NetworkField:
     def _answers(
         self, windows: Int64[np.ndarray, "batch"], times: Float64[np.ndarray, "batch queries"]
     ) -> Float32[np.ndarray, "batch queries numbers"]:
-        trained = self.encoder.trained
         count = min(len(self.observation), self.encoder.window_frames)
         frames = self.window_starts[windows][:, None] + np.arange(count)
-        observed, rows = self.observation.times_seconds[frames], self.rows.vectors[frames]
-        placed = WindowFrames.of(rows, trained.skeleton)
-        scaling = trained.predictor.scaling
-        device = scaling.mean.device
-        asked = ObservedWindow(
-            frames=scaling.apply(torch.from_numpy(placed.enter(rows)).to(device)),
-            times_seconds=torch.from_numpy((observed - observed[:, :1]).astype(np.float32)).to(device),
-            queries_seconds=torch.from_numpy((times - observed[:, :1]).astype(np.float32)).to(device),
-            query_spacing_seconds=torch.full((len(windows),), trained.spacing_seconds, device=device),
-        )
-        return placed.leave(scaling.invert(trained.predictor(asked)).cpu().numpy())
+        return self.encoder.answers(self.rows.vectors[frames], self.observation.times_seconds[frames], times)
 
-    def _poses(self, times: Float64[np.ndarray, "times"]) -> Poses:
+    def poses_of(self, times: Float64[np.ndarray, "times"], vectors: Float32[np.ndarray, "times numbers"]) -> Poses:
+        """World rows at these times as poses of the observed body."""
         given, skeleton = self.observation.poses, self.rows.skeleton
         before, weight = self._between(times)
         bones = self.rows.bones[before]
         after = np.minimum(before + 1, len(self.observation) - 1)
         bones = bones + weight[:, None, None] * (self.rows.bones[after] - bones)
-        poses = poses_of(self.vectors(times), bones, skeleton)
+        poses = poses_of(vectors, bones, skeleton)
         if given.local_rotations is None or poses.local_rotations is None:
             return Poses(poses.joint_positions)
         near = given.local_rotations[before]

@@ -12,7 +12,15 @@ import torch
 from motionkit.completion import observed_errors
 from motionkit.features.rotation_rows import rows_of_poses
 from motionkit.motion import Motion
-from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, joint_velocities, to_motion
+from motionkit.motionfield import (
+    BatchEncoder,
+    MotionEncoder,
+    MotionField,
+    Observation,
+    Poses,
+    joint_velocities,
+    to_motion,
+)
 from motionkit.skeleton import KIT21, SMPL22
 from motionkit.store.reader import Store
 from motionkit.timegrid import TimeGrid
@@ -102,6 +110,24 @@ def test_other_framerates_uneven_times_and_gaps(exact: TrainedNetwork) -> None:
         field = NetworkEncoder(exact, window_frames=16).encode(observation)
         assert observed_errors(field, observation).max() < 2e-5
         assert np.isfinite(field.query(random_times(field)).joint_positions).all()
+
+
+@pytest.mark.parametrize("frames", [9, 40])
+def test_many_motions_at_once_are_each_as_alone(exact: TrainedNetwork, frames: int) -> None:
+    encoder = NetworkEncoder(exact, window_frames=16)
+    assert isinstance(encoder, BatchEncoder)
+    kept = np.sort(np.random.default_rng(2).choice(140, frames, replace=False))
+    whole = [Observation.of(capture()), Observation.of(capture(start=2.0))]
+    whole[1] = replace(whole[1], poses=rows_of_poses(whole[1].poses, SMPL22).poses())
+    observations = [observation.rows(kept) for observation in whole]
+    times = np.random.default_rng(4).uniform(1.5, 8.0, 50)
+    together = encoder.query_many(observations, times)
+    for observation, found in zip(observations, together, strict=True):
+        expected = encoder.encode(observation, before_seconds=2.0, after_seconds=9.0).query(times)
+        assert found.is_like(expected)
+        np.testing.assert_allclose(found.joint_positions, expected.joint_positions, atol=2e-5)
+    with pytest.raises(ValueError, match="motion 1 of 2 is not observed at the times of the first"):
+        encoder.query_many([observations[0], observations[1].rows(slice(0, -1))], times)
 
 
 @pytest.mark.parametrize("count", [1, 2])
