@@ -20,9 +20,11 @@ from eval.tables.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Y
 from eval.tables.table2 import ROW_NOTES
 from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError
+from motionkit.training.ablations import Ablation, Entry, run_name
 from motionkit.training.config import parse_override
 from motionkit.training.run import RunFolder
-from nerm.ablations.variants import ABLATIONS, LAYOUTS, Ablation, Entry, command_for, run_name
+from nerm.ablations.training import NERM
+from nerm.ablations.variants import ABLATIONS, LAYOUTS
 
 VERSION = "ablation/1"
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
@@ -183,9 +185,8 @@ def _row(ablation: Ablation, row: _Trained, cells: Mapping[str, Cell], stage: st
     num_seeds = sum(RunFolder(run).stage(stage).is_complete for run in row.runs)
     if not num_seeds:
         what = "not trained" if stage == "field" else f"its {stage} is not trained"
-        return Row(
-            row.entry.label, "ours", {}, f"{what}: {command_for(ablation.table, request.run.name, row.entry.variant)}"
-        )
+        command = NERM.command_for(ablation.table, request.run.name, row.entry.variant)
+        return Row(row.entry.label, "ours", {}, f"{what}: {command}")
     several = f"mean of {num_seeds} seeds" if num_seeds > 1 else ""
     return Row(row.entry.label, "ours", cells, several)
 

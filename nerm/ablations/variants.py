@@ -7,11 +7,10 @@ makes sense there too.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from motionkit.conditions import conjunction
-from motionkit.errors import UsageError
-from motionkit.training.config import apply_overrides, parse_override
+from motionkit.training.ablations import Ablation, Entry, check_not_varied
+from motionkit.training.config import apply_overrides
 from nerm.recipes import NermConfig
 from nerm.settings.field import LatentLayout
 
@@ -27,7 +26,7 @@ LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
     ),
     "local": ("field.latent_layout=local",),
 }
-Stage = Literal["field", "denoiser"]
+BOTH_STAGES = ("field", "denoiser")
 
 
 @dataclass(frozen=True)
@@ -43,10 +42,7 @@ class Variant:
 
         `where` (SQL) narrows the sequences of all stages. Raises `UsageError` for an override of what is varied.
         """
-        varied = {parse_override(setting)[0] for setting in self.change}
-        for override in overrides:
-            if parse_override(override)[0] in varied:
-                raise UsageError(f"--set {override}: this is what {self.name!r} varies ({', '.join(self.change)})")
+        check_not_varied(self, overrides)
         narrowed = [
             f"{stage}.where={conjunction(getattr(recipe, stage).where, where)}"
             for stage in ("codebook", "field")
@@ -58,30 +54,6 @@ class Variant:
         """What is set in a recipe: the layout's settings where it has the other layout, and the change."""
         layout = () if recipe.field.latent_layout == self.layout else LAYOUTS[self.layout]
         return (*layout, *self.change)
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A row of a table: a variant, by what is varied; `reported` is the paper's name for it in its reported figures."""
-
-    label: str
-    variant: Variant
-    reported: str = ""
-
-
-@dataclass(frozen=True)
-class Ablation:
-    """One table: its rows, and the stages that its columns need."""
-
-    table: str
-    title: str
-    entries: tuple[Entry, ...]
-    stages: tuple[Stage, ...] = ("field", "denoiser")
-
-    @property
-    def variants(self) -> tuple[Variant, ...]:
-        """All trainings of the table, in order of their first row."""
-        return tuple(dict.fromkeys(entry.variant for entry in self.entries))
 
 
 GLOBAL = Variant("global", "global")
@@ -126,6 +98,7 @@ ABLATIONS: dict[str, Ablation] = {
                 _FOURIER[1],
                 Entry("local: Fourier features and codebook", LOCAL),
             ),
+            BOTH_STAGES,
         ),
         Ablation(
             "6",
@@ -136,8 +109,9 @@ ABLATIONS: dict[str, Ablation] = {
                 _POINT[1],
                 Entry("local: variational", LOCAL),
             ),
+            BOTH_STAGES,
         ),
-        Ablation("7", "decoder", (_TRANSFORMER[0], Entry("global: MLP", GLOBAL, "mlp decoder"))),
+        Ablation("7", "decoder", (_TRANSFORMER[0], Entry("global: MLP", GLOBAL, "mlp decoder")), BOTH_STAGES),
         Ablation(
             "8",
             "size of z and weight of the KL term",
@@ -159,6 +133,7 @@ ABLATIONS: dict[str, Ablation] = {
                 Entry("global: frame numbers 1 … T", _changed(GLOBAL, "frame-numbers", "field.coordinates=frames")),
                 Entry("global: normalised to [−1, 1]", GLOBAL),
             ),
+            BOTH_STAGES,
         ),
         Ablation(
             "ours",
@@ -173,24 +148,7 @@ ABLATIONS: dict[str, Ablation] = {
                 _WARMUP_HALF[1],
                 _FIXED[1],
             ),
+            BOTH_STAGES,
         ),
     )
 }
-
-
-def find_ablation(table: str) -> Ablation:
-    """The ablation of a table; raises `UsageError` naming those there are."""
-    if table not in ABLATIONS:
-        known = ", ".join(f"{name} ({ablation.title})" for name, ablation in ABLATIONS.items())
-        raise UsageError(f"there is no ablation {table!r}; there are: {known}, or all")
-    return ABLATIONS[table]
-
-
-def run_name(prefix: str, variant: Variant, seed: int) -> str:
-    """The run of one variant: PREFIX-VARIANT, and -seedN after it for any seed but 0."""
-    return f"{prefix}-{variant.name}" + (f"-seed{seed}" if seed else "")
-
-
-def command_for(table: str, prefix: str, variant: Variant) -> str:
-    """The command that trains one variant of a table."""
-    return f"motionkit ablate {table} --run {prefix} --only {variant.name}"

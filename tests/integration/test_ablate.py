@@ -17,12 +17,12 @@ from eval.tables.ablations import HIGHEST, LOWEST, TABLES
 from eval.tables.figure5 import build_figure5
 from eval.tables.figure8 import build_figure8
 from eval.tables.registry import TableRequest
+from motionkit.cli.ablate import ablate
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
 from motionkit.store.writer import StoreWriter
 from motionkit.timegrid import TimeGrid
-from nerm.commands.ablate import ablate
 from tests.nerm.corpus import analytic_positions
 
 TINY = (

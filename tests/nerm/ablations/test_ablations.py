@@ -11,9 +11,11 @@ from eval.reported import reported_figures
 from motionkit.clips import WindowPoses
 from motionkit.errors import UsageError
 from motionkit.skeleton import SMPL22
+from motionkit.training.ablations import run_name
 from motionkit.training.config import apply_overrides, flatten, parse_override
 from motionkit.training.randomness import step_generator
-from nerm.ablations.variants import ABLATIONS, GLOBAL, LOCAL, Variant, command_for, find_ablation, run_name
+from nerm.ablations.training import NERM
+from nerm.ablations.variants import ABLATIONS, GLOBAL, LOCAL, Variant
 from nerm.field.training import FieldTraining
 from nerm.field.windows import remarks, training_windows
 from nerm.recipes import RECIPES, NermConfig, nano, paper
@@ -77,7 +79,7 @@ def test_every_time_encoding_trains_with_either_layout(encoding: str, layout: st
 def test_the_rows_are_those_of_the_paper_s_tables(table: str) -> None:
     figures = reported_figures("nerm", table)
     printed = {each.setting.partition(";")[2] or each.method for each in figures}
-    assert {entry.reported for entry in find_ablation(table).entries} - {""} == printed
+    assert {entry.reported for entry in NERM.find(table).entries} - {""} == printed
 
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
@@ -95,12 +97,12 @@ def test_names_of_variants_are_names_of_runs() -> None:
     assert len({variant.name for variant in VARIANTS}) == len(VARIANTS)
     assert run_name("nano", GLOBAL, 0) == "nano-global"
     assert run_name("nano", GLOBAL, 3) == "nano-global-seed3"
-    assert command_for("5", "short", GLOBAL) == "motionkit ablate 5 --run short --only global"
+    assert NERM.command_for("5", "short", GLOBAL) == "motionkit ablate 5 --run short --only global"
 
 
 @pytest.mark.parametrize("table", ["5", "6", "7", "8", "9"])
 def test_the_full_model_of_the_paper_s_layout_is_in_every_table_of_the_paper(table: str) -> None:
-    assert GLOBAL in find_ablation(table).variants
+    assert GLOBAL in NERM.find(table).variants
 
 
 def test_the_rows_of_a_table_are_different_trainings() -> None:
@@ -127,8 +129,8 @@ def test_overrides_are_shared_but_not_those_of_what_is_varied() -> None:
 
 
 def test_an_unknown_table_is_told_with_those_there_are() -> None:
-    with pytest.raises(UsageError, match=r"no ablation '4'; there are: 5 \(time encoding\), 6"):
-        find_ablation("4")
+    with pytest.raises(UsageError, match=r"no ablation '4' of 'nerm'; there are: 5 \(time encoding\), 6"):
+        NERM.find("4")
 
 
 def test_frame_numbers_and_knots_exclude_each_other() -> None:

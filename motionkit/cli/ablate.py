@@ -8,21 +8,22 @@ import typer
 from motionkit.console import print_json, stderr, stdout
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.settings import default_path
-from nerm.ablations.variants import ABLATIONS, Ablation, Stage, Variant, find_ablation, run_name
-from nerm.recipes import RECIPES, NermConfig
+from motionkit.training.ablations import DEFAULT_PAPER, Ablation, Ablations, Sweep, Variant, find_ablations, run_name
+from motionkit.training.run import RunFolder
 
 
 def ablate(
-    tables: Annotated[list[str] | None, typer.Argument(help="Tables of the paper: 5 6 7 8 9; ours; or all.")] = None,
+    tables: Annotated[list[str] | None, typer.Argument(help="Tables of the paper: 5, figure6 …; or all.")] = None,
     listing: Annotated[bool, typer.Option("--list", help="Say what there is and what is trained; train nothing.")] = (
         False
     ),
     only: Annotated[str | None, typer.Option(metavar="NAME,…", help="These variants alone: global-fourier,…")] = None,
+    paper: Annotated[str, typer.Option(help="Paper whose model is varied: nerm, pahires.")] = DEFAULT_PAPER,
     recipe: Annotated[str, typer.Option(help="Named configuration that is varied: nano, demo, paper.")] = "nano",
     store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
     run: Annotated[str | None, typer.Option(help="Runs are called RUN-VARIANT; the recipe's name by default.")] = None,
-    stage: Annotated[str, typer.Option(help="all that the table needs, or field: reconstruction alone.")] = "all",
+    stage: Annotated[str, typer.Option(help="all that the table needs, or the first alone: field.")] = "all",
     overrides: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="For every variant: field.steps=600.")
     ] = None,
@@ -35,49 +36,47 @@ def ablate(
     as_json: Annotated[bool, typer.Option("--json", help="Print the runs' summaries as JSON.")] = False,
 ) -> None:
     """Train all variants of an ablation, a run each; what is complete is kept, what was stopped goes on."""
-    chosen = [find_ablation(table) for table in _named(tables or [])]
-    folder, prefix = runs or default_path("runs"), run or recipe
+    ablations = find_ablations(paper)
+    chosen = [ablations.find(table) for table in _named(tables or [], ablations)]
+    # Runs of another model than NeRM are told apart by its name.
+    folder, prefix = runs or default_path("runs"), run or (recipe if paper == DEFAULT_PAPER else f"{paper}-{recipe}")
     if listing:
-        _list(chosen or list(ABLATIONS.values()), folder, prefix, seed, as_json)
+        _list(chosen or list(ablations.tables.values()), folder, prefix, seed, as_json)
         return
     if not chosen:
-        raise UsageError(f"name a table: {', '.join(ABLATIONS)}, or all (motionkit ablate --list says what they vary)")
-    jobs = _jobs(chosen, only, stage)
-    base = _recipe(recipe)
+        known = ", ".join(ablations.tables)
+        raise UsageError(f"name a table: {known}, or all (motionkit ablate --list says what they vary)")
+    jobs = _jobs(ablations, chosen, only, stage)
+    base = ablations.recipe(recipe)
     configs = {variant.name: variant.configure(base, overrides or [], where) for variant, _ in jobs}
 
     from motionkit.store.manifest import read_manifest
 
     store_path = store or default_path("store")
     read_manifest(store_path)  # a store that is missing is told before anything heavy is imported
-    from nerm.ablations.training import Sweep
-
     sweep = Sweep(store_path, folder, prefix, recipe, seed=seed, overwrite=overwrite, device=device)
-    trained = _train_all(sweep, jobs, configs, as_json)
+    trained = _train_all(ablations, sweep, jobs, configs, as_json)
     if as_json:
         print_json({"runs": str(folder), "trained": trained})
     if len(trained) < len(jobs):
         raise MotionkitError(f"{len(jobs) - len(trained)} of {len(jobs)} variants failed; the same command tries again")
 
 
-def _named(tables: list[str]) -> list[str]:
-    return list(ABLATIONS) if "all" in tables else list(dict.fromkeys(tables))
+def _named(tables: list[str], ablations: Ablations) -> list[str]:
+    return list(ablations.tables) if "all" in tables else list(dict.fromkeys(tables))
 
 
-def _recipe(name: str) -> NermConfig:
-    if name not in RECIPES:
-        raise UsageError(f"there is no recipe {name!r}: {', '.join(RECIPES)}")
-    return RECIPES[name]()
-
-
-def _jobs(chosen: list[Ablation], only: str | None, stage: str) -> list[tuple[Variant, tuple[Stage, ...]]]:
+def _jobs(
+    ablations: Ablations, chosen: list[Ablation], only: str | None, stage: str
+) -> list[tuple[Variant, tuple[str, ...]]]:
     """Every variant of the tables once, with the stages that any of them needs."""
-    if stage not in ("all", "field"):
-        raise UsageError(f"--stage {stage}: all or field")
-    stages: dict[Variant, tuple[Stage, ...]] = {}
+    first = next(iter(ablations.stages))
+    if stage not in ("all", first):
+        raise UsageError(f"--stage {stage}: all or {first}")
+    stages: dict[Variant, tuple[str, ...]] = {}
     for ablation in chosen:
         for variant in ablation.variants:
-            needed = ablation.stages if stage == "all" else ("field",)
+            needed = ablation.stages if stage == "all" else (first,)
             stages[variant] = max(stages.get(variant, ()), needed, key=len)
     if only is None:
         return list(stages.items())
@@ -90,16 +89,20 @@ def _jobs(chosen: list[Ablation], only: str | None, stage: str) -> list[tuple[Va
 
 
 def _train_all(
-    sweep: Any, jobs: list[tuple[Variant, tuple[Stage, ...]]], configs: dict[str, NermConfig], as_json: bool
+    ablations: Ablations,
+    sweep: Sweep,
+    jobs: list[tuple[Variant, tuple[str, ...]]],
+    configs: dict[str, Any],
+    as_json: bool,
 ) -> list[dict[str, Any]]:
     """All jobs in order; one that fails is told on stderr and does not stop the others."""
-    from nerm.ablations.training import train_variant
+    from motionkit.training.ablations import train_variant
 
     trained = []
     for number, (variant, stages) in enumerate(jobs, start=1):
         stderr.print(f"{number} of {len(jobs)}: {run_name(sweep.prefix, variant, sweep.seed)}", markup=False)
         try:
-            outcome = train_variant(sweep, variant, configs[variant.name], stages)
+            outcome = train_variant(ablations, sweep, variant, configs[variant.name], stages)
         except MotionkitError as error:
             stderr.print(f"motionkit: {variant.name}: {error}", markup=False)
             continue
@@ -111,8 +114,6 @@ def _train_all(
 
 
 def _list(chosen: list[Ablation], runs: Path, prefix: str, seed: int, as_json: bool) -> None:
-    from motionkit.training.run import RunFolder
-
     rows = []
     for ablation in chosen:
         for entry in ablation.entries:

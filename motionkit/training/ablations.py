@@ -1,0 +1,181 @@
+"""Ablations: tables whose rows are trainings that differ from a recipe in a setting or two.
+
+A model registers its own under the entry point group `motionkit.ablations`: PAPER = "module:ATTRIBUTE", an `Ablations`.
+That module must import lightly. `motionkit ablate` trains the rows' runs; the tables that show them live elsewhere.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from motionkit.errors import UsageError
+from motionkit.training.config import ConfigLike, parse_override
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import Stage, StageContext
+
+
+@runtime_checkable
+class Variant(Protocol):
+    """One training: a name, and what it changes in a recipe."""
+
+    @property
+    def name(self) -> str:
+        """A word for runs and options."""
+        ...
+
+    @property
+    def change(self) -> tuple[str, ...]:
+        """Settings that it varies, as `--set` takes them."""
+        ...
+
+    def configure(self, recipe: Any, overrides: Sequence[str] = (), where: str | None = None) -> Any:
+        """A recipe's configuration with what all variants share and this one's change; `where` narrows the sequences.
+
+        Raises `UsageError` for an override of what is varied.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of a table: a variant, by what is varied; `reported` is the paper's name for it in its reported figures."""
+
+    label: str
+    variant: Variant
+    reported: str = ""
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """One table: its rows, and the stages that its columns need."""
+
+    table: str
+    title: str
+    entries: tuple[Entry, ...]
+    stages: tuple[str, ...]
+
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """All trainings of the table, in order of their first row."""
+        return tuple(dict.fromkeys(entry.variant for entry in self.entries))
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What the trainings of an ablation have in common; runs are RUNS/PREFIX-VARIANT."""
+
+    store: Path
+    runs: Path
+    prefix: str
+    recipe: str
+    seed: int = 0
+    overwrite: bool = False
+    device: str = "auto"
+
+    def context(self, run: RunFolder, seed: int, *, overwrite: bool) -> StageContext:
+        """A context for one run."""
+        return StageContext(
+            self.store, run, self.recipe, seed=seed, resume=not overwrite, overwrite=overwrite, device=self.device
+        )
+
+
+Prepare = Callable[[Sweep, RunFolder, Any], None]
+
+
+def nothing_to_prepare(sweep: Sweep, run: RunFolder, config: Any) -> None:
+    """A model whose stages need nothing that the variants share."""
+
+
+@dataclass(frozen=True)
+class Ablations:
+    """All ablations of one paper's model.
+
+    `recipes` are those that can be varied; `stages` what can be trained, by name, and the first of them alone by
+    `--stage`. `prepare` gives a run what the variants share (a codebook), before its first stage is trained.
+    """
+
+    paper: str
+    tables: Mapping[str, Ablation]
+    recipes: Mapping[str, Callable[[], ConfigLike]]
+    stages: Mapping[str, Stage[Any]]
+    prepare: Prepare = nothing_to_prepare
+
+    def find(self, table: str) -> Ablation:
+        """The ablation of a table; raises `UsageError` naming those there are."""
+        if table not in self.tables:
+            known = ", ".join(f"{name} ({ablation.title})" for name, ablation in self.tables.items())
+            raise UsageError(f"there is no ablation {table!r} of {self.paper!r}; there are: {known}, or all")
+        return self.tables[table]
+
+    def recipe(self, name: str) -> Any:
+        """A named recipe's configuration; raises `UsageError` naming those there are."""
+        if name not in self.recipes:
+            raise UsageError(f"there is no recipe {name!r}: {', '.join(self.recipes)}")
+        return self.recipes[name]()
+
+    def command_for(self, table: str, prefix: str, variant: Variant) -> str:
+        """The command that trains one variant of a table."""
+        paper = "" if self.paper == DEFAULT_PAPER else f" --paper {self.paper}"
+        return f"motionkit ablate {table}{paper} --run {prefix} --only {variant.name}"
+
+
+DEFAULT_PAPER = "nerm"
+
+
+def find_ablations(paper: str) -> Ablations:
+    """The ablations of a paper's model; raises `UsageError` naming the papers that have any."""
+    found = {entry.name: entry for entry in entry_points(group="motionkit.ablations")}
+    if paper not in found:
+        raise UsageError(f"there are no ablations of {paper!r}; of: {', '.join(sorted(found)) or 'none'}")
+    ablations: Ablations = found[paper].load()
+    return ablations
+
+
+def run_name(prefix: str, variant: Variant, seed: int) -> str:
+    """The run of one variant: PREFIX-VARIANT, and -seedN after it for any seed but 0."""
+    return f"{prefix}-{variant.name}" + (f"-seed{seed}" if seed else "")
+
+
+def check_not_varied(variant: Variant, overrides: Sequence[str]) -> None:
+    """Raise `UsageError` for an override of what a variant changes."""
+    varied = {parse_override(setting)[0] for setting in variant.change}
+    for override in overrides:
+        if parse_override(override)[0] in varied:
+            raise UsageError(f"--set {override}: this is what {variant.name!r} varies ({', '.join(variant.change)})")
+
+
+def train_variant(
+    ablations: Ablations, sweep: Sweep, variant: Variant, config: Any, stages: Sequence[str]
+) -> dict[str, Any]:
+    """Train what is missing of a variant's stages; returns its run's name, each stage's summary and CPU seconds spent.
+
+    Complete stages are kept. Raises `RunError` where they were trained with other settings, and what training raises.
+    """
+    run = RunFolder(sweep.runs / run_name(sweep.prefix, variant, sweep.seed))
+    context = sweep.context(run, sweep.seed, overwrite=sweep.overwrite)
+    started = time.process_time()
+    ablations.prepare(sweep, run, config)
+    summaries = {}
+    for name in stages:
+        folder = run.stage(name)
+        if folder.is_complete and not sweep.overwrite:
+            check_unchanged(context, ablations.stages[name], config)
+        else:
+            ablations.stages[name].train(context, config)
+        summaries[name] = folder.read_summary()
+    return {
+        "run": run.path.name,
+        "variant": variant.name,
+        "stages": summaries,
+        "cpu_seconds": round(time.process_time() - started, 1),
+    }
+
+
+def check_unchanged(context: StageContext, stage: Stage[Any], config: Any) -> None:
+    """Raise `RunError` where a complete stage is not what would be trained now."""
+    from motionkit.store.manifest import read_manifest  # the list of ablations is read for --help
+
+    stage.check_kept(context, config, read_manifest(context.store).fingerprint)
