@@ -25,6 +25,7 @@ SIDE_COLOURS = {"left": BLUE, "right": VERMILLION, "middle": "#303030"}
 CAMERA_YAW = np.deg2rad(118.0)
 CAMERA_PITCH = np.deg2rad(8.0)
 SLOT_METRES = 0.95
+FRAMERATE_LABEL = "framerate (frames per second)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,21 +40,23 @@ class Strip:
 
 @dataclass(frozen=True)
 class Curve:
-    """One row of a table over framerates: values and half-widths of their 95 % intervals (0 where there is none)."""
+    """One row of a table over a quantity: values and half-widths of their 95 % intervals (0 where there is none)."""
 
     label: str
-    fps: tuple[float, ...]
+    places: tuple[float, ...]
     values: tuple[float, ...]
     half_widths: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves that may be compared with one another, in one pair of axes."""
+    """Curves that may be compared with one another, in one pair of axes; decibels need not be seen from zero."""
 
     title: str
     y_label: str
     curves: tuple[Curve, ...]
+    x_label: str = FRAMERATE_LABEL
+    from_zero: bool = True
 
 
 def strip_of(motion: Motion, title: str, num_poses: int = 10, seconds: float | None = None) -> Strip:
@@ -142,21 +145,21 @@ def draw_curves(axes: Axes, panel: Panel) -> None:
     """Draw curves with shaded intervals; the axis is logarithmic where the values span more than a decade."""
     curves = panel.curves
     for index, curve in enumerate(curves):
-        fps, values, widths = (np.array(column) for column in (curve.fps, curve.values, curve.half_widths))
+        places, values, widths = (np.array(column) for column in (curve.places, curve.values, curve.half_widths))
         colour, marker = CURVE_COLOURS[index % len(CURVE_COLOURS)], MARKERS[index % len(MARKERS)]
         # Colours come round again after six curves; the next six are dashed.
         style = "-" if index < len(CURVE_COLOURS) else "--"
-        axes.plot(fps, values, style, color=colour, marker=marker, markersize=4.5, linewidth=1.6, label=curve.label)
+        axes.plot(places, values, style, color=colour, marker=marker, markersize=4.5, linewidth=1.6, label=curve.label)
         low = np.maximum(values - widths, 1e-2 * values)
-        axes.fill_between(fps, low, values + widths, color=colour, alpha=0.18, linewidth=0)
+        axes.fill_between(places, low, values + widths, color=colour, alpha=0.18, linewidth=0)
     values = np.concatenate([np.array(curve.values) for curve in curves])
     if values.min() > 0.0 and values.max() > 10.0 * values.min():
         axes.set_yscale("log")
-    else:
+    elif panel.from_zero:
         axes.set_ylim(bottom=0.0)
-    ticks = sorted({fps for curve in curves for fps in curve.fps})
+    ticks = sorted({place for curve in curves for place in curve.places})
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    axes.set_xlabel("framerate (frames per second)", fontsize=9)
+    axes.set_xlabel(panel.x_label, fontsize=9)
     axes.set_ylabel(panel.y_label, fontsize=9)
     axes.set_title(panel.title, fontsize=9.5, loc="left")
     axes.grid(axis="y", color="#E4E4E4", linewidth=0.7)

@@ -1,26 +1,43 @@
-"""A result whose columns are framerates, as panels of curves."""
+"""A result whose columns are values of one quantity (framerates, scales, lengths, a setting), as panels of curves."""
 
 import re
 
-from eval.report.figures import Curve, Panel
+from eval.report.figures import FRAMERATE_LABEL, Curve, Panel
 from eval.report.results import Block, Result, Row
 
-FRAMERATE = r"\d+(\.\d+)? fps"
+# "120 fps", "×2.4", "15 frames", "λ = 0.5": what comes before the number, the number, what comes after it.
+COLUMN = re.compile(r"(?P<before>×|\w+ = |)(?P<number>\d+(?:\.\d+)?)(?P<after> fps| frames|)")
+X_LABELS = {("", " fps"): FRAMERATE_LABEL, ("", " frames"): "frames asked for", ("×", ""): "scale"}
 
 
 def panels_of(result: Result, y_label: str = "lower is better") -> tuple[Panel, ...]:
     """One panel per block, for numbers of different blocks can't be compared; ours first, the paper's after them.
 
-    `y_label` is that of the blocks in which lower is better; others have none. Blocks with a column that is no
-    framerate ("120 fps") are left out.
+    `y_label` is that of the blocks in which lower is better; others have none. Blocks whose columns are not all values
+    of one quantity ("120 fps", "×4", "30 frames", "λ = 0.5") are left out.
     """
-    ordered = sorted(filter(_is_by_framerate, result.blocks), key=_is_from_paper)
-    panels = (Panel(block.title, y_label if block.lower_is_better else "", _curves(block)) for block in ordered)
+    ordered = sorted(filter(_quantity, result.blocks), key=_is_from_paper)
+    panels = (
+        Panel(
+            block.title,
+            y_label if block.lower_is_better else "",
+            _curves(block),
+            _quantity(block) or "",
+            from_zero=block.lower_is_better,
+        )
+        for block in ordered
+    )
     return tuple(panel for panel in panels if panel.curves)
 
 
-def _is_by_framerate(block: Block) -> bool:
-    return all(re.fullmatch(FRAMERATE, column) for column in block.columns)
+def _quantity(block: Block) -> str | None:
+    """What the columns are values of, as an axis says it; None where they are not of one quantity."""
+    found = [COLUMN.fullmatch(column) for column in block.columns]
+    kinds = {None if match is None else (match["before"], match["after"]) for match in found}
+    kind = kinds.pop() if len(kinds) == 1 else None
+    if kind is None or kind == ("", ""):
+        return None
+    return X_LABELS.get(kind) or kind[0].removesuffix(" = ")
 
 
 def _is_from_paper(block: Block) -> bool:
@@ -36,11 +53,13 @@ def _curve(row: Row, columns: tuple[str, ...]) -> Curve:
     cells = [row.cells[column] for column in present]
     return Curve(
         label=row.name.removesuffix(" (paper)"),
-        fps=tuple(_fps(column) for column in present),
+        places=tuple(_number(column) for column in present),
         values=tuple(cell.value for cell in cells),
         half_widths=tuple(cell.ci95 or 0.0 for cell in cells),
     )
 
 
-def _fps(column: str) -> float:
-    return float(column.removesuffix(" fps"))
+def _number(column: str) -> float:
+    match = COLUMN.fullmatch(column)
+    assert match is not None
+    return float(match["number"])

@@ -33,7 +33,7 @@ from pahires.trained import TrainedNetwork
 from pahires.training import TemporalTraining
 from pahires.windows import WindowSampler
 from tests.nerm.corpus import analytic_positions
-from tests.pahires.small_network import SmallConfig, SmallNetwork, load, train
+from tests.pahires.small_network import SmallConfig, SmallNetwork, load, train, write_store
 
 CPU = torch.device("cpu")
 EXACT = SmallConfig(training=replace(SmallConfig().training, form="exact", base="cubic", balanced=True, mirrored=True))
@@ -45,7 +45,9 @@ def with_steps(config: SmallConfig, steps: int) -> SmallConfig:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("temporal")
+    path = tmp_path_factory.mktemp("temporal")
+    write_store(path / "store")
+    return path
 
 
 @pytest.fixture(scope="module")
