@@ -2,7 +2,7 @@
 
 Hold, linear, Catmull-Rom and cubic (natural ends) are taken number by number; SLERP turns each joint on its great arc.
 Beyond both ends all go on at the end velocity, which dies away within `DAMPING_SECONDS`: a second at constant velocity
-ends metres from where people do.
+ends metres from where people do. `eased` is the cubic, straightened where a gap is so long that it would overshoot.
 """
 
 import roma
@@ -14,6 +14,8 @@ from pahires.scaling import Scaling
 from pahires.settings import Base
 
 DAMPING_SECONDS = 0.2
+# Gaps of this length are half-way between the cubic and the straight line.
+EASING_SECONDS = 0.5
 
 _Gaps = Float32[torch.Tensor, "batch segments 1"]
 _Slopes = Float32[torch.Tensor, "batch segments numbers"]
@@ -41,9 +43,11 @@ def interpolated(
             else _on_great_arcs(window.frames, segment, fraction, scaling)
         )
     else:
-        rates = _spline_rates(gaps, slopes) if base == "cubic" else _parabola_rates(gaps, slopes)
+        rates = _parabola_rates(gaps, slopes) if base == "catmull-rom" else _spline_rates(gaps, slopes)
         ends = rates[:, [0, -1]]
-        inside = _hermite(window.frames, rates, _rows(gaps, segment), segment, fraction)
+        bent = 1.0 if base != "eased" else 1.0 / (1.0 + (gaps / EASING_SECONDS) ** 4)
+        bends = bent * (rates[:, :-1] - slopes), bent * (rates[:, 1:] - slopes)
+        inside = _bent(window.frames, bends, _rows(gaps, segment), segment, fraction)
     return inside + _beyond(window, ends)
 
 
@@ -91,20 +95,18 @@ def _spline_rates(gaps: _Gaps, slopes: _Slopes) -> _Rates:
     return rates
 
 
-def _hermite(
+def _bent(
     frames: Float32[torch.Tensor, "batch frames numbers"],
-    rates: _Rates,
+    bends: tuple[_Slopes, _Slopes],
     gap: Float32[torch.Tensor, "batch queries 1"],
     segment: Int64[torch.Tensor, "batch queries"],
     fraction: Float32[torch.Tensor, "batch queries"],
 ) -> Float32[torch.Tensor, "batch queries numbers"]:
+    """Cubic Hermite segments: straight lines, bent by how much the rates at both ends differ from the line's slope."""
     u = fraction[..., None]
     v = 1.0 - u
-    return (
-        v * v * (1.0 + 2.0 * u) * _rows(frames, segment)
-        + u * u * (3.0 - 2.0 * u) * _rows(frames, segment + 1)
-        + gap * u * v * (v * _rows(rates, segment) - u * _rows(rates, segment + 1))
-    )
+    line = torch.lerp(_rows(frames, segment), _rows(frames, segment + 1), u)
+    return line + gap * u * v * (v * _rows(bends[0], segment) - u * _rows(bends[1], segment))
 
 
 def _on_great_arcs(

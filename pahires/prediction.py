@@ -5,19 +5,20 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float, Float32
 
-from pahires.base_curves import DAMPING_SECONDS, interpolated, located, seconds_beyond
+from pahires.base_curves import interpolated, located, seconds_beyond
 from pahires.network import ObservedWindow, TemporalNetwork
 from pahires.scaling import Scaling
 from pahires.settings import Base, Form
+
+HALF_SIZE_SECONDS = 0.35
 
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
     """A network with the form of its answer.
 
-    `plain`: the network's rows. `residual`: interpolation + scale · network. `exact`: interpolation + scale · gate ·
-    network; the gate 4u(1 − u), u the fraction between observed frames, is 0 at them, so that they are kept, and beyond
-    the ends it is 1 − exp(−seconds / 0.2). Its slope at a frame is not 0: the velocity there may be corrected.
+    `plain`: the network's rows. `residual`: interpolation + scale · size · network. `exact`: interpolation + scale ·
+    size · gate · network; the gate is 0 at observed frames, so that they are kept. `size` and `gate`: below.
     """
 
     network: TemporalNetwork
@@ -32,13 +33,30 @@ class Predictor:
         if self.form == "plain":
             return answer
         curve = interpolated(window, self.base, self.scaling)
-        if self.form == "residual":
-            return curve + self.correction_scale * answer
-        return curve + self.correction_scale * gate(window) * answer
+        correction = self.correction_scale * size(window) * answer
+        return curve + (correction if self.form == "residual" else gate(window) * correction)
+
+
+def size(window: ObservedWindow) -> Float32[torch.Tensor, "batch queries 1"]:
+    """How much an interpolation may miss, 0 to 1, by the time h between the observed frames: 1 / (1 + (0.35 s / h)²).
+
+    Errors of interpolation grow with the square of h until nothing is known. So a network's answers are of one size
+    for short and for long gaps, and those for frames closer than any that training saw stay small. Beyond the ends h is
+    twice the time from the end, as if the same stretch followed there.
+    """
+    segment, _ = located(window)
+    length = 2.0 * seconds_beyond(window).abs()
+    if window.times_seconds.shape[1] > 1:
+        length = torch.where(length > 0, length, window.times_seconds.diff(dim=1).gather(1, segment))
+    square = length.square()
+    return (square / (square + HALF_SIZE_SECONDS**2))[..., None]
 
 
 def gate(window: ObservedWindow) -> Float32[torch.Tensor, "batch queries 1"]:
-    """0 at observed frames, 1 in the middle between two, towards 1 beyond the ends."""
+    """4u(1 − u), u the fraction between two observed frames: 0 at them, 1 half-way; 1 beyond the ends.
+
+    Its slope at a frame is not 0: the velocity there may be corrected too.
+    """
     _, fraction = located(window)
-    beyond = 1.0 - torch.exp(-seconds_beyond(window).abs() / DAMPING_SECONDS)
-    return torch.maximum(4.0 * fraction * (1.0 - fraction), beyond)[..., None]
+    inside = 4.0 * fraction * (1.0 - fraction)
+    return torch.where(seconds_beyond(window) == 0, inside, 1.0)[..., None]

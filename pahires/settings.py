@@ -8,7 +8,7 @@ from typing import Literal
 from motionkit.timegrid import parse_fps
 from motionkit.training.config import Precision
 
-Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic"]
+Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic", "eased"]
 # What becomes of a network's answer: the poses themselves; a correction of the interpolation; a correction that
 # vanishes at observed frames, which then stay as they are.
 Form = Literal["plain", "residual", "exact"]
@@ -64,9 +64,9 @@ class TemporalSettings:
     takes of other framerates are left out. With `finer` a window of such a take has one of the framerates from `fps` up
     to its own, so that what lies between the table's frames is learnt where it was captured. `layout` is `smpl22`, or
     `native` for a corpus of one skeleton. `form` and `base`: see `pahires.prediction`. Loss: MSE + `velocity_weight` ·
-    MSE of differences between neighbouring frames (Eq. 8 to 10, as means); where it is `balanced`, a task's is divided
-    by that of the interpolation, so that gaps do not drown the rest. Schedule `steps` multiplies the rate by
-    `rate_drop` every `drop_every` share of the steps.
+    MSE of differences between neighbouring frames (Eq. 8 to 10, as means); `balanced` divides each window's by that of
+    the interpolation (`pahires.training`), so that gaps and dashes do not drown the rest. Schedule `steps` multiplies
+    the rate by `rate_drop` every `drop_every` share of the steps.
     """
 
     where: str = "split = 'train'"
@@ -76,7 +76,7 @@ class TemporalSettings:
     tasks: TaskSettings = dataclasses.field(default_factory=TaskSettings)
     form: Form = "plain"
     base: Base = "slerp"
-    correction_scale: float = 0.1
+    correction_scale: float = 1.0
     velocity_weight: float = 0.5
     balanced: bool = False
     mirrored: bool = True

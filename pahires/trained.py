@@ -27,7 +27,7 @@ from pahires.settings import TemporalSettings
 from pahires.training import TemporalTraining
 from pahires.windows import WindowSampler
 
-FORMAT, FORMAT_VERSION = "temporal-network", 1
+FORMAT, FORMAT_VERSION = "temporal-network", 2
 
 SettingsT = TypeVar("SettingsT")
 # Makes a network for rows of so many numbers, with weights drawn from torch's global generator.

@@ -13,10 +13,10 @@ from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors
 from pahires.base_curves import interpolated
 from pahires.prediction import Predictor
 from pahires.settings import TemporalSettings
-from pahires.tasks import TASKS, Task
-from pahires.windows import WINDOWS_PER_DRAW, TrainingBatch, WindowSampler
+from pahires.windows import TrainingBatch, WindowSampler
 
-_DRAWS_TO_BALANCE = 4
+# Windows in which hardly anything moves do not count for more than this share allows.
+BALANCE_FLOOR = 0.5
 
 
 class TemporalTraining:
@@ -34,7 +34,6 @@ class TemporalTraining:
         self.network = network.to(device)
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x5CA1E,)))
         self.scaling = sampler.measure(rng)
-        self.task_weights = self._task_weights(rng)
         settings = self.settings
         # What a network meets when it is made is standardised rows of the corpus; see `pahires.scaling`.
         self.predictor = Predictor(
@@ -52,14 +51,14 @@ class TemporalTraining:
         with dropout_from(generator, self.device), autocast(settings.precision, self.device):
             predicted = self.predictor(batch.window.to(self.device))
         figures = losses(predicted, batch.targets.to(self.device))
-        loss = (figures["mse"] + settings.velocity_weight * figures["velocity"]) * self.task_weights[batch.task]
+        loss = (self._weights(batch).to(self.device) * self._loss(figures)).mean()
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         scale_rates(self.optimizer, self._factor(step))
         self.optimizer.step()
         if self.average is not None:
             self.average.update(self.network, step)
-        return {"loss": loss, **figures}
+        return {"loss": loss, **{name: figure.mean() for name, figure in figures.items()}}
 
     def trained_tensors(self) -> dict[str, torch.Tensor]:
         """The weights to keep: their average where there is one."""
@@ -89,29 +88,24 @@ class TemporalTraining:
             )
         return float(settings.rate_drop ** int(step / (settings.drop_every * self.steps)))
 
-    def _task_weights(self, rng: np.random.Generator) -> dict[Task, float]:
-        """1, or where tasks are `balanced` what makes the interpolation's loss 1 for each of them."""
+    def _weights(self, batch: TrainingBatch) -> Float32[torch.Tensor, "batch"]:
+        """1 for every window, or where they are `balanced` the inverse of what the interpolation misses of each."""
         if not self.settings.balanced:
-            return dict.fromkeys(TASKS, 1.0)
-        weights: dict[Task, float] = {}
-        for task, share in zip(TASKS, self.settings.tasks.shares, strict=True):
-            if share > 0:
-                raw = [self.sampler.draw(rng, task, WINDOWS_PER_DRAW) for _ in range(_DRAWS_TO_BALANCE)]
-                found = [self._interpolation_loss(self.sampler.standardised(each, task, self.scaling)) for each in raw]
-                weights[task] = 1.0 / max(1e-9, float(np.mean(found)))
-        return weights
+            return torch.ones(len(batch.targets))
+        curve = interpolated(batch.window, self.settings.base, self.scaling)
+        missed = self._loss(losses(curve, batch.targets))
+        return 1.0 / (missed + BALANCE_FLOOR * missed.mean() + 1e-9)
 
-    def _interpolation_loss(self, batch: TrainingBatch) -> float:
-        figures = losses(interpolated(batch.window, self.settings.base, self.scaling), batch.targets)
-        return float(figures["mse"] + self.settings.velocity_weight * figures["velocity"])
+    def _loss(self, figures: Mapping[str, torch.Tensor]) -> Float32[torch.Tensor, "batch"]:
+        return figures["mse"] + self.settings.velocity_weight * figures["velocity"]
 
 
 def losses(
     predicted: Float32[torch.Tensor, "batch queries numbers"], targets: Float32[torch.Tensor, "batch queries numbers"]
 ) -> dict[str, torch.Tensor]:
-    """Mean squared errors of standardised rows (Eq. 8) and of their differences from frame to frame (Eq. 9)."""
+    """Mean squared errors of each window's rows (Eq. 8) and of their differences from frame to frame (Eq. 9)."""
     error = predicted - targets
-    return {"mse": error.square().mean(), "velocity": error.diff(dim=1).square().mean()}
+    return {"mse": error.square().mean(dim=(1, 2)), "velocity": error.diff(dim=1).square().mean(dim=(1, 2))}
 
 
 def num_steps(settings: TemporalSettings, sampler: WindowSampler) -> int:

@@ -11,14 +11,14 @@ from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22
 from pahires.base_curves import interpolated, located, seconds_beyond
 from pahires.network import ObservedWindow
-from pahires.prediction import Predictor, gate
+from pahires.prediction import Predictor, gate, size
 from pahires.scaling import Scaling
 from pahires.settings import Base
 from tests.nerm.corpus import analytic_positions
 
 TIMES = np.array([0.0, 0.1, 0.15, 0.4, 0.45, 0.7])
 QUERIES = np.linspace(0.0, 0.7, 29)
-BASES: tuple[Base, ...] = ("hold", "linear", "slerp", "catmull-rom", "cubic")
+BASES: tuple[Base, ...] = ("hold", "linear", "slerp", "catmull-rom", "cubic", "eased")
 
 
 def rows_at(times: np.ndarray) -> np.ndarray:
@@ -52,6 +52,14 @@ def test_the_cubic_is_the_natural_spline(scaling: Scaling) -> None:
 
     found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), "cubic", scaling))[0].numpy()
     np.testing.assert_allclose(found, CubicSpline(TIMES, rows_at(TIMES), bc_type="natural")(QUERIES), atol=5e-5)
+
+
+def test_the_eased_curve_is_the_cubic_over_short_gaps_and_the_line_over_long_ones(scaling: Scaling) -> None:
+    for times, like in ((TIMES / 8, "cubic"), (TIMES * 40, "linear")):
+        window = asked(times, times[-1] * np.linspace(0, 1, 29), scaling)
+        torch.testing.assert_close(
+            interpolated(window, "eased", scaling), interpolated(window, like, scaling), atol=0.02, rtol=0.0
+        )
 
 
 def test_slerp_turns_every_joint_on_its_great_arc(scaling: Scaling) -> None:
@@ -90,6 +98,9 @@ def test_queries_find_their_segment_and_what_lies_beyond(scaling: Scaling) -> No
     assert fraction[0].tolist() == pytest.approx([0, 0, 0.5, 0, 1, 1], abs=1e-6)
     assert seconds_beyond(window)[0].tolist() == pytest.approx([-0.2, 0, 0, 0, 0, 0.1], abs=1e-6)
     assert gate(window)[0, [1, 3, 4], 0].abs().max() < 1e-5 and gate(window)[0, 2, 0] == pytest.approx(1.0)
+    # How much an interpolation may miss grows with the square of the gap, and beyond the ends from nothing.
+    expected = [h**2 / (h**2 + 0.35**2) for h in (0.4, 0.1, 0.1, 0.25, 0.25, 0.2)]
+    assert size(window)[0, :, 0].tolist() == pytest.approx(expected, rel=1e-4)
 
 
 def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
@@ -97,9 +108,9 @@ def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
     answer = torch.ones(1, len(QUERIES), 135)
 
     def made(form: str) -> torch.Tensor:
-        return Predictor(lambda _: answer, scaling, form, "slerp", 0.1)(window)  # type: ignore[arg-type]
+        return Predictor(lambda _: answer, scaling, form, "slerp", 0.5)(window)  # type: ignore[arg-type]
 
     curve_alone = interpolated(window, "slerp", scaling)
     torch.testing.assert_close(made("plain"), answer)
-    torch.testing.assert_close(made("residual"), curve_alone + 0.1)
-    torch.testing.assert_close(made("exact"), curve_alone + 0.1 * gate(window))
+    torch.testing.assert_close(made("residual"), curve_alone + 0.5 * size(window))
+    torch.testing.assert_close(made("exact"), curve_alone + 0.5 * size(window) * gate(window))

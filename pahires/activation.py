@@ -1,0 +1,116 @@
+"""The parametric activation σ(x) = Σ Ψ_i sin(Ω_i x + Φ_i) (Eq. 4), its initialisations, and layers that have it."""
+
+import math
+from typing import Literal
+
+import torch
+from jaxtyping import Float, Float32, Float64
+
+from pahires.gaussian_moments import gaussian_moments
+from pahires.table_lookup import apply_by_table
+
+# calibrated: unit variance and slope; staf: STAF's code; siren: sin(x).
+Initialisation = Literal["calibrated", "staf", "siren"]
+
+# E σ′² of SIREN's sin(√2 …) layers under unit variance (spec: the value that keeps gradients over layers).
+SLOPE_SQUARE = 1.3
+_POINTS_PER_RADIAN = 4.0
+_MOST_POINTS = 1 << 15
+_FEWEST_NUMBERS = 4096
+
+
+class FourierActivation(torch.nn.Module):
+    """One scalar function with ζ amplitudes, frequencies and phases, learnt; applied to every number alike.
+
+    `offset` is the mean under N(0, 1) at initialisation, taken away so that layers start centred; it isn't learnt.
+    """
+
+    offset: torch.Tensor
+
+    def __init__(self, num_sines: int, initialisation: Initialisation) -> None:
+        super().__init__()
+        amplitudes, frequencies, phases, offset = {
+            "calibrated": _calibrated,
+            "staf": _staf,
+            "siren": _siren,
+        }[initialisation](num_sines)
+        self.amplitudes = torch.nn.Parameter(amplitudes.float())
+        self.frequencies = torch.nn.Parameter(frequencies.float())
+        self.phases = torch.nn.Parameter(phases.float())
+        self.register_buffer("offset", torch.tensor(offset, dtype=torch.float32))
+
+    def forward(self, x: Float[torch.Tensor, "*n"]) -> Float[torch.Tensor, "*n"]:
+        """σ of every number, by a table where there are many of them on a CPU."""
+        if x.numel() >= _FEWEST_NUMBERS and x.device.type == "cpu":
+            fastest = max(1.0, float(self.frequencies.detach().abs().max()))
+            looked_up = apply_by_table(self.value_and_slope, x, 1.0 / (_POINTS_PER_RADIAN * fastest), _MOST_POINTS)
+            if looked_up is not None:
+                return looked_up
+        return self.direct(x)
+
+    def direct(self, x: Float[torch.Tensor, "*n"]) -> Float[torch.Tensor, "*n"]:
+        """σ by ζ sines for each number: the definition."""
+        total = -self.offset
+        for amplitude, frequency, phase in zip(self.amplitudes, self.frequencies, self.phases, strict=True):
+            total = total + amplitude * torch.sin(frequency * x + phase)
+        return total
+
+    def value_and_slope(
+        self, x: Float32[torch.Tensor, "points"]
+    ) -> tuple[Float32[torch.Tensor, "points"], Float32[torch.Tensor, "points"]]:
+        """σ and σ′ at some points."""
+        angle = x[:, None] * self.frequencies + self.phases
+        value = torch.sin(angle) @ self.amplitudes - self.offset
+        return value, torch.cos(angle) @ (self.amplitudes * self.frequencies)
+
+
+_Start = tuple[Float64[torch.Tensor, "sines"], Float64[torch.Tensor, "sines"], Float64[torch.Tensor, "sines"], float]
+
+
+def _calibrated(num_sines: int) -> _Start:
+    """Ω = c·geomspace(¼, 8), Ψ = ± Rayleigh(1) / Ω, Φ ~ U(−π, π); unit variance, and c by bisection for the slope."""
+    spread = torch.logspace(-2.0, 3.0, num_sines, base=2.0, dtype=torch.float64)
+    signs = torch.randint(0, 2, (num_sines,)).double() * 2 - 1
+    heights = signs * torch.sqrt(-2 * torch.log1p(-torch.rand(num_sines, dtype=torch.float64)))
+    phases = math.pi * (2 * torch.rand(num_sines, dtype=torch.float64) - 1)
+
+    def slope_square(factor: float) -> float:
+        found = gaussian_moments(heights / (factor * spread), factor * spread, phases)
+        return found.slope_square / found.variance
+
+    low, high = 1e-3, 1e3
+    for _ in range(100):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if slope_square(middle) < SLOPE_SQUARE else (low, middle)
+    frequencies = low * spread
+    moments = gaussian_moments(heights / frequencies, frequencies, phases)
+    amplitudes = heights / frequencies / math.sqrt(moments.variance)
+    return amplitudes, frequencies, phases, moments.mean / math.sqrt(moments.variance)
+
+
+def _staf(num_sines: int) -> _Start:
+    """What STAF's code draws: Ω = 30·U(0, 1), Φ ~ U(−π, π), |Ψ|² ~ Laplace of b = 1 / (2ζ) (arXiv 2502.00869)."""
+    laplace = torch.distributions.Laplace(0.0, 1 / (2 * num_sines)).sample((num_sines,)).double()
+    amplitudes = laplace.sign() * laplace.abs().sqrt()
+    phases = math.pi * (2 * torch.rand(num_sines, dtype=torch.float64) - 1)
+    return amplitudes, 30 * torch.rand(num_sines, dtype=torch.float64), phases, 0.0
+
+
+def _siren(num_sines: int) -> _Start:
+    """sin(x) on the first term; the others have no amplitude yet, and frequencies that they may grow at."""
+    amplitudes = torch.zeros(num_sines, dtype=torch.float64)
+    amplitudes[0] = 1.0
+    frequencies = torch.cat((torch.ones(1, dtype=torch.float64), torch.linspace(0.5, 8.0, num_sines - 1).double()))
+    return amplitudes, frequencies, torch.zeros(num_sines, dtype=torch.float64), 0.0
+
+
+def linear(inputs: int, outputs: int, initialisation: Initialisation) -> torch.nn.Linear:
+    """A layer before an activation: weights U(±√(3 / n)), for SIREN U(±√(6 / n)); biases 0, or SIREN's U(±1 / √n)."""
+    layer = torch.nn.Linear(inputs, outputs)
+    bound = math.sqrt((6 if initialisation == "siren" else 3) / inputs)
+    torch.nn.init.uniform_(layer.weight, -bound, bound)
+    if initialisation == "siren":
+        torch.nn.init.uniform_(layer.bias, -1 / math.sqrt(inputs), 1 / math.sqrt(inputs))
+    else:
+        torch.nn.init.zeros_(layer.bias)
+    return layer

@@ -1,0 +1,210 @@
+"""PA-HiRes: multi-scale temporal encoding, parametric activations, progressive cross-scale attention, one decoder.
+
+What does not depend on the query, the frames' part of every scale's encoder, is computed once for each segment between
+observed frames; a query adds its own times to it.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float, Int64
+
+from pahires.activation import FourierActivation, Initialisation, linear
+from pahires.base_curves import located
+from pahires.network import ObservedWindow
+
+# Signed times enter as asinh(Δt · 30 / s): in frames near by, in octaves far away.
+_FRAME_SECONDS = 1 / 30
+_TINY = 1e-3
+
+
+@dataclass(frozen=True)
+class NetworkSettings:
+    """PA-HiRes's network.
+
+    `frames_per_scale`: N_s, even, one for each of the S scales, fine to coarse. `code`: width of the latent codes z_s,
+    cut into `attention_tokens` tokens; `encoder_layers`: activated layers of each F_s. `hidden`, `decoder_layers`: the
+    decoder D (paper §4.1: 256, 5). `num_sines`: ζ. `shared_activation`: one σ for all layers (Table 4's ablation).
+    `time_band`: the highest frequency of the Fourier features of the place within a segment, radians.
+    """
+
+    frames_per_scale: tuple[int, ...] = (2, 6, 14)
+    embedding: int = 64
+    code: int = 128
+    encoder_layers: int = 2
+    attention_tokens: int = 8
+    hidden: int = 256
+    decoder_layers: int = 5
+    num_sines: int = 16
+    shared_activation: bool = False
+    initialisation: Initialisation = "calibrated"
+    time_features: int = 16
+    time_band: float = 8.0
+
+    def __post_init__(self) -> None:
+        scales = self.frames_per_scale
+        if not scales or any(count < 2 or count % 2 for count in scales) or any(a >= b for a, b in pairwise(scales)):
+            raise ValueError(f"frames_per_scale are even and grow from scale to scale, such as 2,6,14, not {scales}")
+        if self.code % self.attention_tokens:
+            raise ValueError(f"attention_tokens must divide code, and {self.attention_tokens} not {self.code}")
+        for name in ("code", "encoder_layers", "hidden", "decoder_layers", "num_sines", "time_features"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is 1 at least, not {getattr(self, name)}")
+
+
+class PaHiRes(torch.nn.Module):
+    """The network of Eq. 2 to 7: a `pahires.network.TemporalNetwork`."""
+
+    time_frequencies: torch.Tensor
+
+    def __init__(self, settings: NetworkSettings, num_numbers: int) -> None:
+        super().__init__()
+        self.settings = settings
+        activations = _Activations(settings)
+        bands = settings.time_band * torch.rand(settings.time_features)
+        self.register_buffer("time_frequencies", bands)
+        num_times = 2 * settings.time_features + 1
+        self.scales = torch.nn.ModuleList(
+            ScaleEncoder(count, num_numbers, num_times, settings, activations) for count in settings.frames_per_scale
+        )
+        self.attentions = torch.nn.ModuleList(
+            CrossScaleAttention(settings.code, settings.attention_tokens) for _ in settings.frames_per_scale[1:]
+        )
+        widths = [settings.code * len(settings.frames_per_scale) + num_times]
+        widths += [settings.hidden] * settings.decoder_layers
+        self.decoder = torch.nn.Sequential(*_layers(widths, settings, activations))
+        self.answer = torch.nn.Linear(settings.hidden, num_numbers)
+        # A start from no answer: the mean pose, or the interpolation as it is.
+        torch.nn.init.zeros_(self.answer.weight)
+        torch.nn.init.zeros_(self.answer.bias)
+
+    def forward(self, window: ObservedWindow) -> Float[torch.Tensor, "batch queries numbers"]:
+        """Standardised rows at the queries."""
+        segment, times = self._time_features(window)
+        codes = [scale(window, segment, times) for scale in self.scales]
+        fused = codes[:1]
+        for attention, finer, coarser in zip(self.attentions, codes, codes[1:], strict=False):
+            fused.append(attention(finer, coarser))
+        answer: torch.Tensor = self.answer(self.decoder(torch.cat((*fused, times), dim=-1)))
+        return answer
+
+    def _time_features(
+        self, window: ObservedWindow
+    ) -> tuple[Int64[torch.Tensor, "batch queries"], Float[torch.Tensor, "batch queries times"]]:
+        """The segment of each query; the place in it as Fourier features of [−1, 1], and its length."""
+        segment, fraction = located(window)
+        angle = (2 * fraction - 1)[..., None] * self.time_frequencies
+        last = window.times_seconds.shape[1] - 1
+        length = window.times_seconds.gather(1, (segment + 1).clamp(max=last)) - window.times_seconds.gather(1, segment)
+        octaves = _octaves(length)[..., None]
+        return segment, math.sqrt(2) * torch.cat((torch.sin(angle), torch.cos(angle), octaves), dim=-1)
+
+
+class ScaleEncoder(torch.nn.Module):
+    """E_s and F_s: the N_s observed frames around a query with their signed times, as one latent code (Eq. 2, 3)."""
+
+    def __init__(
+        self, count: int, num_numbers: int, num_times: int, settings: NetworkSettings, activations: "_Activations"
+    ) -> None:
+        super().__init__()
+        self.count = count
+        # One linear map of all pairs (frame, Δt), in parts: what the frames give is the same for a whole segment.
+        initialisation = settings.initialisation
+        self.pose = linear(num_numbers + 1, settings.code, initialisation)
+        self.embed = linear(num_numbers, settings.embedding, initialisation)
+        self.changes = linear(count * settings.embedding, settings.code, initialisation)
+        self.times = linear(count + num_times, settings.code, initialisation)
+        layers = _layers([settings.code] * settings.encoder_layers, settings, activations)
+        self.layers = torch.nn.Sequential(activations.next(), *layers)
+
+    def forward(
+        self,
+        window: ObservedWindow,
+        segment: Int64[torch.Tensor, "batch queries"],
+        times: Float[torch.Tensor, "batch queries times"],
+    ) -> Float[torch.Tensor, "batch queries code"]:
+        """z_s of every query."""
+        first, slots = _slots(segment, window.frames.shape[1], self.count)
+        rows = torch.arange(len(segment), device=segment.device)[:, None]
+        around = window.frames[rows[..., None], slots]
+        inner = self.count // 2
+        middle = around[:, :, inner - 1 : inner + 1].mean(dim=2)
+        changes = around - middle[:, :, None]
+        scale = changes.square().mean(dim=(2, 3)).sqrt()[..., None]
+        pose = torch.cat((middle, torch.log(scale + _TINY)), dim=-1)
+        embedded = self.embed(window.frames)[rows[..., None], slots] - self.embed(middle)[:, :, None]
+        from_frames = self.pose(pose) + self.changes((embedded / (scale[..., None] + _TINY)).flatten(2))
+        own = segment - first[:, None]
+        apart = window.queries_seconds[..., None] - window.times_seconds[rows[..., None], slots[rows, own]]
+        from_times = self.times(torch.cat((_octaves(apart), times), dim=-1))
+        code: torch.Tensor = self.layers((from_frames[rows, own] + from_times) / math.sqrt(3))
+        return code
+
+
+class CrossScaleAttention(torch.nn.Module):
+    """Att_s(z_s, z_{s+1}, z_{s+1}) (Eq. 5) over the tokens that codes are cut into, added to z_{s+1}.
+
+    A code is one vector, and attention over one key is no attention; so both codes are cut into tokens, and each token
+    of the finer scale asks which of the coarser one's it belongs with.
+    """
+
+    def __init__(self, code: int, tokens: int) -> None:
+        super().__init__()
+        self.tokens, width = tokens, code // tokens
+        self.query, self.key, self.value = (torch.nn.Linear(width, width, bias=False) for _ in range(3))
+        self.places = torch.nn.Parameter(0.5 * torch.randn(2, tokens, width))
+        self.mix = torch.nn.Linear(code, code, bias=False)
+
+    def forward(
+        self, finer: Float[torch.Tensor, "batch queries code"], coarser: Float[torch.Tensor, "batch queries code"]
+    ) -> Float[torch.Tensor, "batch queries code"]:
+        """z̃_{s+1}."""
+        asking, asked = (
+            each.reshape(*each.shape[:-1], self.tokens, each.shape[-1] // self.tokens) for each in (finer, coarser)
+        )
+        query, key = self.query(asking + self.places[0]), self.key(asked + self.places[1])
+        weight = torch.softmax(query @ key.transpose(-1, -2) / math.sqrt(query.shape[-1]), dim=-1)
+        fused: torch.Tensor = coarser + self.mix((weight @ self.value(asked)).flatten(-2))
+        return fused
+
+
+class _Activations:
+    """Hands out the layers' activations: each its own, or one for all."""
+
+    def __init__(self, settings: NetworkSettings) -> None:
+        self.settings = settings
+        self.shared = self._new() if settings.shared_activation else None
+
+    def next(self) -> FourierActivation:
+        """The activation of the next layer."""
+        return self._new() if self.shared is None else self.shared
+
+    def _new(self) -> FourierActivation:
+        return FourierActivation(self.settings.num_sines, self.settings.initialisation)
+
+
+def _layers(widths: list[int], settings: NetworkSettings, activations: _Activations) -> list[torch.nn.Module]:
+    layers: list[torch.nn.Module] = []
+    for inputs, outputs in pairwise(widths):
+        layers += [linear(inputs, outputs, settings.initialisation), activations.next()]
+    return layers
+
+
+def _slots(
+    segment: Int64[torch.Tensor, "batch queries"], num_frames: int, count: int
+) -> tuple[Int64[torch.Tensor, "batch"], Int64[torch.Tensor, "batch segments slots"]]:
+    """The first segment that each window is asked in, and the frames around it and around as many more as are asked.
+
+    Half of the frames lie before a segment and half after it; near the ends the outermost come again.
+    """
+    first = segment.amin(dim=1)
+    most = int((segment.amax(dim=1) - first).max()) + 1
+    segments = first[:, None] + torch.arange(most, device=segment.device)
+    around = torch.arange(1 - count // 2, 1 + count // 2, device=segment.device)
+    return first, (segments[..., None] + around).clamp(0, num_frames - 1)
+
+
+def _octaves(seconds: torch.Tensor) -> torch.Tensor:
+    return torch.asinh(seconds / _FRAME_SECONDS)

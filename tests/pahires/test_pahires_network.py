@@ -1,0 +1,155 @@
+"""PA-HiRes's network: what it depends on, what a query costs, that it learns, and its losses as they were."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.motionfield import MotionEncoder
+from motionkit.training.randomness import seeded_initialisation
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import StageContext
+from pahires.encoder import NetworkEncoder
+from pahires.model import NetworkSettings, PaHiRes
+from pahires.network import ObservedWindow, TemporalNetwork
+from pahires.recipes import RECIPES, PaHiResConfig, nano
+from pahires.stage import STAGE, load
+from tests.pahires.small_network import TASKS
+from tests.tiny import write_store
+
+SMALL = NetworkSettings(
+    frames_per_scale=(2, 4, 6), embedding=16, code=16, attention_tokens=4, hidden=24, decoder_layers=2, num_sines=4
+)
+GOLDEN = Path(__file__).with_name("golden_losses.json")
+
+
+def network(settings: NetworkSettings = SMALL) -> PaHiRes:
+    with seeded_initialisation(0, "network"):
+        made = PaHiRes(settings, 135)
+        torch.nn.init.normal_(made.answer.weight, std=0.1)
+    return made.eval()
+
+
+def window(times: torch.Tensor, queries: torch.Tensor, batch: int = 3) -> ObservedWindow:
+    frames = torch.randn(batch, len(times), 135, generator=torch.Generator().manual_seed(5))
+    return ObservedWindow(
+        frames, times.expand(batch, -1).clone(), queries.expand(batch, -1).clone(), torch.full((batch,), 1 / 30)
+    )
+
+
+UNEVEN = torch.tensor([0.0, 0.03, 0.1, 0.13, 0.5, 0.9, 0.95, 1.0])
+QUERIES = torch.linspace(-0.2, 1.3, 40)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+@pytest.mark.parametrize("scales", [(2,), (2, 4, 6), (2, 4, 6, 14)])
+def test_any_number_of_frames_and_scales(count: int, scales: tuple[int, ...]) -> None:
+    made = network(replace(SMALL, frames_per_scale=scales))
+    assert isinstance(made, TemporalNetwork)
+    answer = made(window(UNEVEN[:count], QUERIES))
+    assert answer.shape == (3, 40, 135) and torch.isfinite(answer).all()
+
+
+def test_an_answer_does_not_depend_on_what_else_is_asked() -> None:
+    made, asked = network(), window(UNEVEN, QUERIES)
+    whole = made(asked)
+    order = torch.randperm(40, generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(
+        made(asked.asked(asked.queries_seconds[:, order])), whole[:, order], atol=2e-5, rtol=1e-4
+    )
+    torch.testing.assert_close(
+        made(asked.asked(asked.queries_seconds[:, 17:19])), whole[:, 17:19], atol=2e-5, rtol=1e-4
+    )
+
+
+def test_an_answer_depends_on_the_nearest_frames_of_the_widest_scale_and_no_others() -> None:
+    made = network()
+    times = torch.arange(20) / 30
+    asked = window(times, torch.tensor([9.5 / 30]))
+    gradient = torch.autograd.grad(made(replace(asked, frames=asked.frames.requires_grad_())).sum(), asked.frames)[0]
+    felt = gradient.abs().sum(dim=(0, 2)) > 0
+    assert felt.nonzero().flatten().tolist() == list(range(7, 13))
+
+
+def test_what_depends_on_frames_alone_is_computed_once_per_segment() -> None:
+    made, seen = network(), []
+    for scale in made.scales:
+        scale.pose.register_forward_hook(lambda _, inputs, __: seen.append(inputs[0].shape[1]))
+    made(window(UNEVEN, torch.linspace(0.0, 1.0, 500)))
+    assert seen == [7, 7, 7]
+    seen.clear()
+    made(window(UNEVEN, torch.linspace(0.2, 0.4, 500)))
+    assert seen == [1, 1, 1]
+
+
+def test_the_ablations_change_what_they_name() -> None:
+    def activations(made: PaHiRes) -> set[int]:
+        return {id(module) for module in made.modules() if type(module).__name__ == "FourierActivation"}
+
+    assert len(activations(network())) == 3 * 2 + 2
+    assert len(activations(network(replace(SMALL, shared_activation=True)))) == 1
+    assert len(network(replace(SMALL, frames_per_scale=(2,))).attentions) == 0
+
+
+def test_settings_that_make_no_network_are_refused() -> None:
+    for wrong in ({"frames_per_scale": (3,)}, {"frames_per_scale": (4, 2)}, {"attention_tokens": 5}, {"hidden": 0}):
+        with pytest.raises(ValueError):
+            replace(SMALL, **wrong)  # type: ignore[arg-type]
+
+
+def test_recipes_say_what_they_are() -> None:
+    assert set(RECIPES) == {"nano", "demo", "base", "paper"}
+    paper = RECIPES["paper"]()
+    assert (paper.network.hidden, paper.network.decoder_layers, paper.network.num_sines) == (256, 5, 16)
+    assert len(paper.network.frames_per_scale) == 3 and paper.training.velocity_weight == 0.5
+    assert (paper.training.epochs, paper.training.batch, paper.training.rate) == (1000, 256, 1e-4)
+    assert nano().training.form == "exact"
+
+
+def tiny_config() -> PaHiResConfig:
+    training = replace(nano().training, tasks=TASKS, steps=40, batch=8, mirrored=False, ema_decay=0.0)
+    return PaHiResConfig(network=SMALL, training=training)
+
+
+def test_the_stage_trains_and_its_losses_are_as_they_were(tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    run = RunFolder(tmp_path / "run")
+    context = StageContext(write_store(tmp_path / "store"), run, "tiny", seed=2, device="cpu")
+    STAGE.check(context, tiny_config())
+    STAGE.train(context, tiny_config())
+    losses = {key: run.stage("pahires").read_metrics()[-1][key] for key in ("loss", "mse", "velocity")}
+    if request.config.getoption("--record-golden"):
+        GOLDEN.write_text(json.dumps(losses, indent=2) + "\n", encoding="utf-8")
+    golden = json.loads(GOLDEN.read_text(encoding="utf-8"))
+    assert losses == pytest.approx(golden, rel=1e-3)
+    encoder = load(run.path)
+    assert isinstance(encoder, NetworkEncoder) and isinstance(encoder, MotionEncoder) and encoder.name == "PA-HiRes"
+    assert encoder.reach_seconds == pytest.approx(8 / 30) and encoder.longest_gap_seconds == pytest.approx(10 / 30)
+
+
+def test_one_motion_is_learnt_better_than_any_interpolation_of_it() -> None:
+    """A network that can represent a motion beats the curve that its answers correct, on that motion."""
+    from pahires.base_curves import interpolated
+    from pahires.prediction import Predictor
+    from pahires.scaling import Scaling
+
+    times = torch.arange(0, 65, 8) / 30
+    queries = torch.arange(65) / 30
+
+    def rows(seconds: torch.Tensor) -> torch.Tensor:
+        phases = torch.linspace(0, 3, 135)
+        return torch.sin(2 * np.pi * 1.4 * seconds[:, None] + phases)[None]
+
+    asked = ObservedWindow(rows(times), times[None], queries[None], torch.full((1,), 1 / 30))
+    made = network()
+    predictor = Predictor(made, Scaling(torch.zeros(135), torch.ones(135)), "exact", "eased", 1.0)
+    optimizer = torch.optim.Adam(made.parameters(), lr=3e-3)
+    for _ in range(120):
+        optimizer.zero_grad()
+        loss = (predictor(asked) - rows(queries)).square().mean()
+        loss.backward()
+        optimizer.step()
+    curve = (interpolated(asked, "eased", predictor.scaling) - rows(queries)).square().mean()
+    assert float(loss.detach()) < 0.1 * float(curve)
