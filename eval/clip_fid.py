@@ -9,6 +9,7 @@ other tools call clip-FID.
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
 
@@ -172,7 +173,7 @@ class ClipFid:
     """One comparison: clip-FID, the FID of named parts of the features, and further metrics on the same features.
 
     `details` holds fid_infinity, kid, precision, recall, density and coverage; it is empty where the protocol asks for
-    no detailed replications.
+    no detailed replications, and has no fid_infinity where there are too few clips to extrapolate from.
     """
 
     clip_fid: Estimate
@@ -291,7 +292,10 @@ def _compare(
     if replication < protocol.detailed_replications:
         rng = np.random.default_rng((protocol.seed, replication, 4))
         neighbours = prdc(real, other, protocol.num_neighbours)
-        scores |= {"fid_infinity": fid_infinity(real, other, rng).limit, "kid": kid(real, other)}
+        # Clips that are no more than four times the features have no such limit.
+        with suppress(ValueError):
+            scores["fid_infinity"] = fid_infinity(real, other, rng).limit
+        scores["kid"] = kid(real, other)
         scores |= {"precision": neighbours.precision, "recall": neighbours.recall}
         scores |= {"density": neighbours.density, "coverage": neighbours.coverage}
     return scores

@@ -1,5 +1,6 @@
 """Fréchet distance between Gaussians fitted to features (FID), and its extrapolation to infinitely many samples."""
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -55,12 +56,17 @@ def fid_infinity(
 
     Both sides are thinned to the same N (the paper thins the generated side alone, its real statistics being fixed),
     so that the limit is free of both sides' bias to first order; subsets are prefixes of one random order, N evenly
-    spaced from `smallest_fraction` of the smaller set to all of it.
+    spaced from `smallest_fraction` of the smaller set to all of it. Raises `ValueError` where the fewest are no more
+    than the features: FID of singular covariances is no line over 1/N, and its extrapolation is far off (two draws of
+    256 from one 128-dimensional normal distribution: 7.7 instead of 0).
     """
-    largest = min(len(real), len(generated))
+    largest, features = min(len(real), len(generated)), real.shape[1]
     sizes = np.unique(np.linspace(smallest_fraction * largest, largest, num_points).astype(np.int64))
-    if sizes[0] < 2 or len(sizes) < 2 or np.diff(sizes).min() < 2:
-        raise ValueError(f"{largest} samples are too few to extrapolate from")
+    if sizes[0] < 2 or len(sizes) < 2 or np.diff(sizes).min() < 2 or sizes[0] <= features:
+        raise ValueError(
+            f"{largest} samples of {features} features are too few to extrapolate from: it takes more than "
+            f"{math.ceil((features + 1) / smallest_fraction) - 1}"
+        )
     real_gaussians = _prefix_gaussians(real[rng.permutation(len(real))[:largest]], sizes)
     generated_gaussians = _prefix_gaussians(generated[rng.permutation(len(generated))[:largest]], sizes)
     values = np.array([frechet_distance(a, b) for a, b in zip(real_gaussians, generated_gaussians, strict=True)])

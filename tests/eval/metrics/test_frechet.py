@@ -175,3 +175,11 @@ def test_fid_infinity_is_the_line_through_its_points() -> None:
     assert (result.slope, result.limit) == pytest.approx((slope, limit), rel=1e-6)
     with pytest.raises(ValueError, match="too few"):
         fid_infinity(x[:5], y[:5], np.random.default_rng(0))
+
+
+def test_no_line_is_drawn_through_singular_covariances() -> None:
+    rng = np.random.default_rng(8)
+    x, y = rng.normal(size=(2, 257 * 4, 256))
+    assert abs(fid_infinity(x, y, rng).limit) < 3
+    with pytest.raises(ValueError, match="1024 samples of 256 features are too few .* it takes more than 1027"):
+        fid_infinity(x[:1024], y, rng)
