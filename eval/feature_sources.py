@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
@@ -25,7 +26,7 @@ class FeatureSource:
     """A kind of features; `fit` gives the feature set for one framerate from the real training set at it.
 
     `parts` are slices of its features whose own FID is worth printing beside the total; `max_replications` bounds what
-    slow features cost.
+    slow features cost; `remark_at` is what a table must say of them at a framerate, empty for nothing.
     """
 
     name: str
@@ -34,6 +35,7 @@ class FeatureSource:
     parts: Mapping[str, slice] = field(default_factory=dict)
     note: str = ""
     max_replications: int | None = None
+    remark_at: Callable[[Fraction], str] = lambda fps: ""
 
     def protocol(self, asked: Protocol) -> Protocol:
         """The protocol as asked for, with no more replications than these features can afford."""
@@ -97,7 +99,7 @@ def native_source(run: Path | None) -> FeatureSource:
 
     if run is None:
         raise MotionkitError("the learned evaluator belongs to a run, and none was given")
-    evaluator: FeatureSet = load_native(run)
+    evaluator = load_native(run)
     return FeatureSource(
         name="native",
         title="clip-FID on the learned native-rate evaluator",
@@ -108,6 +110,7 @@ def native_source(run: Path | None) -> FeatureSource:
             "other evaluator's."
         ),
         max_replications=NATIVE_REPLICATIONS,
+        remark_at=evaluator.remark_at,
     )
 
 

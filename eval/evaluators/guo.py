@@ -86,6 +86,10 @@ class GuoEvaluator:
             digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return digest.hexdigest()[:16]
 
+    def remark_at(self, fps: Fraction) -> str:
+        """Nothing: it reads one framerate, and others are refused."""
+        return ""
+
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
         """One row per sequence, in the order of the set, by way of `pose_vectors`.
 

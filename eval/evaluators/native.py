@@ -51,6 +51,16 @@ class NativeEvaluator:
         """Name for tables."""
         return "native"
 
+    def remark_at(self, fps: Fraction) -> str:
+        """What must be said of its numbers at a framerate; empty where it was trained around there."""
+        trained = [Fraction(each) for each in self.description["framerates"]]
+        if min(trained) <= fps <= max(trained):
+            return ""
+        return (
+            f"The native evaluator was trained at {float(min(trained)):g} to {float(max(trained)):g} fps: its numbers "
+            f"at {float(fps):g} fps mean little (motionkit train --stage evaluator --set training.framerates=…)."
+        )
+
     @property
     def store_fingerprint(self) -> str:
         """Fingerprint of the store that it was trained on."""

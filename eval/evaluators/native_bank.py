@@ -120,7 +120,8 @@ def build_banks(
     reached = [fps for fps in framerates if fps <= highest]
     if not reached:
         raise UsageError(
-            f"the store's highest framerate is {highest}; the evaluator is trained at {min(framerates)} up"
+            f"the store's highest framerate is {float(highest):g}; the evaluator is trained at "
+            f"{float(min(framerates)):g} up: name lower ones with --set training.framerates={float(highest):g}"
         )
     return tuple(
         build_bank(takes, fps, max_seconds, min_poses, np.random.default_rng((seed, fps.numerator, fps.denominator)))

@@ -45,6 +45,10 @@ class NativeTextMotion:
         """The 22 joints that it was trained with."""
         return SMPL22.name
 
+    def remark_at(self, fps: Fraction) -> str:
+        """That it was not trained at such a framerate; empty where it was."""
+        return self.evaluator.remark_at(fps)
+
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
         """One row per sequence, in the order of the set; sequences of one length go through the network together.
 

@@ -38,6 +38,10 @@ class TextMotionEvaluator(Protocol):
         """Joint layout of the motions that it reads: `smpl22` or `kit21`."""
         ...
 
+    def remark_at(self, fps: Fraction) -> str:
+        """What a table must say of its numbers at a framerate; empty for nothing."""
+        ...
+
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
         """One row per sequence, in the order of the set. Raises `MotionkitError` for another framerate."""
         ...

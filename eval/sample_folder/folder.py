@@ -128,7 +128,9 @@ class SampleFolder:
     def describe(self) -> str:
         """How many motions there are, how long, at which framerates, and what was remarkable."""
         rates = Counter(self.fps)
-        listed = ", ".join(f"{fps} fps" + (f" ({rates[fps]:,})" if len(rates) > 1 else "") for fps in sorted(rates))
+        listed = ", ".join(
+            f"{float(fps):.5g} fps" + (f" ({rates[fps]:,})" if len(rates) > 1 else "") for fps in sorted(rates)
+        )
         count = f"{self.num_motions:,} motion" + ("" if self.num_motions == 1 else "s")
         minutes = f"{self.duration_seconds / 60:.1f} min"
         lines = [f"{count} at {listed}, {minutes}; below a column's framerate they are upsampled by SLERP"]

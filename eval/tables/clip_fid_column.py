@@ -130,5 +130,7 @@ def _same_sequences(low: SampleSet, reference: SampleSet) -> SampleSet:
 
 
 def framerate_label(fps: Fraction | str) -> str:
-    """`20 fps` for a framerate, or for the paper's `20fps`."""
-    return f"{str(fps).removesuffix('fps').strip()} fps"
+    """`20 fps`, `12.5 fps` for a framerate, or for the paper's `20fps`."""
+    if isinstance(fps, Fraction):
+        return f"{float(fps):.5g} fps"
+    return f"{fps.removesuffix('fps').strip()} fps"

@@ -219,7 +219,9 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
             job.missing.append(f"{folder.name}, {evaluator.name}: {error}")
     head = f"{evaluator.name} evaluator, protocol {protocol.name}, {float(real.samples.fps):g} fps"
     provenance = {"evaluator": evaluator.name, "fingerprint": evaluator.fingerprint, "protocol": protocol.name}
-    return scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
+    main, other_way = scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
+    remark = evaluator.remark_at(real.samples.fps)
+    return replace(main, note=" ".join(filter(None, (main.note, remark)))), other_way
 
 
 def _chosen(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> npt.NDArray[np.int64]:

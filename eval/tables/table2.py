@@ -228,7 +228,8 @@ def _fill(sheet: _Sheet, column: Column, results: Path, display: "Progress") -> 
     sheet.fingerprints[label] = features.fingerprint
     if isinstance(features, KinematicDescriptor):
         features.save(_made(results / "features") / f"kinematic-{features.fingerprint}.npz")
-    sheet.warnings.update(dict.fromkeys(_too_few(column, features, sheet.protocol)))
+    said = [*_too_few(column, features, sheet.protocol), source.remark_at(column.fps)]
+    sheet.warnings.update(dict.fromkeys(filter(None, said)))
     for name, score in scores.items():
         sheet.cells.setdefault(name, {})[label] = clip_fid_cell(score)
 

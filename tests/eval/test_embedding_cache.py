@@ -22,6 +22,9 @@ class Counting:
         self.fingerprint = fingerprint
         self.asked: list[int] = []
 
+    def remark_at(self, fps: Fraction) -> str:
+        return ""
+
     def embed_motions(self, samples: SampleSet) -> np.ndarray:
         self.asked.append(samples.num_sequences)
         return np.stack([sequence.astype(np.float64).mean(axis=(0, 1)) for sequence in samples.sequences()])

@@ -173,6 +173,9 @@ class Lengths:
 
     name, fingerprint, fps, layout = "lengths", "1", None, "smpl22"
 
+    def remark_at(self, fps: Fraction) -> str:
+        return ""
+
     def embed_motions(self, samples: Any) -> np.ndarray:
         assert samples.positions.shape[1] == 22
         return np.array([[len(one), float(one[-1, 0, 2]), float(one[:, 20, 1].std())] for one in samples.sequences()])

@@ -75,7 +75,7 @@ def test_every_published_layout_gets_its_row(motionkit, store, tmp_path):
     assert values["frozen"] > values["MDM"]
     assert "6 motions at 20 fps" in rows["MoMask"]["note"]
     assert "1 of 7 motions left out (1 nan)" in rows["T2M-GPT"]["note"]
-    assert "6 motions at 25/2 fps" in rows["KIT"]["note"]
+    assert "6 motions at 12.5 fps" in rows["KIT"]["note"]
     note = result["blocks"][0]["note"]
     assert "'MDM' has 6 motions, no more than there are features (65)" in note
     assert "quote KID, precision and recall" in note

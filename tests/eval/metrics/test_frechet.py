@@ -181,5 +181,5 @@ def test_no_line_is_drawn_through_singular_covariances() -> None:
     rng = np.random.default_rng(8)
     x, y = rng.normal(size=(2, 257 * 4, 256))
     assert abs(fid_infinity(x, y, rng).limit) < 3
-    with pytest.raises(ValueError, match="1024 samples of 256 features are too few .* it takes more than 1027"):
+    with pytest.raises(ValueError, match=r"1024 samples of 256 features are too few .* it takes more than 1027"):
         fid_infinity(x[:1024], y, rng)

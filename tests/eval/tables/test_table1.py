@@ -48,6 +48,9 @@ class Shapes:
     name, fingerprint, layout = "shapes", "1", "smpl22"
     fps: Fraction | None = None
 
+    def remark_at(self, fps: Fraction) -> str:
+        return ""
+
     def embed_motions(self, samples: SampleSet) -> np.ndarray:
         means = [sequence.astype(np.float64).mean(axis=0).ravel() for sequence in samples.sequences()]
         return np.stack(means)[:, 3:7]

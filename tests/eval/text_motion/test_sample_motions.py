@@ -25,6 +25,9 @@ class First:
 
     name, fingerprint, fps, layout = "first", "1", None, "smpl22"
 
+    def remark_at(self, fps: Fraction) -> str:
+        return ""
+
     def embed_motions(self, samples: SampleSet) -> np.ndarray:
         return np.array([[float(sequence[0, 0, 0]), float(len(sequence))] for sequence in samples.sequences()])
 

@@ -1,5 +1,6 @@
 """Which evaluator of text and motion a request gets, and what it is told otherwise."""
 
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,9 @@ class Loaded:
 
     def __init__(self, files: GuoFiles) -> None:
         self.files = files
+
+    def remark_at(self, fps: Fraction) -> str:
+        return ""
 
     def embed_motions(self, samples: SampleSet) -> np.ndarray:
         raise NotImplementedError
