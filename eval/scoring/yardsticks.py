@@ -14,25 +14,24 @@ SAME = 1e-6
 Features = Float[np.ndarray, "_samples features"]
 
 
-def size_remarks(real: Features, other: Features, seed: int) -> list[str]:
-    """Sentences about motions that are real ones of the set compared with, and about what fewer motions cost.
+def size_remarks(real: Features, reference: Features, other: Features, seed: int) -> list[str]:
+    """Sentences about motions that are real ones, and about what it costs to be fewer than the reference.
 
-    The second has the FID that as many random real motions have from all real motions: its mean, and the range of ten
-    choices.
+    `reference` are those of the real motions that FID compares with. The second sentence has the FID that as many
+    random motions of the reference have from all of it: its mean, and the range of ten choices.
     """
     remarks = []
     copies = num_copies(real, other)
     if copies:
         remarks.append(
-            f"{copies:,} of {len(other):,} motions are real motions of the set that they are compared with, which says "
-            "nothing of a model"
+            f"{copies:,} of {len(other):,} motions are real motions of this set, which says nothing of a model"
         )
-    if len(other) < len(real):
+    if len(other) < len(reference):
         rng = np.random.default_rng((seed, 9))
         with threadpool_limits(1, "blas"):
-            whole = fit_gaussian(real)
-            chosen = [rng.choice(len(real), size=len(other), replace=False) for _ in range(CHOICES)]
-            fids = [frechet_distance(whole, fit_gaussian(real[rows])) for rows in chosen]
+            whole = fit_gaussian(reference)
+            chosen = [rng.choice(len(reference), size=len(other), replace=False) for _ in range(CHOICES)]
+            fids = [frechet_distance(whole, fit_gaussian(reference[rows])) for rows in chosen]
         remarks.append(
             f"as many random real motions ({len(other):,}) have an FID of {np.mean(fids):.3g} from all "
             f"({min(fids):.3g} to {max(fids):.3g} in {CHOICES} choices)"

@@ -266,7 +266,7 @@ def _model_row(
     finally:
         job.display.remove_task(task)
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
-    remarks = size_remarks(reference.motions, draws[0].motions, job.request.seed)
+    remarks = size_remarks(pairs.motions, reference.motions, draws[0].motions, job.request.seed)
     note = "; ".join((f"run {each.run.name!r}", *([] if lengths is None else [MADE_OF_22]), *remarks))
     return ScoredRow(each.name, "ours", _score(job, reference, draws, repeated), note)
 
@@ -277,7 +277,7 @@ def _sample_row(
     found = sample_embeddings(folder, real, job.protocol, embedder)
     reference = pairs if found.real_rows is None else pairs.select(found.real_rows)
     scores = _score(job, reference, list(found.draws), found.repeated)
-    remarks = size_remarks(reference.motions, found.draws[0].motions, job.request.seed)
+    remarks = size_remarks(pairs.motions, reference.motions, found.draws[0].motions, job.request.seed)
     return ScoredRow(folder.name, "ours", scores, "; ".join((folder.describe(), *found.remarks, *remarks)))
 
 

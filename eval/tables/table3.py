@@ -260,7 +260,7 @@ def _block(
             continue
         origin: Origin = "reference" if system.is_reference else "ours"
         cells = _with_kid(_cells(scores, fids | COLUMN_OF), fids, against, system)
-        remarks = [] if system.is_reference else size_remarks(against["test"], first, request.seed)
+        remarks = [] if system.is_reference else size_remarks(against["test"], against["test"], first, request.seed)
         rows.append(Row(system.name, origin, cells, "; ".join((_note(system, scores, protocol), *remarks))))
     columns = (*fids.values(), ACCURACY, DIVERSITY, MULTIMODALITY)
     return Block(

@@ -25,12 +25,14 @@ def test_copies_are_counted_to_rounding_whatever_their_order() -> None:
 
 def test_fewer_motions_are_told_what_as_many_real_ones_score() -> None:
     few = RNG.normal(size=(50, 12)) * np.linspace(0.1, 30, 12)
-    (remark,) = size_remarks(REAL, few, seed=3)
+    (remark,) = size_remarks(REAL, REAL, few, seed=3)
     assert remark.startswith("as many random real motions (50) have an FID of ")
     told = float(remark.split("FID of ")[1].split(" from")[0])
     drawn = [fid(REAL, REAL[np.random.default_rng(i).choice(300, 50, replace=False)]) for i in range(200)]
     assert abs(told - np.mean(drawn)) < 3 * np.std(drawn) / np.sqrt(10)
-    assert size_remarks(REAL, few, seed=3) == [remark]
-    assert size_remarks(REAL, REAL + 0.5, seed=0) == []
-    (copied,) = size_remarks(REAL, REAL, seed=0)
+    assert size_remarks(REAL, REAL, few, seed=3) == [remark]
+    assert size_remarks(REAL, REAL, REAL + 0.5, seed=0) == []
+    (copied,) = size_remarks(REAL, REAL[:200], REAL, seed=0)
     assert copied.startswith("300 of 300 motions are real motions")
+    # Where FID compares with the real motions of the same texts, there are no fewer of either.
+    assert size_remarks(REAL, REAL[:50], few, seed=3) == []
