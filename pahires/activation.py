@@ -1,16 +1,13 @@
 """The parametric activation σ(x) = Σ Ψ_i sin(Ω_i x + Φ_i) (Eq. 4), its initialisations, and layers that have it."""
 
 import math
-from typing import Literal
 
 import torch
 from jaxtyping import Float, Float32, Float64
 
 from pahires.gaussian_moments import gaussian_moments
+from pahires.network_settings import Initialisation
 from pahires.table_lookup import apply_by_table
-
-# calibrated: unit variance and slope; staf: STAF's code; siren: sin(x).
-Initialisation = Literal["calibrated", "staf", "siren"]
 
 # E σ′² of SIREN's sin(√2 …) layers under unit variance (spec: the value that keeps gradients over layers).
 SLOPE_SQUARE = 1.3

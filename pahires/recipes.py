@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from pahires.model import NetworkSettings
+from pahires.network_settings import NetworkSettings
 from pahires.settings import TaskSettings, TemporalSettings
 
 

@@ -13,8 +13,9 @@ from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from pahires.encoder import NetworkEncoder
-from pahires.model import NetworkSettings, PaHiRes
+from pahires.model import PaHiRes
 from pahires.network import ObservedWindow, TemporalNetwork
+from pahires.network_settings import NetworkSettings
 from pahires.recipes import RECIPES, PaHiResConfig, nano
 from pahires.stage import STAGE, load
 from tests.pahires.small_network import TASKS
