@@ -21,14 +21,12 @@ from rich.table import Table
 
 from motionkit.console import stdout
 from motionkit.formats.registry import ReadOptions, read, scan
-from motionkit.store.schema import FLOAT_LIST, MIN_ROW_GROUP_SEGMENTS, SEGMENT_FRAMES, segment_writer_options
+from motionkit.store.schema import FLOAT_LIST, ROW_GROUP_SEGMENTS, SEGMENT_FRAMES
 
 # One segment of one column, channels by frames.
 Block = np.ndarray
 Blocks = list[Block]
-STORE_OPTIONS = {
-    name: value for name, value in segment_writer_options().items() if not name.startswith(("use_byte", "write_"))
-}
+STORE_OPTIONS = {"compression": "zstd", "compression_level": 3, "use_dictionary": False}
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class Variant:
     name: str
     options: dict[str, Any] = field(default_factory=lambda: dict(STORE_OPTIONS))
     split_bytes: bool = True
-    row_group_segments: int = MIN_ROW_GROUP_SEGMENTS
+    row_group_segments: int = ROW_GROUP_SEGMENTS
     order: str = "C"
     prepare: Callable[[Blocks], Blocks] = lambda blocks: blocks
 
@@ -82,7 +80,7 @@ def variants(rotations: bool) -> list[Variant]:
         Variant("zstd 9", {**zstd, "compression_level": 9}),
         Variant("pages of 8 MiB", {**STORE_OPTIONS, "data_page_size": 2**23}),
         *(
-            Variant(f"on a grid of 2^-{bits}{' (the store)' * (bits == 22)}", prepare=on_grid(bits))
+            Variant(f"on a grid of 2^-{bits}{' (the store, but for its pages)' * (bits == 22)}", prepare=on_grid(bits))
             for bits in (24, 22, 20)
         ),
     ]

@@ -1,6 +1,5 @@
 """Motions and skeletons ↔ rows of the store's tables."""
 
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -10,7 +9,7 @@ from jaxtyping import Float32
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.quality import measure
 from motionkit.skeleton import Feet, Skeleton
-from motionkit.store.schema import SEGMENT_FRAMES
+from motionkit.store.pages import num_segments
 from motionkit.timegrid import TimeGrid
 
 Row = dict[str, Any]
@@ -69,29 +68,6 @@ def motion_row(motion: Motion) -> Row:
         "operations": list(provenance.operations),
         "num_segments": num_segments(motion.num_frames),
     }
-
-
-def num_segments(num_frames: int) -> int:
-    """Number of segments of ≤ 256 frames that hold `num_frames`."""
-    return -(-num_frames // SEGMENT_FRAMES)
-
-
-@dataclass(frozen=True)
-class Segment:
-    """≤ 256 frames of one sequence; float arrays are flat and channel-major, None where the source has none."""
-
-    sequence_index: int
-    start_frame: int
-    num_frames: int
-    joint_positions: Float32[np.ndarray, "position_values"]
-    joint_rotations: Float32[np.ndarray, "rotation_values"] | None
-    root_translation: Float32[np.ndarray, "root_values"] | None
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the float arrays."""
-        arrays = (self.joint_positions, self.joint_rotations, self.root_translation)
-        return sum(array.nbytes for array in arrays if array is not None)
 
 
 def write_frames(

@@ -38,15 +38,6 @@ def array_of(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
     return _over(np.array(values, kind.to_pandas_dtype()), kind, validity)
 
 
-def float_lists(values: Shaped[np.ndarray, " values"], lengths: Sequence[int | None], kind: pa.DataType) -> pa.Array:
-    """Large lists over the same memory, each of the next so many values; None is null."""
-    present = [length is not None for length in lengths]
-    validity = None if all(present) else _bits(present)
-    offsets = np.cumsum([0, *(length or 0 for length in lengths)], dtype=np.int64)
-    elements = _over(values, kind.value_type, None)
-    return pa.Array.from_buffers(kind, len(lengths), [validity, pa.py_buffer(offsets)], children=[elements])
-
-
 def _over(values: Shaped[np.ndarray, " values"], kind: pa.DataType, validity: pa.Buffer | None) -> pa.Array:
     assert values.dtype == kind.to_pandas_dtype()
     return pa.Array.from_buffers(kind, len(values), [validity, pa.py_buffer(values)])

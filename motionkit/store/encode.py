@@ -1,6 +1,6 @@
 """Motion → what the store keeps of it, wherever its place will be: the work that ingest leaves to its workers."""
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +10,10 @@ from motionkit.errors import StoreError
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
-from motionkit.store.codec import Row, Segment
+from motionkit.store.codec import Row
+from motionkit.store.pages import Page, float_pages
 from motionkit.store.resolution import at_resolution
-from motionkit.store.schema import SEGMENT_FRAMES
+from motionkit.store.schema import FLOAT_COLUMNS, SEGMENT_FRAMES, SEGMENTS
 
 
 class RefusedMotion(StoreError):
@@ -30,15 +31,13 @@ class RefusedMotion(StoreError):
 class EncodedMotion:
     """A motion as the store keeps it, but for its place; picklable, and nothing of it is computed again.
 
-    `row` is its row in the table of sequences without the index and the place. The arrays hold its segments one after
-    the other, each channel-major: metres, and unit quaternions w, x, y, z.
+    `row` is its row in the table of sequences without the index and the place; `columns` are the pages of each column
+    of floats, in the order of the schema.
     """
 
     row: Row
     skeleton: Skeleton
-    joint_positions: Float32[np.ndarray, "position_values"]
-    joint_rotations: Float32[np.ndarray, "rotation_values"] | None
-    root_translation: Float32[np.ndarray, "root_values"] | None
+    columns: tuple[tuple[Page, ...], ...]
 
     @property
     def sequence_id(self) -> str:
@@ -50,23 +49,6 @@ class EncodedMotion:
         """Number of frames."""
         return int(self.row["num_frames"])
 
-    def segments(self, sequence_index: int) -> Iterator[Segment]:
-        """Its segments of at most 256 frames, in order: views, nothing is copied."""
-        for start in range(0, self.num_frames, SEGMENT_FRAMES):
-            frames = slice(start, min(start + SEGMENT_FRAMES, self.num_frames))
-            yield Segment(
-                sequence_index=sequence_index,
-                start_frame=frames.start,
-                num_frames=frames.stop - frames.start,
-                joint_positions=self._of(frames, self.joint_positions),
-                joint_rotations=None if self.joint_rotations is None else self._of(frames, self.joint_rotations),
-                root_translation=None if self.root_translation is None else self._of(frames, self.root_translation),
-            )
-
-    def _of(self, frames: slice, flat: Float32[np.ndarray, "values"]) -> Float32[np.ndarray, "segment_values"]:
-        num_channels = flat.size // self.num_frames
-        return flat[frames.start * num_channels : frames.stop * num_channels]
-
 
 def encode(motion: Motion) -> EncodedMotion:
     """Check a motion, round it to 2^-22, describe it, and bring its frames into the order in which they are stored.
@@ -75,12 +57,16 @@ def encode(motion: Motion) -> EncodedMotion:
     """
     _check(motion)
     motion = at_resolution(motion)
-    return EncodedMotion(
-        row=codec.motion_row(motion),
-        skeleton=motion.skeleton,
-        joint_positions=_channel_major(motion.joint_positions),
-        joint_rotations=None if motion.local_rotations is None else _channel_major(motion.local_rotations),
-        root_translation=None if motion.root_translation is None else _channel_major(motion.root_translation),
+    arrays = (motion.joint_positions, motion.local_rotations, motion.root_translation)
+    flat = [None if array is None else _channel_major(array) for array in arrays]
+    return EncodedMotion(codec.motion_row(motion), motion.skeleton, pages_of(flat, motion.num_frames))
+
+
+def pages_of(columns: Sequence[Float32[np.ndarray, "_"] | None], num_frames: int) -> tuple[tuple[Page, ...], ...]:
+    """Pages of the columns of floats; each array holds the segments one after the other, each channel-major."""
+    return tuple(
+        float_pages(values, num_frames, nullable=SEGMENTS.field(name).nullable)
+        for name, values in zip(FLOAT_COLUMNS, columns, strict=True)
     )
 
 

@@ -1,96 +1,82 @@
-"""Segments → immutable part files: row groups of 16–32 segments, sequences contiguous and within one part."""
+"""Pages → immutable part files: row groups of 16–31 segments, sequences contiguous and within one part."""
 
-from collections.abc import Iterable
+import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
-from jaxtyping import Float32
+from jaxtyping import Int32
 
 from motionkit.store import files
-from motionkit.store.codec import Segment
-from motionkit.store.columns import array_of, float_lists
-from motionkit.store.manifest import PENDING_SUFFIX, FileEntry, describe_file
-from motionkit.store.schema import (
-    FLOAT_COLUMNS,
-    FLOAT_LIST,
-    KEY_COLUMNS,
-    MAX_ROW_GROUP_SEGMENTS,
-    MIN_ROW_GROUP_SEGMENTS,
-    PART_BYTES,
-    SEGMENTS,
-    part_name,
-    segment_writer_options,
-)
+from motionkit.store.encode import EncodedMotion
+from motionkit.store.footer import MAGIC, Chunk, footer, row_group
+from motionkit.store.manifest import PENDING_SUFFIX, FileEntry
+from motionkit.store.pages import Page, integer_page, segment_frames
+from motionkit.store.schema import KEY_COLUMNS, PART_BYTES, ROW_GROUP_SEGMENTS, SEGMENT_FRAMES, part_name
+from motionkit.store.thrift import Value
 
 
-class _FloatLists:
-    """A column of lists as it fills: values one after the other, in memory that the next row group uses again."""
+class _File:
+    """Owns a file that is being written; knows how many bytes it has and their sha256."""
 
-    def __init__(self) -> None:
-        self._values = np.empty(0, np.float32)
-        self._num_values = 0
-        self._lengths: list[int | None] = []
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.num_bytes = 0
+        self._sha256 = hashlib.sha256()
+        self._file = path.open("wb")
 
-    def append(self, values: Float32[np.ndarray, "_"] | None) -> None:
-        """Copy one list's values; None is null."""
-        self._lengths.append(None if values is None else values.size)
-        if values is None:
-            return
-        end = self._num_values + values.size
-        if end > self._values.size:
-            grown = np.empty(2 * end, np.float32)
-            grown[: self._num_values] = self._values[: self._num_values]
-            self._values = grown
-        self._values[self._num_values : end] = values
-        self._num_values = end
+    def write(self, content: bytes | memoryview) -> None:
+        """Append bytes."""
+        self._file.write(content)
+        self._sha256.update(content)
+        self.num_bytes += len(content)
 
-    def array(self) -> pa.Array:
-        """The lists so far; good until the next one is appended."""
-        return float_lists(self._values[: self._num_values], self._lengths, FLOAT_LIST)
-
-    def clear(self) -> None:
-        """Forget all lists, but not their memory."""
-        self._num_values = 0
-        self._lengths.clear()
+    def close(self) -> str:
+        """End it; the sha256 of all that was written, hex."""
+        self._file.close()
+        return self._sha256.hexdigest()
 
 
 class _RowGroup:
-    """Segments of the row group that is being filled, column by column."""
+    """The segments of the row group that is being filled: their keys, and pages of their frames."""
 
     def __init__(self) -> None:
-        self._keys: list[tuple[int, int, int]] = []
-        self._floats = tuple(_FloatLists() for _ in FLOAT_COLUMNS)
+        self._keys: list[Int32[np.ndarray, "3 segments"]] = []
+        self._pages: list[tuple[Page, ...]] = []
+        self.num_rows = 0
 
-    def __len__(self) -> int:
-        return len(self._keys)
+    def append(self, keys: Int32[np.ndarray, "3 segments"], pages: Sequence[Page]) -> None:
+        """Add segments that follow each other, and the page of each column of floats that holds them; all is copied."""
+        self._keys.append(keys.copy())
+        self._pages.append(tuple(page.copy() for page in pages))
+        self.num_rows += keys.shape[1]
 
-    def append(self, segment: Segment) -> None:
-        """Copy one segment."""
-        self._keys.append((segment.sequence_index, segment.start_frame, segment.num_frames))
-        arrays = (segment.joint_positions, segment.joint_rotations, segment.root_translation)
-        for column, values in zip(self._floats, arrays, strict=True):
-            column.append(values)
+    def write_to(self, file: _File) -> Value:
+        """Append all pages to the file, column after column; the row group's entry in the footer."""
+        keys = np.concatenate(self._keys, axis=1)
+        chunks = [_chunk(file, [integer_page(key)], (int(key.min()), int(key.max()))) for key in keys]
+        chunks += [_chunk(file, pages) for pages in zip(*self._pages, strict=True)]
+        return row_group(chunks, self.num_rows)
 
-    def table(self) -> pa.Table:
-        """All segments; good until the next one is appended."""
-        keys = zip(zip(*self._keys, strict=True), KEY_COLUMNS, strict=True)
-        columns = [array_of(values, SEGMENTS.field(name).type) for values, name in keys]
-        return pa.Table.from_arrays([*columns, *(column.array() for column in self._floats)], schema=SEGMENTS)
 
-    def clear(self) -> None:
-        """Forget all segments, but not their memory."""
-        self._keys.clear()
-        for column in self._floats:
-            column.clear()
+def _chunk(file: _File, pages: Sequence[Page], bounds: tuple[int, int] | None = None) -> Chunk:
+    first_byte = file.num_bytes
+    for page in pages:
+        file.write(page.content.data)
+    return Chunk(
+        first_byte,
+        file.num_bytes - first_byte,
+        sum(page.num_bytes_plain for page in pages),
+        sum(page.num_values for page in pages),
+        bounds,
+    )
 
 
 class PartWriter:
     """Owns the part being written and the row group being filled; finished parts are in `finished`.
 
-    A row group ends at the first sequence boundary after 16 segments, or after 32 inside a long sequence; a part ends
-    at the first such boundary after `part_bytes`. So memory is bounded by one row group.
+    A row group ends with the page that brings it to 16 segments, a part with the sequence that ends such a row group
+    when the part has `part_bytes`. So memory is bounded by one row group.
     """
 
     def __init__(self, store: Path, first_number: int, part_bytes: int = PART_BYTES) -> None:
@@ -100,57 +86,63 @@ class PartWriter:
         self._number = first_number
         self._rows_written = 0
         self._pending = _RowGroup()
-        self._sink: pa.NativeFile | None = None
-        self._writer: pq.ParquetWriter | None = None
+        self._file: _File | None = None
+        self._row_groups: list[Value] = []
 
     @property
     def position(self) -> tuple[int, int]:
         """Number of the part and the row in it at which the next segment goes."""
-        return self._number, self._rows_written + len(self._pending)
+        return self._number, self._rows_written + self._pending.num_rows
 
-    def add_sequence(self, segments: Iterable[Segment]) -> None:
-        """Append the segments of one sequence; their arrays are copied."""
-        for segment in segments:
-            self._pending.append(segment)
-            if len(self._pending) == MAX_ROW_GROUP_SEGMENTS:
+    def add_sequence(self, sequence_index: int, motion: EncodedMotion) -> None:
+        """Append the segments of one sequence."""
+        keys = _keys(sequence_index, motion.num_frames)
+        for pages in zip(*motion.columns, strict=True):
+            self._pending.append(keys[:, : pages[0].num_rows], pages)
+            keys = keys[:, pages[0].num_rows :]
+            if self._pending.num_rows >= ROW_GROUP_SEGMENTS:
                 self._write_row_group()
-        if len(self._pending) >= MIN_ROW_GROUP_SEGMENTS:
-            self._write_row_group()
-        if self._sink is not None and not self._pending and self._sink.tell() >= self._part_bytes:
+        if self._file is not None and not self._pending.num_rows and self._file.num_bytes >= self._part_bytes:
             self.finish()
 
     def finish(self) -> None:
         """Complete the part being written, if there is one."""
-        if self._pending:
+        if self._pending.num_rows:
             self._write_row_group()
-        if self._writer is None or self._sink is None:
+        if self._file is None:
             return
-        self._writer.close()
-        self._sink.close()
+        self._file.write(footer(self._row_groups, self._rows_written))
+        sha256 = self._file.close()
         name = part_name(self._number)
-        pending = self._pending_path()
-        entry = describe_file(pending, self._rows_written)
-        files.replace(pending, self._store / name)
-        self.finished[name] = entry
-        self._writer = self._sink = None
+        files.replace(self._file.path, self._store / name)
+        self.finished[name] = FileEntry(sha256, self._file.num_bytes, self._rows_written)
+        self._file = None
+        self._row_groups.clear()
         self._number += 1
         self._rows_written = 0
 
     def close(self) -> None:
         """Let go of the part being written, if there is one, as it is."""
-        self._pending.clear()
-        if self._writer is not None and self._sink is not None:
-            self._writer.close()
-            self._sink.close()
-            self._writer = self._sink = None
-
-    def _pending_path(self) -> Path:
-        return self._store / (part_name(self._number) + PENDING_SUFFIX)
+        self._pending = _RowGroup()
+        if self._file is not None:
+            self._file.close()
+            self._file = None
 
     def _write_row_group(self) -> None:
-        if self._writer is None:
-            self._sink = pa.OSFile(str(self._pending_path()), "wb")
-            self._writer = pq.ParquetWriter(self._sink, SEGMENTS, **segment_writer_options())
-        self._writer.write_table(self._pending.table(), row_group_size=len(self._pending))
-        self._rows_written += len(self._pending)
-        self._pending.clear()
+        if self._file is None:
+            self._file = _File(self._store / (part_name(self._number) + PENDING_SUFFIX))
+            self._file.write(MAGIC)
+        self._row_groups.append(self._pending.write_to(self._file))
+        self._rows_written += self._pending.num_rows
+        self._pending = _RowGroup()
+
+
+def _keys(sequence_index: int, num_frames: int) -> Int32[np.ndarray, "3 segments"]:
+    """The key columns of a sequence's segments."""
+    lengths = segment_frames(num_frames)
+    keys = {
+        "sequence_index": np.full_like(lengths, sequence_index),
+        "start_frame": SEGMENT_FRAMES * np.arange(len(lengths), dtype=np.int32),
+        "num_frames": lengths,
+    }
+    return np.stack([keys[name] for name in KEY_COLUMNS])

@@ -15,7 +15,7 @@ from motionkit.errors import StoreError, UsageError
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
-from motionkit.store.encode import EncodedMotion
+from motionkit.store.encode import EncodedMotion, pages_of
 from motionkit.store.manifest import Manifest, read_committed, read_manifest
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
@@ -153,13 +153,9 @@ class Store:
                 if row["has_root_translation"]:
                     widths["root_translation"] = 3
                 flat = self._segments.read_flat(row, widths)
-                yield EncodedMotion(
-                    row={name: value for name, value in row.items() if name not in PLACE_COLUMNS},
-                    skeleton=skeleton,
-                    joint_positions=flat["joint_positions"],
-                    joint_rotations=flat.get("joint_rotations"),
-                    root_translation=flat.get("root_translation"),
-                )
+                placeless = {name: value for name, value in row.items() if name not in PLACE_COLUMNS}
+                columns = [flat.get(name) for name in FLOAT_COLUMNS]
+                yield EncodedMotion(placeless, skeleton, pages_of(columns, row["num_frames"]))
 
     def query(self, sql: str) -> pa.Table:
         """Result of one SQL statement over `sequences`, `segments`, `skeletons`; raises `UsageError` for bad SQL."""

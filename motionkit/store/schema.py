@@ -16,8 +16,9 @@ FORMAT_NAME = "motionkit-store"
 FORMAT_VERSION = 2
 
 SEGMENT_FRAMES = 256
-MIN_ROW_GROUP_SEGMENTS = 16
-MAX_ROW_GROUP_SEGMENTS = 32
+# A page holds segments of one sequence, and a row group whole pages.
+PAGE_SEGMENTS = 16
+ROW_GROUP_SEGMENTS = 16
 PART_BYTES = 128 * 2**20
 SEQUENCES_PER_ROW_GROUP = 4096
 
@@ -160,17 +161,6 @@ def part_name(number: int) -> str:
 def part_number(name: str) -> int:
     """The number in a part's path."""
     return int(Path(name).stem.removeprefix("part-"))
-
-
-def segment_writer_options() -> dict[str, Any]:
-    """Keyword arguments of `pyarrow.parquet.ParquetWriter` for a part."""
-    return {
-        "compression": "zstd",
-        "compression_level": 3,
-        "use_dictionary": False,
-        "use_byte_stream_split": [f"{column}.list.element" for column in FLOAT_COLUMNS],
-        "write_statistics": list(KEY_COLUMNS),
-    }
 
 
 def table_writer_options() -> dict[str, Any]:

@@ -124,7 +124,7 @@ class StoreWriter:
             )
         sequence_index = self._next_sequence_index
         part, first_row = self._parts.position
-        self._parts.add_sequence(motion.segments(sequence_index))
+        self._parts.add_sequence(sequence_index, motion)
         self._rows.append(
             {**motion.row, "sequence_index": sequence_index, "part": part, "first_row": first_row},
         )

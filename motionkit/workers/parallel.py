@@ -9,7 +9,7 @@ from motionkit.errors import MotionkitError
 Input = TypeVar("Input")
 Output = TypeVar("Output")
 
-BATCHES_IN_FLIGHT_PER_WORKER = 3
+BATCHES_IN_FLIGHT_PER_WORKER = 6
 # So many workers in a row that end before one has done anything: it is not the inputs that they die of.
 DEATHS_AT_START = 3
 
@@ -51,7 +51,7 @@ def map_in_order(
     """Pairs (input, output) in the order of the inputs; `function` gives one output for each input of its batch.
 
     An output's arrays may lie in memory that is used again: they are good until the next pair is asked for. At most
-    three batches per worker are in flight, so memory does not grow with the number of inputs. The inputs of a batch
+    six batches per worker are in flight, so memory does not grow with the number of inputs. The inputs of a batch
     whose worker ended are computed again, each alone; that which ends its worker again has `WorkerDied` for its output.
     Raises `MotionkitError` where workers end before any of them has done anything.
     """

@@ -1,6 +1,7 @@
 """Workers of this machine: this process itself, or others that it starts."""
 
 import ctypes
+import gc
 import multiprocessing
 import os
 import signal
@@ -22,7 +23,7 @@ from motionkit.workers.parcel import Parcel, pack, unpack
 PRELOADED = ("motionkit.store.read_batch",)
 
 # What a batch of a megabyte of text becomes; one file alone may be larger.
-SLOT_BYTES = 4 * 2**20
+SLOT_BYTES = 2 * 2**20
 
 # glibc's mallopt parameters, and what a worker sets them to. By default the top of the heap goes back to the system as
 # soon as a file's arrays are freed, and comes anew, page by page, with the next file's: half of all page faults.
@@ -155,6 +156,7 @@ def _compute(function: Function, batch: Sequence[Any], slot: int | None) -> Parc
 def _start_worker(shared: Shared) -> None:
     _shared_with_parent.append(shared)
     _keep_freed_memory()
+    gc.freeze()  # what was imported stays: no collection need look at it
     # Ctrl-C is the parent's to handle; a parent that is killed takes its workers with it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -2,14 +2,13 @@
 
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.store.columns import array_of, float_lists, table_of
-from motionkit.store.schema import FLOAT_LIST, SEQUENCES, SKELETONS
+from motionkit.store.columns import array_of, table_of
+from motionkit.store.schema import SEQUENCES, SKELETONS
 
 
 def values_of(kind: pa.DataType, *, nullable: bool) -> st.SearchStrategy[Any]:
@@ -50,15 +49,6 @@ def test_tables_are_pyarrows(rows: list[dict[str, Any]]) -> None:
     assert table.schema.equals(expected.schema, check_metadata=True)
     # As JSON, where not-a-number is equal to itself.
     assert repr(table.to_pylist()) == repr(expected.to_pylist())
-
-
-@given(st.lists(st.none() | st.lists(st.floats(width=32), max_size=4), max_size=20))
-@settings(max_examples=40)
-def test_lists_of_floats_are_pyarrows(values: list[list[float] | None]) -> None:
-    flat = np.array([element for value in values for element in value or ()], np.float32)
-    array = float_lists(flat, [None if value is None else len(value) for value in values], FLOAT_LIST)
-    array.validate(full=True)
-    assert repr(array.to_pylist()) == repr(pa.array(values, FLOAT_LIST).to_pylist())
 
 
 def test_an_integer_that_does_not_fit_is_refused() -> None:

@@ -17,6 +17,7 @@ from motionkit.errors import StoreError
 from motionkit.motion import Motion
 from motionkit.skeleton import KIT21, SMPL22, Feet, Skeleton
 from motionkit.store import RefusedMotion, Store, StoreWriter
+from motionkit.store import pages as pages_module
 from motionkit.store import parts as parts_module
 from motionkit.store.schema import FLOAT_COLUMNS, KEY_COLUMNS
 
@@ -44,9 +45,9 @@ frame_counts = st.lists(
 @settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(counts=frame_counts, cut=st.integers(0, 12), rates=st.data())
 def test_any_lengths_come_back(counts, cut, rates, make_motion, monkeypatch):
-    """Whatever the lengths, however they fall on segments, row groups, parts and appends."""
-    monkeypatch.setattr(parts_module, "MIN_ROW_GROUP_SEGMENTS", 3)
-    monkeypatch.setattr(parts_module, "MAX_ROW_GROUP_SEGMENTS", 4)
+    """Whatever the lengths, however they fall on segments, pages, row groups, parts and appends."""
+    monkeypatch.setattr(pages_module, "PAGE_SEGMENTS", 2)
+    monkeypatch.setattr(parts_module, "ROW_GROUP_SEGMENTS", 3)
     fps = rates.draw(st.fractions(min_value=1, max_value=1000, max_denominator=1001))
     motions = [
         make_motion(f"m{i}", count, fps=fps, rotations=i % 3 == 0, skeleton=KIT21 if i % 4 == 1 else SMPL22)

@@ -14,7 +14,6 @@ from motionkit.errors import StoreError
 from motionkit.store import StoreWriter
 from motionkit.store.manifest import commit_manifest, describe_file, read_manifest
 from motionkit.store.removal import remove
-from motionkit.store.schema import segment_writer_options
 from motionkit.store.validate import faults
 
 PART = "segments/part-00000.parquet"
@@ -24,8 +23,7 @@ Edit = Callable[[pa.Table], pa.Table]
 def rewrite(store: Path, name: str, edit: Edit) -> None:
     """Change a file's rows and make the manifest agree: damage that a checksum cannot see."""
     table = edit(pq.read_table(store / name))
-    options = segment_writer_options() if name == PART else {}
-    pq.write_table(table, store / name, **options)
+    pq.write_table(table, store / name)
     manifest = read_manifest(store)
     entries = {**manifest.files, name: describe_file(store / name, table.num_rows)}
     commit_manifest(store, type(manifest)(**{**vars(manifest), "files": entries}))

@@ -1,0 +1,149 @@
+"""Parts as this program writes them, byte by byte, are Parquet as other programs read it."""
+
+import tempfile
+from pathlib import Path
+
+import duckdb
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from motionkit.store import StoreWriter, thrift
+from motionkit.store import pages as pages_module
+from motionkit.store import parts as parts_module
+from motionkit.store.pages import float_pages, integer_page
+from motionkit.store.schema import KEY_COLUMNS, SEGMENTS
+from motionkit.store.thrift import Value
+
+PART = "segments/part-00000.parquet"
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (thrift.i32(0), (5, "00")),
+        (thrift.i32(-1), (5, "01")),
+        (thrift.i32(1), (5, "02")),
+        (thrift.i64(150), (6, "ac02")),
+        (thrift.i64(-(2**63)), (6, "ff" * 9 + "01")),
+        (thrift.i8(-3), (3, "fd")),
+        (thrift.binary(b"ab"), (8, "026162")),
+        (thrift.list_of([thrift.i32(1), thrift.i32(2)]), (9, "250204")),
+        (thrift.list_of([thrift.binary(b"")] * 15), (9, "f80f" + "00" * 15)),
+        (thrift.struct({1: thrift.i32(1), 4: thrift.boolean(True), 5: thrift.boolean(False)}), (12, "15023112" + "00")),
+    ],
+)
+def test_thrift_as_its_specification_has_it(value: Value, expected: tuple[int, str]) -> None:
+    assert (value.kind, value.content.hex()) == expected
+
+
+def column(num_frames: int, channels: int, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(num_frames * channels, np.float32)
+
+
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(takes=st.lists(st.tuples(st.sampled_from([1, 2, 255, 256, 257, 600]), st.booleans()), min_size=1, max_size=6))
+def test_pyarrow_and_duckdb_read_what_was_written(takes, make_motion, monkeypatch) -> None:
+    """Rows, nulls, keys and their statistics, whatever the lengths and wherever rotations are missing."""
+    monkeypatch.setattr(pages_module, "PAGE_SEGMENTS", 2)
+    monkeypatch.setattr(parts_module, "ROW_GROUP_SEGMENTS", 3)
+    motions = [make_motion(f"m{i}", count, rotations=rotations) for i, (count, rotations) in enumerate(takes)]
+    with tempfile.TemporaryDirectory() as folder:
+        with StoreWriter.create(Path(folder) / "store") as writer:
+            for motion in motions:
+                writer.add(motion)
+        part = pq.ParquetFile(Path(folder) / "store" / PART)
+        rows = part.read().to_pylist()
+        found = duckdb.sql(
+            "SELECT sequence_index, sum(num_frames), sum(len(joint_positions)), count(joint_rotations), "
+            f"sum(len(root_translation)) FROM '{folder}/store/{PART}' GROUP BY 1 ORDER BY 1"
+        ).fetchall()
+    for number, motion in enumerate(motions):
+        own = [row for row in rows if row["sequence_index"] == number]
+        assert [row["start_frame"] for row in own] == list(range(0, motion.num_frames, 256))
+        for name, array in (
+            ("joint_positions", motion.joint_positions),
+            ("joint_rotations", motion.local_rotations),
+            ("root_translation", motion.root_translation),
+        ):
+            if array is None:
+                assert all(row[name] is None for row in own)
+                continue
+            blocks = [np.float32(row[name]).reshape(-1, row["num_frames"]).T for row in own]
+            np.testing.assert_array_equal(np.concatenate(blocks), array.reshape(motion.num_frames, -1))
+    assert found == [
+        (i, count, 66 * count, -(-count // 256) if rotations else 0, 3 * count if rotations else None)
+        for i, (count, rotations) in enumerate(takes)
+    ]
+    check_row_groups(part.metadata, rows)
+
+
+def check_row_groups(metadata: pq.FileMetaData, rows: list[dict[str, object]]) -> None:
+    first = 0
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        assert group.num_rows in (3, 4) or number == metadata.num_row_groups - 1
+        of_group = rows[first : first + group.num_rows]
+        for place, name in enumerate(KEY_COLUMNS):
+            statistics = group.column(place).statistics
+            keys = [row[name] for row in of_group]
+            assert (statistics.min, statistics.max, statistics.null_count) == (min(keys), max(keys), 0)
+        first += group.num_rows
+
+
+def test_the_schema_is_that_which_pyarrow_writes(small_store, tmp_path) -> None:
+    part = pq.ParquetFile(small_store / PART)
+    pq.write_table(SEGMENTS.empty_table(), tmp_path / "pyarrows.parquet")
+    assert part.schema.equals(pq.ParquetFile(tmp_path / "pyarrows.parquet").schema)
+    assert part.schema_arrow.equals(SEGMENTS, check_metadata=True)
+
+
+def test_every_byte_of_a_part_is_accounted_for(small_store) -> None:
+    metadata = pq.ParquetFile(small_store / PART).metadata
+    place = 4
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        chunks = [group.column(i) for i in range(group.num_columns)]
+        for chunk in chunks:
+            assert chunk.data_page_offset == place
+            place += chunk.total_compressed_size
+        assert group.total_byte_size == sum(chunk.total_uncompressed_size for chunk in chunks)
+    assert place + metadata.serialized_size + 8 == (small_store / PART).stat().st_size
+
+
+def test_pages_do_not_depend_on_what_lies_beside_them(tmp_path, make_motion) -> None:
+    with StoreWriter.create(tmp_path / "store") as writer:
+        for number in range(5):
+            writer.add(make_motion(f"m{number}", 300, rotations=True))
+    content = (tmp_path / "store" / PART).read_bytes()
+    for number in range(5):
+        flat = make_motion(f"m{number}", 300, rotations=True).root_translation
+        blocks = np.concatenate([flat[:256].T.ravel(), flat[256:].T.ravel()])
+        (page,) = float_pages(blocks, 300, nullable=True)
+        assert content.count(page.content.tobytes()) == 1
+
+
+def test_a_page_knows_its_size() -> None:
+    (page,) = float_pages(column(100, 6, seed=0), 100, nullable=False)
+    assert (page.num_rows, page.num_values) == (1, 600)
+    assert page.num_bytes_plain > 2400 > len(page.content) - 100
+    long = float_pages(column(256 * 40 + 1, 3, seed=1), 256 * 40 + 1, nullable=False)
+    assert [page.num_rows for page in long] == [16, 16, 9]
+    nulls = float_pages(None, 256 * 17, nullable=True)
+    assert [(page.num_rows, page.num_values) for page in nulls] == [(16, 16), (1, 1)]
+    assert integer_page(np.arange(5, dtype=np.int32)).num_values == 5
+
+
+def test_a_sequences_page_takes_no_more_room_than_arrows() -> None:
+    """A page of one sequence, its byte planes apart, against Arrow's own of the same values."""
+    steps = np.random.default_rng(3).standard_normal((66, 200)) * 0.01
+    walk = (np.rint(np.cumsum(steps, axis=1) * 2**22) / 2**22).astype(np.float32).ravel()
+    (page,) = float_pages(walk, 200, nullable=False)
+    sink = pa.BufferOutputStream()
+    options = {"compression": "zstd", "use_dictionary": False, "use_byte_stream_split": True}
+    pq.write_table(pa.table({"values": walk}), sink, write_statistics=False, **options)
+    arrows = pq.ParquetFile(pa.BufferReader(sink.getvalue())).metadata.row_group(0).column(0).total_compressed_size
+    assert len(page.content) < arrows
