@@ -1,6 +1,6 @@
 """What the store's files hold: Arrow schemas, sizes, and how Parquet is written.
 
-Numbers are measured choices (docs/store.md): zstd 3 with BYTE_STREAM_SPLIT on channel-major float lists is the smallest
+Numbers are measured choices (docs/store.md): zstd with BYTE_STREAM_SPLIT on channel-major float lists is the smallest
 that still decodes at memory speed; dictionaries make float columns larger; the row group is pyarrow's unit of access,
 so a small one makes single reads quick, and 16 segments cost 0.5 % of size against 256.
 """

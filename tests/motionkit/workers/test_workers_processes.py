@@ -10,7 +10,7 @@ import pytest
 from motionkit.errors import FormatError, MotionkitError
 from motionkit.formats.items import ReadOptions, SourceItem
 from motionkit.store.read_batch import read_batch
-from motionkit.workers.parallel import WorkerDied, map_in_order
+from motionkit.workers.parallel import BATCHES_IN_FLIGHT_PER_WORKER, WorkerDied, map_in_order
 from motionkit.workers.process_engine import Processes, ThisProcess
 
 
@@ -78,7 +78,7 @@ def test_few_inputs_are_in_flight() -> None:
         results = map_in_order(engine, ten_times, batches())
         for _ in range(10):
             next(results)
-    assert len(taken) <= 10 + 3 * 2
+    assert len(taken) <= 10 + BATCHES_IN_FLIGHT_PER_WORKER * 2
 
 
 def test_a_file_that_a_worker_does_not_see(tmp_path: Path) -> None:
