@@ -15,8 +15,8 @@ from pahires.prediction import Predictor
 from pahires.settings import TemporalSettings
 from pahires.windows import TrainingBatch, WindowSampler
 
-# Windows in which hardly anything moves do not count for more than this share allows.
-BALANCE_FLOOR = 0.5
+# Of the batch's mean, so that windows in which hardly anything moves do not count without bound.
+BALANCE_FLOOR = 1.0
 
 
 class TemporalTraining:
