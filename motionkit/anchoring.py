@@ -16,6 +16,9 @@ from motionkit.kinematics import (
 from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, check_skeleton, told_fps
 from motionkit.skeleton import Skeleton
 
+_NEIGHBOURS = 3
+_FRAMES_AT_ONCE = 4096
+
 
 @dataclass(frozen=True, eq=False)
 class Anchored:
@@ -71,27 +74,49 @@ class AnchoredField:
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        poses, observed = self.field.query(times_seconds), self.observation.times_seconds
+        poses = self.field.query(times_seconds)
+        if not len(times_seconds):
+            return poses
+        offsets = self._offsets(times_seconds)
+        return _with_offsets(poses, offsets, self.skeleton) if self.on_rotations else _with_moves(poses, offsets)
+
+    def _offsets(self, times: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times numbers"]:
         from scipy.interpolate import PchipInterpolator
 
+        # Slopes are those of neighbours, so a few frames on both sides are all that is felt of a long motion.
+        observed = self.observation.times_seconds
+        first = max(0, int(np.searchsorted(observed, times.min())) - _NEIGHBOURS)
+        last = min(len(observed), int(np.searchsorted(observed, times.max())) + _NEIGHBOURS)
+        first, last = min(first, len(observed) - 1), max(last, 1)
+        near, offsets = observed[first:last], self.offsets[first:last]
         # The end offsets again beyond the ends: there the slope becomes zero, so velocity stays continuous.
-        knots = np.concatenate(([observed[0] - 1.0], observed, [observed[-1] + 1.0]))
-        curve = PchipInterpolator(knots, self.offsets[[0, *range(len(observed)), -1]])
-        offsets = np.asarray(curve(np.clip(times_seconds, knots[0], knots[-1])))
-        return _with_offsets(poses, offsets, self.skeleton) if self.on_rotations else _with_moves(poses, offsets)
+        knots = np.concatenate(([near[0] - 1.0], near, [near[-1] + 1.0]))
+        curve = PchipInterpolator(knots, np.concatenate((offsets[:1], offsets, offsets[-1:])))
+        return np.asarray(curve(np.clip(times, knots[0], knots[-1])))
 
 
 def anchored(field: MotionField, observation: Observation) -> AnchoredField:
     """A field led through observed frames; raises `ValueError` for those outside its domain and for other joints."""
     check_skeleton(field, observation)
-    made, given = field.query(observation.times_seconds), observation.poses
-    if made.local_rotations is None or given.local_rotations is None:
-        moves = given.joint_positions.astype(np.float64) - made.joint_positions
-        return AnchoredField(field, observation, moves.reshape(len(moves), -1), False)
-    mine, theirs = Joints.of(made, field.skeleton), Joints.of(given, field.skeleton)
+    blocks, on_rotations = [], False
+    for start in range(0, len(observation), _FRAMES_AT_ONCE):
+        some = observation.rows(slice(start, start + _FRAMES_AT_ONCE))
+        made = field.query(some.times_seconds)
+        on_rotations = made.local_rotations is not None and some.poses.local_rotations is not None
+        blocks.append(_missed(made, some, field.skeleton) if on_rotations else _missed_positions(made, some))
+    return AnchoredField(field, observation, np.concatenate(blocks), on_rotations)
+
+
+def _missed_positions(made: Poses, given: Observation) -> Float64[np.ndarray, "frames numbers"]:
+    moves = given.poses.joint_positions.astype(np.float64) - made.joint_positions
+    return np.asarray(moves.reshape(len(moves), -1))
+
+
+def _missed(made: Poses, given: Observation, skeleton: Skeleton) -> Float64[np.ndarray, "frames numbers"]:
+    mine, theirs = Joints.of(made, skeleton), Joints.of(given.poses, skeleton)
     turns = quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(mine.rotations), theirs.rotations))
     parts = (turns, theirs.bones - mine.bones, (theirs.root - mine.root)[:, None])
-    return AnchoredField(field, observation, np.concatenate(parts, axis=1).reshape(len(turns), -1), True)
+    return np.concatenate(parts, axis=1).reshape(len(turns), -1)
 
 
 def _with_moves(poses: Poses, offsets: Float64[np.ndarray, "times numbers"]) -> Poses:

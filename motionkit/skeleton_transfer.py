@@ -26,6 +26,7 @@ from motionkit.timegrid import TimeGrid
 _TIMES_AT_ONCE = 4096
 _SMALLEST_WEIGHT = 0.5
 _RIGID_METRES = 1e-4
+_FRAMES_TO_SEE = 500
 _SPINE = tuple(SMPL22.index(name) for name in ("spine1", "spine2", "spine3"))
 _PELVIS, _LEFT_HIP, _RIGHT_HIP = (SMPL22.index(name) for name in ("pelvis", "left_hip", "right_hip"))
 
@@ -191,7 +192,9 @@ def canonical_observation(observation: Observation) -> Observation:
 
 def _moved_joint(observation: Observation, pelvis: int) -> int:
     """The joint that carries the body's path: the one nearest the pelvis whose bone is not rigid, else the root."""
-    bones = Joints.of(observation.poses, observation.skeleton).bones
+    # Some hundred frames tell as much as all of them.
+    poses = observation.poses.rows(slice(None, None, max(1, len(observation) // _FRAMES_TO_SEE)))
+    bones = Joints.of(poses, observation.skeleton).bones
     for joint in _and_above(observation.skeleton, pelvis):
         if joint and np.ptp(bones[:, joint], axis=0).max() > _RIGID_METRES:
             return joint

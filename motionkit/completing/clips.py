@@ -77,9 +77,16 @@ def find_clips(sources: Sequence[str], options: ReadOptions, store: Path) -> tup
         else:
             scanned = registry.scan([path], options)
             problems += scanned.problems
-            items = [item for item in scanned.items if path.is_file() or not item.path.stem.endswith(MADE)]
+            items = [item for item in scanned.items if _is_meant(item, path)]
+            if path.is_file() and not items and not scanned.problems:
+                problems.append(FormatError("it is no clip, but a part of a folder of clips", path=path, reason="part"))
             found += [_of_item(item, source, path, options) for item in items]
     return found, problems
+
+
+def _is_meant(item: SourceItem, path: Path) -> bool:
+    # Of a folder what was not made here; of a file beside a data set's folders not the data set.
+    return item.path.resolve() == path.resolve() if path.is_file() else not item.path.stem.endswith(MADE)
 
 
 def _of_item(item: SourceItem, source: str, path: Path, options: ReadOptions) -> ClipSource:

@@ -18,6 +18,7 @@ from motionkit.formats.arrays.joints_npy import read_joints_npy
 from motionkit.formats.arrays.npz import motion_arrays, read_npz, write_npz
 from motionkit.formats.bvh.document import read_document
 from motionkit.formats.bvh.motion import read_bvh, write_bvh
+from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
 from motionkit.motion import Caption, Motion
 from motionkit.motionfield import to_motion
 from motionkit.store import StoreWriter
@@ -114,6 +115,16 @@ def test_arrays_of_joints_and_of_vectors(motionkit: Run, tmp_path: Path, motion:
     assert made_vectors.shape == (2 * (len(vectors) - 1), 263)
     again = humanml3d.positions(made_vectors, "smpl22")
     np.testing.assert_allclose(again[::2], humanml3d.positions(vectors, "smpl22")[:-1], atol=2e-4)
+
+
+def test_a_folder_of_humanml3ds_form(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
+    vectors = humanml3d.vectors(process(motion.joint_positions, "smpl22"), "smpl22")
+    write_humanml3d(tmp_path / "set", [Entry("000001", humanml3d.positions(vectors, "smpl22"), vectors)])
+    told = motionkit("complete", tmp_path / "set" / "Mean.npy", "--fps", "60")
+    assert told.code == 1 and "Mean.npy" in told.stderr and told.stdout == ""
+    outcome = motionkit("complete", tmp_path / "set", "--fps", "60", "--out", tmp_path / "out")
+    assert outcome.stdout.split() == [str(tmp_path / "out" / "new_joints" / "000001.npy")]
+    assert read_joints_npy(tmp_path / "out" / "new_joints" / "000001.npy").num_frames == 3 * 58 + 1
 
 
 def test_ids_of_a_store(motionkit: Run, tmp_path: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
