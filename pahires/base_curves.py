@@ -5,7 +5,6 @@ Beyond both ends all go on at the end velocity, which dies away within `DAMPING_
 ends metres from where people do. `eased` is the cubic, straightened where a gap is so long that it would overshoot.
 """
 
-import roma
 import torch
 from jaxtyping import Float32, Int64
 
@@ -117,6 +116,8 @@ def _on_great_arcs(
 ) -> Float32[torch.Tensor, "batch queries numbers"]:
     rows = scaling.invert(frames)
     root = torch.lerp(_rows(rows[..., :3], segment), _rows(rows[..., :3], segment + 1), fraction[..., None])
+    import roma  # and with it torch's compiler: a second and a half that other bases need not spend
+
     # Rows are joint, column, axis; roma's matrices have columns last.
     joints = (rows.shape[-1] - 3) // 6
     columns = rows[..., 3:].reshape(*rows.shape[:-1], joints, 2, 3).transpose(-1, -2)

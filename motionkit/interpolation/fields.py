@@ -32,6 +32,7 @@ FRAMES_AT_ONCE = 2048
 BLOCKS_KEPT = 2
 # A cubic spline feels a frame k frames away by less than 2⁻ᵏ: beyond 48 it is lost in float64.
 _SPLINE_MARGIN = 48
+_TRAVELLING_METRES = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +160,8 @@ def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable
         shape = joints.rotations.shape[1:]
         rotations = rotation_curve(rotation_kind, times_seconds, joints.rotations.reshape(len(times_seconds), -1, 4))
         bones = curve(root_kind, times_seconds, joints.bones)
+        # Hips that travel in a reference on the floor go on like a root; bones keep the length that they end with.
+        travels = np.ptp(joints.bones, axis=0).max(axis=-1) > _TRAVELLING_METRES
         root = curve(root_kind, times_seconds, joints.root)
         translations = [
             None
@@ -169,7 +172,10 @@ def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable
 
         def poses_at(times: Float64[np.ndarray, "times"]) -> list[Poses]:
             turned = rotations(times).reshape(len(times), *shape)
-            positions = JointsOfMany(turned, bones.clamped(times), root(times)).positions(skeleton)
+            bones_then = bones.clamped(times)
+            if travels.any():
+                bones_then[:, travels] = bones(times)[:, travels]
+            positions = JointsOfMany(turned, bones_then, root(times)).positions(skeleton)
             return [
                 Poses(
                     joint_positions=np.ascontiguousarray(positions[:, motion]),

@@ -91,10 +91,11 @@ class SettlingField:
 
         limbs, path = slowed(self.encoder.joints_seconds), slowed(self.encoder.root_seconds)
         assert limbs.local_rotations is not None
-        joints = Joints.of(limbs, self.skeleton)
-        root = path.joint_positions[:, 0].astype(np.float64)
+        # A bone that travels, hips in a reference on the floor, is a part of the path.
+        travelled = Joints.of(path, self.skeleton)
+        joints = Joints(Joints.of(limbs, self.skeleton).rotations, travelled.bones, travelled.root)
         return Poses(
-            Joints(joints.rotations, joints.bones, root).positions(self.skeleton),
+            joints.positions(self.skeleton),
             None if like.local_rotations is None else limbs.local_rotations,
             None if like.root_translation is None else path.root_translation,
         )

@@ -1,6 +1,7 @@
 """Interpolators that come to rest: the same between frames, then smoothly to a stop, limbs before the path."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -9,7 +10,10 @@ from motionkit.completion import complete
 from motionkit.interpolation.fields import INTERPOLATORS
 from motionkit.interpolation.joints import Joints
 from motionkit.interpolation.settling import Settling
+from motionkit.motion import Motion
 from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, joint_velocities
+from motionkit.skeleton import Skeleton
+from motionkit.timegrid import TimeGrid
 from tests.motionkit.turning_body import random_motion
 
 NAMES = ("slerp", "squad", "rotation-cubic")
@@ -58,3 +62,21 @@ def test_it_travels_on_by_what_it_would_in_so_many_seconds() -> None:
     np.testing.assert_allclose(made.root_translation, made.joint_positions[:, 0], atol=1e-6)
     before, after = (Joints.of(Poses.of(each), motion.skeleton).bones for each in (motion, made))
     np.testing.assert_allclose(after[-1], before[-1], atol=1e-5)
+
+
+@pytest.mark.parametrize("settling", [True, False])
+def test_hips_that_travel_in_a_reference_on_the_floor_do_not_stop_at_the_end(settling: bool) -> None:
+    names = ("reference", "hips", "head")
+    skeleton = Skeleton("placed", names, (-1, 0, 1), np.array([[0, 0, 0], [0, 0.9, 0], [0, 0.6, 0]], np.float32))
+    seconds = np.arange(30) / 30
+    positions = np.zeros((30, 3, 3), np.float32)
+    positions[:, 1:, 1] = 0.9, 1.5
+    positions[:, 1:, 2] = 1.5 * seconds[:, None]
+    still = np.tile(np.array([1.0, 0, 0, 0], np.float32), (30, 3, 1))
+    motion = Motion(positions, skeleton, TimeGrid(Fraction(30), 30), still, positions[:, 0])
+    interpolator = INTERPOLATORS["rotation-cubic"]
+    made = complete(motion, Settling(interpolator) if settling else interpolator, after_seconds=0.1)
+    step = np.diff(made.joint_positions[28:, :, 2], axis=0)
+    np.testing.assert_allclose(step[:, 0], 0.0, atol=1e-6)
+    assert (step[:, 1:] > 0.04).all() and (step[:, 1:] < 0.0501).all()
+    np.testing.assert_allclose(step[:, 1], step[:, 2], atol=1e-6)
