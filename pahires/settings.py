@@ -12,6 +12,8 @@ Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic", "eased"]
 # What becomes of a network's answer: the poses themselves; a correction of the interpolation; a correction that
 # vanishes at observed frames, which then stay as they are.
 Form = Literal["plain", "residual", "exact"]
+# Errors are averaged as squares (the paper), or as absolute values (L1, as LIIF and its kin published).
+Distance = Literal["squared", "absolute"]
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ class TemporalSettings:
     takes of other framerates are left out. With `finer` a window of such a take has one of the framerates from `fps` up
     to its own, so that what lies between the table's frames is learnt where it was captured. `layout` is `smpl22`, or
     `native` for a corpus of one skeleton. `form` and `base`: see `pahires.prediction`. Loss: MSE + `velocity_weight` ·
-    MSE of differences between neighbouring frames (Eq. 8 to 10, as means); `balanced` divides each window's by that of
+    MSE of differences between neighbouring frames (Eq. 8 to 10, as means), or with `distance` absolute both of absolute
+    errors; `balanced` divides each window's by that of
     the interpolation (`pahires.training`), so that gaps and dashes do not drown the rest. Schedule `steps` multiplies
     the rate by `rate_drop` every `drop_every` share of the steps.
     """
@@ -77,6 +80,7 @@ class TemporalSettings:
     form: Form = "plain"
     base: Base = "slerp"
     correction_scale: float = 1.0
+    distance: Distance = "squared"
     velocity_weight: float = 0.5
     balanced: bool = False
     mirrored: bool = True

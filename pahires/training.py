@@ -12,11 +12,13 @@ from motionkit.training.schedule import WeightAverage, rate_factor, scale_rates
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from pahires.base_curves import interpolated
 from pahires.prediction import Predictor
-from pahires.settings import TemporalSettings
+from pahires.settings import Distance, TemporalSettings
 from pahires.windows import TrainingBatch, WindowSampler
 
 # Of the batch's mean, so that windows in which hardly anything moves do not count without bound.
 BALANCE_FLOOR = 1.0
+
+_Rows = Float32[torch.Tensor, "batch queries numbers"]
 
 
 class TemporalTraining:
@@ -50,15 +52,16 @@ class TemporalTraining:
         batch = self.sampler.batch(rng, self.scaling)
         with dropout_from(generator, self.device), autocast(settings.precision, self.device):
             predicted = self.predictor(batch.window.to(self.device))
-        figures = losses(predicted, batch.targets.to(self.device))
-        loss = (self._weights(batch).to(self.device) * self._loss(figures)).mean()
+        targets = batch.targets.to(self.device)
+        loss = (self._weights(batch).to(self.device) * self._loss(predicted, targets)).mean()
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         scale_rates(self.optimizer, self._factor(step))
         self.optimizer.step()
         if self.average is not None:
             self.average.update(self.network, step)
-        return {"loss": loss, **{name: figure.mean() for name, figure in figures.items()}}
+        mse, velocity = losses(predicted.detach(), targets, "squared")
+        return {"loss": loss, "mse": mse.mean(), "velocity": velocity.mean()}
 
     def trained_tensors(self) -> dict[str, torch.Tensor]:
         """The weights to keep: their average where there is one."""
@@ -93,19 +96,21 @@ class TemporalTraining:
         if not self.settings.balanced:
             return torch.ones(len(batch.targets))
         curve = interpolated(batch.window, self.settings.base, self.scaling)
-        missed = self._loss(losses(curve, batch.targets))
+        missed = self._loss(curve, batch.targets)
         return 1.0 / (missed + BALANCE_FLOOR * missed.mean() + 1e-9)
 
-    def _loss(self, figures: Mapping[str, torch.Tensor]) -> Float32[torch.Tensor, "batch"]:
-        return figures["mse"] + self.settings.velocity_weight * figures["velocity"]
+    def _loss(self, predicted: _Rows, targets: _Rows) -> Float32[torch.Tensor, "batch"]:
+        rows, differences = losses(predicted, targets, self.settings.distance)
+        return rows + self.settings.velocity_weight * differences
 
 
 def losses(
-    predicted: Float32[torch.Tensor, "batch queries numbers"], targets: Float32[torch.Tensor, "batch queries numbers"]
-) -> dict[str, torch.Tensor]:
-    """Mean squared errors of each window's rows (Eq. 8) and of their differences from frame to frame (Eq. 9)."""
+    predicted: _Rows, targets: _Rows, distance: Distance
+) -> tuple[Float32[torch.Tensor, "batch"], Float32[torch.Tensor, "batch"]]:
+    """Mean errors of each window's rows (Eq. 8) and of their differences from frame to frame (Eq. 9)."""
     error = predicted - targets
-    return {"mse": error.square().mean(dim=(1, 2)), "velocity": error.diff(dim=1).square().mean(dim=(1, 2))}
+    measure = torch.square if distance == "squared" else torch.abs
+    return measure(error).mean(dim=(1, 2)), measure(error.diff(dim=1)).mean(dim=(1, 2))
 
 
 def num_steps(settings: TemporalSettings, sampler: WindowSampler) -> int:

@@ -1,8 +1,9 @@
 """Settings of the peers and their recipes; imports nothing heavy.
 
-`nano` and `base` train as PA-HiRes' recipes of these names do: same windows, steps, batch and rates. `paper` has each
-peer's published sizes and schedule. `base` has the published sizes too, but for widths of 16, which `nano` and `base`
-make 64 (docs/pahires.md), and for half the width in-betweening. Networks of `nano` are small.
+`nano` and `base` train as PA-HiRes' recipes of these names do (windows, batch, rates, form of the answer), each on its
+own task alone, and as many steps as PA-HiRes spends on it. `paper` has each peer's published sizes, schedule and form.
+`base` has the published sizes too, but for widths of 16, which both make 64 (docs/pahires.md), and in-betweening for
+half the width. Networks of `nano` are small.
 """
 
 from dataclasses import dataclass, field, replace
@@ -17,10 +18,12 @@ from eval.baselines.peers.config import (
     MetaSrNetworkConfig,
     TsFormerNetworkConfig,
 )
+from pahires.recipes import base as pahires_base
+from pahires.recipes import nano as pahires_nano
 from pahires.settings import TaskSettings, TemporalSettings
 
 FAIR_WIDTH = 64
-NANO_ENCODER = EdsrConfig(blocks=4, features=32)
+NANO_ENCODER = EdsrConfig(blocks=4, features=64)
 
 
 def _on_grids(training: TemporalSettings) -> None:
@@ -101,12 +104,25 @@ INTERPOLATION = TaskSettings(interpolate=1.0, gap=0.0, scattered=0.0, extend=0.0
 IN_BETWEENING = TaskSettings(interpolate=0.0, gap=1.0, scattered=0.0, extend=0.0)
 
 
-def _image_nano() -> TemporalSettings:
-    return TemporalSettings(tasks=INTERPOLATION)
+def _on(task: TaskSettings, training: TemporalSettings) -> TemporalSettings:
+    """Those steps of a training that are of one task."""
+    assert training.steps is not None
+    kept = sum(share for share, wanted in zip(training.tasks.shares, task.shares, strict=True) if wanted)
+    interpolate, gap, scattered, extend = task.shares
+    return replace(
+        training,
+        tasks=replace(training.tasks, interpolate=interpolate, gap=gap, scattered=scattered, extend=extend),
+        steps=round(training.steps * kept / sum(training.tasks.shares)),
+        balanced=False,
+    )
 
 
-def _image_base() -> TemporalSettings:
-    return replace(_image_nano(), steps=50_000, batch=128)
+def _nano(task: TaskSettings) -> TemporalSettings:
+    return _on(task, pahires_nano().training)
+
+
+def _base(task: TaskSettings) -> TemporalSettings:
+    return _on(task, pahires_base().training)
 
 
 def _image_paper() -> TemporalSettings:
@@ -123,12 +139,12 @@ def _image_paper() -> TemporalSettings:
 
 def liif_nano() -> LiifConfig:
     """A small network, minutes on one core."""
-    return LiifConfig(LiifNetworkConfig(NANO_ENCODER, hidden=128), _image_nano())
+    return LiifConfig(LiifNetworkConfig(NANO_ENCODER, hidden=128), _nano(INTERPOLATION))
 
 
 def liif_base() -> LiifConfig:
     """The published network, an hour on a GPU."""
-    return LiifConfig(training=_image_base())
+    return LiifConfig(training=_base(INTERPOLATION))
 
 
 def liif_paper() -> LiifConfig:
@@ -138,12 +154,12 @@ def liif_paper() -> LiifConfig:
 
 def meta_sr_nano() -> MetaSrConfig:
     """A small network, minutes on one core."""
-    return MetaSrConfig(MetaSrNetworkConfig(NANO_ENCODER, hidden=64), _image_nano())
+    return MetaSrConfig(MetaSrNetworkConfig(NANO_ENCODER, hidden=64), _nano(INTERPOLATION))
 
 
 def meta_sr_base() -> MetaSrConfig:
     """The published network, an hour on a GPU."""
-    return MetaSrConfig(training=_image_base())
+    return MetaSrConfig(training=_base(INTERPOLATION))
 
 
 def meta_sr_paper() -> MetaSrConfig:
@@ -154,12 +170,12 @@ def meta_sr_paper() -> MetaSrConfig:
 def a_liif_nano() -> ALiifConfig:
     """A small network, 64 wide, minutes on one core."""
     network = ALiifNetworkConfig(NANO_ENCODER, width=FAIR_WIDTH, basis=4, expansion_hidden=64)
-    return ALiifConfig(network, _image_nano())
+    return ALiifConfig(network, _nano(INTERPOLATION))
 
 
 def a_liif_base() -> ALiifConfig:
     """64 wide, an hour on a GPU."""
-    return ALiifConfig(ALiifNetworkConfig(width=FAIR_WIDTH), _image_base())
+    return ALiifConfig(ALiifNetworkConfig(width=FAIR_WIDTH), _base(INTERPOLATION))
 
 
 def a_liif_paper() -> ALiifConfig:
@@ -169,12 +185,12 @@ def a_liif_paper() -> ALiifConfig:
 
 def lmf_nano() -> LmfConfig:
     """A small network, 64 wide, minutes on one core."""
-    return LmfConfig(LmfNetworkConfig(NANO_ENCODER, width=FAIR_WIDTH), _image_nano())
+    return LmfConfig(LmfNetworkConfig(NANO_ENCODER, width=FAIR_WIDTH), _nano(INTERPOLATION))
 
 
 def lmf_base() -> LmfConfig:
     """64 wide, an hour on a GPU."""
-    return LmfConfig(LmfNetworkConfig(width=FAIR_WIDTH), _image_base())
+    return LmfConfig(LmfNetworkConfig(width=FAIR_WIDTH), _base(INTERPOLATION))
 
 
 def lmf_paper() -> LmfConfig:
@@ -185,12 +201,12 @@ def lmf_paper() -> LmfConfig:
 def delta_interp_nano() -> DeltaInterpConfig:
     """A small network, minutes on one core."""
     network = DeltaInterpNetworkConfig(width=96, blocks=3, layers=2, heads=4, dropout=0.0)
-    return DeltaInterpConfig(network, TemporalSettings(tasks=IN_BETWEENING, form="residual"))
+    return DeltaInterpConfig(network, replace(_nano(IN_BETWEENING), form="residual", base="slerp"))
 
 
 def delta_interp_base() -> DeltaInterpConfig:
     """Half the published width, an hour on a GPU."""
-    training = TemporalSettings(tasks=IN_BETWEENING, form="residual", steps=50_000, batch=128, rate=2e-4)
+    training = replace(_base(IN_BETWEENING), form="residual", base="slerp", rate=2e-4)
     return DeltaInterpConfig(DeltaInterpNetworkConfig(width=512), training)
 
 
@@ -213,12 +229,12 @@ def delta_interp_paper() -> DeltaInterpConfig:
 def ts_former_nano() -> TsFormerConfig:
     """A small network, minutes on one core."""
     network = TsFormerNetworkConfig(width=64, layers=2, heads=2, head_width=32, inner=64)
-    return TsFormerConfig(network, TemporalSettings(tasks=IN_BETWEENING))
+    return TsFormerConfig(network, _nano(IN_BETWEENING))
 
 
 def ts_former_base() -> TsFormerConfig:
     """Half the published width, an hour on a GPU."""
-    training = TemporalSettings(tasks=IN_BETWEENING, steps=50_000, batch=128, rate=2e-4)
+    training = replace(_base(IN_BETWEENING), rate=2e-4)
     return TsFormerConfig(TsFormerNetworkConfig(width=256, head_width=32, inner=256), training)
 
 

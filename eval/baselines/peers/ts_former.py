@@ -76,16 +76,20 @@ class TsFormer(nn.Module):
 def missing_instants(
     window: ObservedWindow, frames_per_second: float
 ) -> tuple[Float[Tensor, "batch grid"], Bool[Tensor, "batch grid"]]:
-    """The instants t_0 + k/fps of each window, and which of them lie in its span and at no observed frame.
+    """Those instants t_0 + k/fps of each window that lie in its span and at no observed frame.
 
-    An instant less than half a frame from an observed one counts as observed.
+    An instant less than half a frame from an observed one counts as observed. Windows that miss fewer than others are
+    filled up with instants that are not missing; the second answer says which are.
     """
     times = window.times_seconds
     span_frames = (times[:, -1] - times[:, 0]) * frames_per_second
     steps = torch.arange(int(torch.round(span_frames.max())) + 1, device=times.device, dtype=times.dtype)
     grid = times[:, :1] + steps / frames_per_second
     off = (grid[:, :, None] - times[:, None]).abs().amin(dim=2) * frames_per_second
-    return grid, (off >= 0.5 - _ROUNDING_FRAMES) & (grid <= times[:, -1:] + _ROUNDING_FRAMES / frames_per_second)
+    missing = (off >= 0.5 - _ROUNDING_FRAMES) & (grid <= times[:, -1:] + _ROUNDING_FRAMES / frames_per_second)
+    most = int(missing.sum(dim=1).max())
+    first = torch.argsort((~missing).to(torch.int8), dim=1, stable=True)[:, :most]
+    return grid.gather(1, first), missing.gather(1, first)
 
 
 def _placeholders(

@@ -172,9 +172,10 @@ def test_missing_instants_are_those_of_the_grid_in_each_windows_own_span() -> No
     window = window_of(KEPT, [])
     window = replace(window, times_seconds=window.times_seconds * torch.tensor([[1.0], [0.6]]))
     grid, missing = missing_instants(window, 30.0)
-    torch.testing.assert_close(grid * 30, torch.arange(17.0).expand(2, -1), rtol=0, atol=1e-4)
-    assert torch.nonzero(missing[0]).flatten().tolist() == [10, 11, 12, 13, 14, 15]
-    assert torch.nonzero(missing[1]).flatten().tolist() == [6, 7, 8, 9]
+    assert missing.tolist() == [[True] * 6, [True] * 4 + [False] * 2]
+    torch.testing.assert_close(grid[0] * 30, torch.arange(10.0, 16.0), rtol=0, atol=1e-4)
+    torch.testing.assert_close(grid[1, :4] * 30, torch.arange(6.0, 10.0), rtol=0, atol=1e-4)
+    assert missing_instants(window_of([0, 1, 2, 3], []), 30.0)[0].shape == (2, 0)
 
 
 @pytest.mark.parametrize("name", NETWORKS)

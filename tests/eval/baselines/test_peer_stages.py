@@ -35,10 +35,12 @@ from motionkit.motion import Motion
 from motionkit.motionfield import MotionEncoder, Observation
 from motionkit.skeleton import SMPL22
 from motionkit.timegrid import TimeGrid
-from motionkit.training.config import apply_overrides
+from motionkit.training.config import apply_overrides, to_plain
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import Stage, StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors
+from pahires.recipes import base as pahires_base
+from pahires.recipes import nano as pahires_nano
 from pahires.settings import TaskSettings, TemporalSettings
 from tests.nerm.corpus import analytic_positions
 from tests.tiny import write_store
@@ -179,6 +181,20 @@ def test_recipes_have_published_sizes_and_say_which_width_is_fair() -> None:
             )
             for recipe in ("base", "paper"):
                 assert stage.recipe(recipe).network.encoder == EdsrConfig(16, 64)
+        for recipe, same in (("nano", pahires_nano()), ("base", pahires_base())):
+            training = stage.recipe(recipe).training
+            # But for what Δ-Interp published, and for large networks' rates.
+            kept = {"form", "base", "rate"} if stage in (DELTA_INTERP, TS_FORMER) else set()
+            for key, value in to_plain(same.training).items():
+                if key not in {"tasks", "balanced", "steps", *kept}:
+                    assert to_plain(training)[key] == value, (name, recipe, key)
+            assert sum(training.tasks.shares) == 1 == max(training.tasks.shares)
+            share = np.dot(training.tasks.shares, same.training.tasks.shares) / sum(same.training.tasks.shares)
+            assert training.steps == round(same.training.steps * share)
+            assert (training.tasks.num_frames, training.tasks.num_queries) == (
+                same.training.tasks.num_frames,
+                same.training.tasks.num_queries,
+            )
     for stage in (LMF, A_LIIF):
         assert {recipe: stage.recipe(recipe).network.width for recipe in stage.recipes} == {
             "nano": 64,
