@@ -4,8 +4,6 @@ An entry point names a command (`ingest`, `eval` …) and a function; nothing he
 holds it, so that `motionkit --help` stays light. Anybody's package can add a command the same way.
 """
 
-import atexit
-import gc
 import sys
 from importlib.metadata import entry_points
 from typing import Annotated
@@ -56,8 +54,6 @@ def _options(
 
 def main() -> None:
     """Run the app; explained faults and the system's become one line on stderr and exit code 1 (2 for usage)."""
-    # What is left at the end goes with the process: collecting it first takes a tenth of a second and more.
-    atexit.register(gc.freeze)
     try:
         build_app(*sys.argv[1:2])()
     except UsageError as error:
