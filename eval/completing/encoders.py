@@ -68,7 +68,7 @@ def trained_completers(
             missing.append(f"{TITLES.get(name, name)}: no installed package has an encoder called {name!r}")
         elif run is not None and RunFolder(run).stage(name).is_complete:
             try:
-                found.append(_load(name, run, TITLES.get(name, name)))
+                found.append(completer_of(name, run, TITLES.get(name, name)))
             except MotionkitError as error:
                 missing.append(f"{TITLES.get(name, name)}: {error}")
         elif name not in asked:
@@ -76,11 +76,12 @@ def trained_completers(
     for name, folder in more:
         if name not in known:
             raise UsageError(f"--encoder {name}={folder.name}: trained encoders are {', '.join(known) or 'none'}")
-        found.append(_load(name, folder, f"{TITLES.get(name, name)} ({folder.name})"))
+        found.append(completer_of(name, folder, f"{TITLES.get(name, name)} ({folder.name})"))
     return found
 
 
-def _load(name: str, run: Path, title: str) -> Completer:
+def completer_of(name: str, run: Path, title: str) -> Completer:
+    """The row of a run's trained encoder; raises what loading it raises."""
     encoder = load_encoder(name, run)
     model = RunFolder(run).stage(name).model_path
     digest = hashlib.sha256(model.read_bytes()).hexdigest() if model.is_file() else str(run)

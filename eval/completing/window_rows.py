@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from eval.completing.encoders import Completer, trained_completers
 from eval.completing.inbetweening import Scores, measure_windows, num_batches
-from eval.completing.takes import NoTakesError, data_sets_of
+from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
 from eval.completing.windows import FPS, PoseWindows, data_set_windows, lafan1_windows, num_lafan1_takes
 from eval.parts import Part, find_part, keep_part
 from eval.protocols.inbetweening import Question
@@ -65,14 +65,16 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     missing: list[str] = []
     completers = [*table.rows, *trained_completers(table.trained, request.run, request.encoders, missing)]
     blocks: list[Block] = []
+    absent: dict[str, str] = {}
     told: list[str] = []
     with progress() as display:
-        for windows in _all_windows(store, request, missing, display):
+        for windows in _all_windows(store, request, absent, display):
             scores = _rows(table, windows, completers, store.fingerprint, request, missing, display)
             blocks += _blocks(table, windows, completers, scores, with_notes=not told)
             told.append(f"{windows.name}: {windows.told}")
     if not blocks:
-        raise NoTakesError("; ".join(missing))
+        raise nothing_at_all(absent)
+    missing += [f"{label}: {reason}" for label, reason in absent.items()]
     return WindowBlocks(
         tuple(blocks),
         tuple(told),
@@ -85,8 +87,10 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     )
 
 
-def _all_windows(store: "Store", request: TableRequest, missing: list[str], display: "Progress") -> "list[PoseWindows]":
-    """The windows of every data set at 30 fps that has any; the others are told in `missing`."""
+def _all_windows(
+    store: "Store", request: TableRequest, absent: dict[str, str], display: "Progress"
+) -> "list[PoseWindows]":
+    """The windows of every data set at 30 fps that has any; why the others have none is told in `absent`."""
     found = []
     for data_set in data_sets_of(store):
         if data_set.fps != FPS:
@@ -99,7 +103,7 @@ def _all_windows(store: "Store", request: TableRequest, missing: list[str], disp
             else:
                 found.append(data_set_windows(store, data_set, request.split, request.where))
         except NoTakesError as error:
-            missing.append(f"{data_set.label}: {error}")
+            absent[data_set.label] = str(error)
         display.remove_task(task)
     return found
 

@@ -8,7 +8,7 @@ from typing import Any
 from eval.completing.encoders import INTERPOLATION, trained_completers
 from eval.completing.interpolation import Scores
 from eval.completing.measured import Measured, measure_data_set
-from eval.completing.takes import NoTakesError, data_sets_of
+from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
 from eval.metrics.registry import find_metric
 from eval.protocols.interpolation import INTEGER_SCALES, OTHER_SCALES, VERSION, InterpolationProtocol, scale_label
 from eval.real import of_split_and
@@ -48,17 +48,19 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
     missing: list[str] = []
     completers = [*INTERPOLATION, *trained_completers(TRAINED, request.run, request.encoders, missing)]
     measured: list[Measured] = []
+    absent: dict[str, str] = {}
     with progress() as display:
         for data_set in data_sets_of(store, request.fps):
             try:
                 found = measure_data_set(store, data_set, scales, completers, protocol, request, display)
             except NoTakesError as error:
-                missing.append(f"{data_set.label}: {error}")
+                absent[data_set.label] = str(error)
                 continue
             missing += found.missing
             measured.append(found)
     if not measured:
-        raise NoTakesError("; ".join(missing))
+        raise nothing_at_all(absent)
+    missing += [f"{label}: {reason}" for label, reason in absent.items()]
     notes = {completer.name: completer.note for completer in completers}
     labels = tuple(scale_label(scale) for scale in scales)
     kind = "integer" if all(scale.denominator == 1 for scale in scales) else "non-integer"

@@ -9,13 +9,17 @@ import pytest
 from motionkit.demo_corpus import write_demo_corpus
 from motionkit.store.ingest import ingest
 
+TINY = (
+    *("training.steps=2", "training.batch=64", "training.tasks.gap=0", "network.hidden=16", "network.code=16"),
+    *("network.attention_tokens=4", "network.embedding=8", "network.decoder_layers=2"),
+)
 COMMON = ("--split", "all", "--where", "fps = 30 OR fps = 60")
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pahires-tables")
-    corpus = write_demo_corpus(folder / "corpus", num_sequences=24)
+    corpus = write_demo_corpus(folder / "corpus", num_sequences=16)
     ingest([corpus.folder / "bvh"], folder / "store", num_workers=1)
     return folder / "store"
 
@@ -26,7 +30,7 @@ def test_a_table_is_written_as_json_and_markdown(motionkit: Callable[..., object
     )
     assert outcome.code == 0
     result = json.loads(outcome.stdout)
-    assert result == {**json.loads((tmp_path / "pahires-table1.json").read_text()), **result}
+    assert {"format": "motionkit-result/1", **result} == json.loads((tmp_path / "pahires-table1.json").read_text())
     assert result["task"] == "pahires-table1"
     psnr = next(block for block in result["blocks"] if block["title"].endswith("30 fps: PSNR (dB)"))
     values = {row["name"]: row["cells"]["×4"]["value"] for row in psnr["rows"]}
@@ -35,13 +39,40 @@ def test_a_table_is_written_as_json_and_markdown(motionkit: Callable[..., object
     assert any("PA-HiRes: not trained (motionkit train --stage pahires" in line for line in result["missing"])
 
 
+def test_variants_are_trained_and_shown_by_two_commands(
+    motionkit: Callable[..., object], store: Path, tmp_path: Path
+) -> None:
+    sets = [part for setting in TINY for part in ("--set", setting)]
+    places = ("--paper", "pahires", "--store", store, "--runs", tmp_path / "runs", "--run", "tiny")
+    where = ("--where", "split <> 'nobody'")
+    trained = motionkit("ablate", "4", *places, "--only", "full,sines-4-shared", *where, *sets)
+    assert trained.code == 0, trained.stderr
+    assert [line.partition(":")[0] for line in trained.stdout.splitlines()] == ["tiny-full", "tiny-sines-4-shared"]
+    eval_places = (*places[:-1], "tiny", "--results", tmp_path / "results", "--split", "all", "--json")
+    result = json.loads(motionkit("eval", "--table", "4", *eval_places).stdout)
+    psnr = {row["name"]: row["cells"] for row in result["blocks"][0]["rows"]}
+    assert set(psnr["own parameters in every layer"]) == {"ζ = 16"}
+    assert set(psnr["one activation shared by all layers"]) == {"ζ = 4"}
+    assert set(psnr["SLERP, not trained"]) == {f"ζ = {count}" for count in (1, 2, 4, 8, 16, 32)}
+    assert "steps 2, batch 64, form exact" in result["caption"]
+    assert any("motionkit ablate 4 --paper pahires --run tiny --only sines-1)" in line for line in result["missing"])
+    printed = {row["name"]: row["cells"] for row in result["blocks"][-2]["rows"]}
+    assert printed["own parameters (paper)"]["ζ = 16"]["value"] == 30.53
+    figure = json.loads(motionkit("eval", "--figure", "6", *eval_places).stdout)
+    ours = next(row for row in figure["blocks"][0]["rows"] if row["name"] == "PA-HiRes")
+    assert set(ours["cells"]) == {"S = 3"}
+    assert ours["cells"]["S = 3"] == psnr["own parameters in every layer"]["ζ = 16"]
+    assert motionkit("report", "--results", tmp_path / "results", "--format", "png").code == 0
+    assert (tmp_path / "results" / "pahires-figure6.png").stat().st_size > 10_000
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
         (("--table", "1", "--encoder", "liif"), "--encoder liif: give NAME=RUN"),
         (("--table", "1", "--encoder", "liif=nobody"), "there is no run"),
-        (("--table", "2", "--fps", "29"), "no chosen take"),
-        (("--table", "3", "--where", "fps = 50"), "no chosen take"),
+        (("--table", "2", "--fps", "29"), "motionkit: no chosen take of"),
+        (("--table", "3", "--where", "fps = 50"), "CMU, 30 fps: no"),
         (("--table", "2", "--where", "speed > 1"), "the condition"),
         (("--table", "4"), "motionkit ablate 4 --paper pahires --run nano trains"),
         (("--figure", "6"), "motionkit ablate figure6 --paper pahires --run nano trains"),

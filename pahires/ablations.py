@@ -1,0 +1,96 @@
+"""The paper's ablations (Table 4, Figures 5 and 6) as settings over a recipe: which runs each is made of.
+
+Tables share trainings: the full model (ζ = 16, own activations, λ = 0.5, S = 3) is trained once for all three.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from motionkit.conditions import conjunction
+from motionkit.training.ablations import Ablation, Ablations, Entry, check_not_varied
+from motionkit.training.config import apply_overrides
+from pahires.recipes import RECIPES, PaHiResConfig
+from pahires.stage import STAGE
+
+SINES = (1, 2, 4, 8, 16, 32)
+VELOCITY_WEIGHTS = ("0", "0.1", "0.5", "1", "2")
+# N_s of each number of scales: the finest and the coarsest of the recipes' three, and what lies between.
+FRAMES_PER_SCALE = {1: (2,), 2: (2, 6), 3: (2, 6, 14), 4: (2, 6, 10, 14), 5: (2, 4, 6, 10, 14)}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One training: what it changes in a recipe."""
+
+    name: str
+    change: tuple[str, ...] = ()
+
+    def configure(
+        self, recipe: PaHiResConfig, overrides: Sequence[str] = (), where: str | None = None
+    ) -> PaHiResConfig:
+        """A recipe's configuration with overrides that all variants share and this one's change.
+
+        `where` (SQL) narrows the takes. Raises `UsageError` for an override of what is varied.
+        """
+        check_not_varied(self, overrides)
+        narrowed = [f"training.where={conjunction(recipe.training.where, where)}"] if where else []
+        return apply_overrides(recipe, [*FULL_SETTINGS, *narrowed, *overrides, *self.change])
+
+
+# The paper's own values, said once more: a recipe may have others.
+FULL_SETTINGS = (
+    "network.num_sines=16",
+    "network.shared_activation=false",
+    "network.frames_per_scale=2,6,14",
+    "training.velocity_weight=0.5",
+)
+FULL = Variant("full")
+
+
+def _activation(num_sines: int, shared: bool) -> Variant:
+    if num_sines == 16 and not shared:
+        return FULL
+    sharing = ("network.shared_activation=true",) if shared else ()
+    return Variant(f"sines-{num_sines}{'-shared' if shared else ''}", (f"network.num_sines={num_sines}", *sharing))
+
+
+def _scales(count: int) -> Variant:
+    frames = ",".join(map(str, FRAMES_PER_SCALE[count]))
+    return FULL if count == 3 else Variant(f"scales-{count}", (f"network.frames_per_scale={frames}",))
+
+
+def _velocity(weight: str) -> Variant:
+    return FULL if weight == "0.5" else Variant(f"velocity-{weight}", (f"training.velocity_weight={weight}",))
+
+
+# Between the row and the column that an entry is a cell of.
+SEPARATOR = "; "
+OWN, SHARED = "own parameters in every layer", "one activation shared by all layers"
+TABLES: dict[str, Ablation] = {
+    ablation.table: ablation
+    for ablation in (
+        Ablation(
+            "4",
+            "sines of the activation (ζ), shared or not",
+            tuple(
+                Entry(f"{SHARED if shared else OWN}{SEPARATOR}ζ = {count}", _activation(count, shared))
+                for shared in (False, True)
+                for count in SINES
+            ),
+            (STAGE.name,),
+        ),
+        Ablation(
+            "figure5",
+            "weight of the velocity loss (λ)",
+            tuple(Entry(f"PA-HiRes{SEPARATOR}λ = {weight}", _velocity(weight)) for weight in VELOCITY_WEIGHTS),
+            (STAGE.name,),
+        ),
+        Ablation(
+            "figure6",
+            "number of temporal scales (S)",
+            tuple(Entry(f"PA-HiRes{SEPARATOR}S = {count}", _scales(count)) for count in FRAMES_PER_SCALE),
+            (STAGE.name,),
+        ),
+    )
+}
+PAHIRES = Ablations("pahires", TABLES, RECIPES, {STAGE.name: STAGE})
