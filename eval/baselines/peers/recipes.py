@@ -1,6 +1,6 @@
 """Settings of the peers and their recipes; imports nothing heavy.
 
-`nano` and `base` train as PA-HiRes' recipes of these names do (windows, batch, rates, form of the answer), each on its
+`nano` and `base` train as PA-HiRes' recipes of these names do (windows, batch, form of the answer), each on its
 own task alone, and as many steps as PA-HiRes spends on it. `paper` has each peer's published sizes, schedule and form.
 `base` has the published sizes too, but for widths of 16, which both make 64 (docs/pahires.md), and in-betweening for
 half the width. Networks of `nano` are small.
@@ -118,7 +118,8 @@ def _on(task: TaskSettings, training: TemporalSettings) -> TemporalSettings:
 
 
 def _nano(task: TaskSettings) -> TemporalSettings:
-    return _on(task, pahires_nano().training)
+    # PA-HiRes's rate is lower because its tasks are mixed.
+    return replace(_on(task, pahires_nano().training), rate=1e-3, rate_warmup_fraction=0.02)
 
 
 def _base(task: TaskSettings) -> TemporalSettings:
