@@ -130,7 +130,7 @@ class NetworkEncoder:
             queries_seconds=torch.from_numpy((asked_seconds - start).astype(np.float32)).to(device),
             query_spacing_seconds=torch.full((len(rows),), trained.spacing_seconds, device=device),
         )
-        return placed.leave(scaling.invert(trained.predictor(asked)).cpu().numpy())
+        return placed.leave(scaling.invert(trained.predictor.smooth(asked)).cpu().numpy())
 
     def _field(self, observation: Observation, before_seconds: float, after_seconds: float) -> "NetworkField":
         return NetworkField(

@@ -1,9 +1,9 @@
 """From a network's answer to poses: as they are, or as a correction of an interpolation that may leave frames alone."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 
 from pahires.base_curves import interpolated, located, seconds_beyond
 from pahires.network import ObservedWindow, TemporalNetwork
@@ -28,13 +28,37 @@ class Predictor:
     correction_scale: float
 
     def __call__(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
-        """Standardised rows at the queries."""
-        answer: Float[torch.Tensor, "batch queries numbers"] = self.network(window).float()
+        """Standardised rows at the queries, as training compares them with what was there."""
         if self.form == "plain":
-            return answer
-        curve = interpolated(window, self.base, self.scaling)
-        correction = self.correction_scale * size(window) * answer
-        return curve + (correction if self.form == "residual" else gate(window) * correction)
+            return self.network(window).float()
+        return interpolated(window, self.base, self.scaling) + self._correction(window)
+
+    def smooth(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
+        """Standardised rows at the queries, as a motion field gives them: corrections averaged over a short time.
+
+        A correction that is 0 at each observed frame has a kink there, and a network's answers differ from instant to
+        instant by more than a body does. So a correction is the mean, weighed ¼, ½, ¼, of three, a quarter of the
+        observed frames' spacing apart; in the form `exact` what that leaves at observed frames is taken away again by
+        the curve through it. Plain answers stay as they are.
+        """
+        if self.form == "plain" or window.times_seconds.shape[1] == 1:
+            return self(window)
+        averaged = self._averaged(window)
+        if self.form == "exact":
+            left = self._averaged(window.asked(window.times_seconds))
+            averaged = averaged - interpolated(replace(window, frames=left), "eased", self.scaling)
+        return interpolated(window, self.base, self.scaling) + averaged
+
+    def _correction(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
+        correction = self.correction_scale * size(window) * self.network(window).float()
+        return correction if self.form == "residual" else gate(window) * correction
+
+    def _averaged(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
+        apart = window.times_seconds.diff(dim=1).median(dim=1, keepdim=True).values / 4.0
+        here = window.queries_seconds
+        three = window.asked(torch.cat((here - apart, here, here + apart), dim=1))
+        before, middle, after = self._correction(three).chunk(3, dim=1)
+        return 0.25 * before + 0.5 * middle + 0.25 * after
 
 
 def size(window: ObservedWindow) -> Float32[torch.Tensor, "batch queries 1"]:

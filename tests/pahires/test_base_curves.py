@@ -13,7 +13,7 @@ from pahires.base_curves import interpolated, located, seconds_beyond
 from pahires.network import ObservedWindow
 from pahires.prediction import Predictor, gate, size
 from pahires.scaling import Scaling
-from pahires.settings import Base
+from pahires.settings import Base, Form
 from tests.nerm.corpus import analytic_positions
 
 TIMES = np.array([0.0, 0.1, 0.15, 0.4, 0.45, 0.7])
@@ -114,3 +114,25 @@ def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
     torch.testing.assert_close(made("plain"), answer)
     torch.testing.assert_close(made("residual"), curve_alone + 0.5 * size(window))
     torch.testing.assert_close(made("exact"), curve_alone + 0.5 * size(window) * gate(window))
+
+
+def test_smooth_corrections_have_half_the_kink_and_leave_frames_alone(scaling: Scaling) -> None:
+    times = np.arange(9) * 0.1
+    ones = Predictor(lambda asked: torch.ones(*asked.queries_seconds.shape, 135), scaling, "exact", "eased", 1.0)
+    queries = np.linspace(0.0, 0.8, 321)
+    window = asked(times, queries, scaling)
+    curve = interpolated(window, "eased", scaling)
+    made = {"kinked": ones(window) - curve, "smooth": ones.smooth(window) - curve}
+    torch.testing.assert_close(made["smooth"][0, ::40], torch.zeros(9, 135), atol=1e-5, rtol=0.0)
+    bends = {name: float(each[0, 20:-20].diff(n=2, dim=0).abs().max()) for name, each in made.items()}
+    assert bends["smooth"] < 0.55 * bends["kinked"]
+    # Half-way the three are 1, ¾ and ¾ of it, less the ⅜ that are left at frames.
+    assert float(made["smooth"][0, 180, 0]) > 0.45 * float(made["kinked"][0, 180, 0])
+
+
+@pytest.mark.parametrize("form", ["plain", "residual", "exact"])
+def test_an_answer_that_does_not_change_in_time_stays_as_it_is(form: Form, scaling: Scaling) -> None:
+    zeros = Predictor(lambda asked: torch.zeros(*asked.queries_seconds.shape, 135), scaling, form, "eased", 1.0)
+    for count in (1, 2, 6):
+        window = asked(TIMES[:count], QUERIES, scaling)
+        torch.testing.assert_close(zeros.smooth(window), zeros(window))
