@@ -185,8 +185,8 @@ def _with_true_seconds(motion: Motion, step: int) -> Motion:
 def _stretch(motion: Motion, start: int, stop: int, asked: str, path: Path) -> Motion:
     if start >= min(stop, motion.num_frames):
         raise FormatError(
-            f"the index asks for {asked}, that is frames [{start}, {stop}), but the file has {motion.num_frames}; is "
-            "it of another release?",
+            f"the index asks for {asked} as {motion.sequence_id!r}, that is frames [{start}, {stop}), but the file has "
+            f"{motion.num_frames}; is it of another release?",
             path=path,
             reason="beyond-end",
         )

@@ -67,7 +67,8 @@ def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
     motion = _read_once(whole, options, _version(item.path))
     stated_fps = item.stated_fps or motion.provenance.stated_fps  # which frames an index counted depends on it
     provenance = replace(motion.provenance, stated_fps=stated_fps)
-    motion = replace(motion, captions=item.captions or motion.captions, provenance=provenance)
+    captions = item.captions or motion.captions
+    motion = replace(motion, captions=captions, provenance=provenance, sequence_id=item.sequence_id)
     if item.cut is not None:
         motion = cuts.crop(motion, item.cut, item.path)
     if not item.mirrored:

@@ -4,8 +4,10 @@ from collections import Counter
 from dataclasses import dataclass
 from fractions import Fraction
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from motionkit.errors import StoreError
@@ -18,6 +20,23 @@ from motionkit.store.schema import (
     ROTATION_BYTES_PER_JOINT,
 )
 from motionkit.timegrid import format_fps
+
+COUNTED_COLUMNS = (
+    "source",
+    "duration_seconds",
+    "num_frames",
+    "fps_numerator",
+    "fps_denominator",
+    "split",
+    "source_format",
+    "licence",
+    "action",
+    "skeleton",
+    "num_joints",
+    "has_rotations",
+    "has_root_translation",
+    "quality_flags",
+)
 
 
 @dataclass(frozen=True)
@@ -77,7 +96,7 @@ def summarise(store: Store) -> StoreSummary:
 
     Raises `StoreError` for a part that is missing or damaged.
     """
-    sequences, manifest = store.sequences, store.manifest
+    sequences, manifest = _sequences(store), store.manifest
     cache = store.path / CACHE_FOLDER
     return StoreSummary(
         path=str(store.path),
@@ -91,13 +110,20 @@ def summarise(store: Store) -> StoreSummary:
         num_removed_segments=manifest.num_removed_segments,
         disk_bytes=manifest.num_bytes,
         cache_bytes=sum(path.stat().st_size for path in cache.rglob("*") if path.is_file()),
-        columns=_column_sizes(store),
+        columns=_column_sizes(store, sequences),
         sources=tuple(_summarise_source(str(source), rows) for source, rows in sequences.groupby("source", sort=True)),
     )
 
 
+def _sequences(store: Store) -> pd.DataFrame:
+    """The columns that are counted, with `num_captions` for the captions, which take most of a whole table's memory."""
+    rows = store.columns(*COUNTED_COLUMNS)
+    rows["num_captions"] = np.asarray(pc.list_value_length(store.sequences_table["captions"]))
+    return rows
+
+
 def _summarise_source(source: str, rows: pd.DataFrame) -> SourceSummary:
-    num_captions = rows["captions"].map(len)
+    num_captions = rows["num_captions"]
     return SourceSummary(
         source=source,
         num_sequences=len(rows),
@@ -128,7 +154,7 @@ def _counts(column: pd.Series) -> dict[str, int]:
     return {str(value): int(count) for value, count in column.value_counts().sort_index().items()}
 
 
-def _column_sizes(store: Store) -> dict[str, ColumnSize]:
+def _column_sizes(store: Store, sequences: pd.DataFrame) -> dict[str, ColumnSize]:
     disk = dict.fromkeys(FLOAT_COLUMNS, 0)
     for name in store.manifest.parts:
         try:
@@ -141,11 +167,11 @@ def _column_sizes(store: Store) -> dict[str, ColumnSize]:
                 owner = column.path_in_schema.split(".")[0]
                 if owner in disk:
                     disk[owner] += column.total_compressed_size
-    frames = store.sequences["num_frames"].astype("int64")
-    joint_frames = frames * store.sequences["num_joints"]
+    frames = sequences["num_frames"].astype("int64")
+    joint_frames = frames * sequences["num_joints"]
     raw = {
         "joint_positions": POSITION_BYTES_PER_JOINT * joint_frames.sum(),
-        "joint_rotations": ROTATION_BYTES_PER_JOINT * joint_frames[store.sequences["has_rotations"]].sum(),
-        "root_translation": ROOT_TRANSLATION_BYTES * frames[store.sequences["has_root_translation"]].sum(),
+        "joint_rotations": ROTATION_BYTES_PER_JOINT * joint_frames[sequences["has_rotations"]].sum(),
+        "root_translation": ROOT_TRANSLATION_BYTES * frames[sequences["has_root_translation"]].sum(),
     }
     return {name: ColumnSize(disk[name], int(raw[name])) for name in FLOAT_COLUMNS}
