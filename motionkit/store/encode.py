@@ -11,9 +11,9 @@ from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
 from motionkit.store.codec import Row
-from motionkit.store.pages import Page, float_pages
+from motionkit.store.pages import Run, float_runs
 from motionkit.store.resolution import at_resolution
-from motionkit.store.schema import FLOAT_COLUMNS, SEGMENT_FRAMES, SEGMENTS
+from motionkit.store.schema import SEGMENT_FRAMES
 
 
 class RefusedMotion(StoreError):
@@ -31,13 +31,13 @@ class RefusedMotion(StoreError):
 class EncodedMotion:
     """A motion as the store keeps it, but for its place; picklable, and nothing of it is computed again.
 
-    `row` is its row in the table of sequences without the index and the place; `columns` are the pages of each column
-    of floats, in the order of the schema.
+    `row` is its row in the table of sequences without the index and the place; `columns` are the columns of
+    floats, in the order of the schema, compressed.
     """
 
     row: Row
     skeleton: Skeleton
-    columns: tuple[tuple[Page, ...], ...]
+    columns: tuple[tuple[Run, ...], ...]
 
     @property
     def sequence_id(self) -> str:
@@ -59,15 +59,12 @@ def encode(motion: Motion) -> EncodedMotion:
     motion = at_resolution(motion)
     arrays = (motion.joint_positions, motion.local_rotations, motion.root_translation)
     flat = [None if array is None else _channel_major(array) for array in arrays]
-    return EncodedMotion(codec.motion_row(motion), motion.skeleton, pages_of(flat, motion.num_frames))
+    return EncodedMotion(codec.motion_row(motion), motion.skeleton, compressed(flat, motion.num_frames))
 
 
-def pages_of(columns: Sequence[Float32[np.ndarray, "_"] | None], num_frames: int) -> tuple[tuple[Page, ...], ...]:
-    """Pages of the columns of floats; each array holds the segments one after the other, each channel-major."""
-    return tuple(
-        float_pages(values, num_frames, nullable=SEGMENTS.field(name).nullable)
-        for name, values in zip(FLOAT_COLUMNS, columns, strict=True)
-    )
+def compressed(columns: Sequence[Float32[np.ndarray, "_"] | None], num_frames: int) -> tuple[tuple[Run, ...], ...]:
+    """The columns of floats; each array holds the segments one after the other, each channel-major."""
+    return tuple(float_runs(values, num_frames) for values in columns)
 
 
 def _channel_major(frames: Float32[np.ndarray, "frames *channels"]) -> Float32[np.ndarray, "values"]:

@@ -28,9 +28,9 @@ _EMPTY = struct({})
 
 @dataclass(frozen=True)
 class Chunk:
-    """One column of one row group: pages that follow each other, from `first_byte` of the file on.
+    """One column of one row group: a page, from `first_byte` of the file on.
 
-    `num_values` counts nulls too, `num_bytes_plain` with the pages' bodies uncompressed. `bounds` are the least and the
+    `num_values` counts nulls too, `num_bytes_plain` with the page's body uncompressed. `bounds` are the least and the
     greatest integer of a key column.
     """
 

@@ -1,22 +1,23 @@
-"""Columns of one sequence → Parquet data pages: made by whichever process has the frames, joined by the writer's.
+"""Columns of floats → Parquet data pages: compressed by whichever process has the frames, joined by the writer's.
 
-Arrow writes pages only as part of a file, so that one process would have to compress everything. Here a page holds at
-most 16 segments of one sequence, and nothing in it depends on where it will lie. Byte planes (BYTE_STREAM_SPLIT) are
-compressed each for itself, as zstd frames that follow each other (RFC 8878, section 3.1): a page of one sequence is so
-short that zstd would otherwise code high and low bytes of its numbers by one table, which costs 5 % of size.
+Arrow writes pages only as part of a file, so that one process would have to compress everything. Here each byte plane
+(BYTE_STREAM_SPLIT) of at most 16 segments of a sequence is compressed for itself, as a zstd frame, wherever it will
+lie. A page is made of such frames: first that of its levels, then those of the lowest bytes of all its sequences, and
+so on. Frames that follow each other are one stream (RFC 8878, section 3.1). Planes apart, a sequence needs no
+neighbours to compress well; with high and low bytes under one table of codes it takes 5 % more.
 
 Source of the format: https://parquet.apache.org/docs/file-format/data-pages/
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import accumulate
 
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Float32, Int32, UInt8
 
-from motionkit.store.schema import PAGE_SEGMENTS, SEGMENT_FRAMES
+from motionkit.store.schema import RUN_SEGMENTS, SEGMENT_FRAMES
 from motionkit.store.thrift import i32, struct, varint
 
 # Numbers of the format (parquet.thrift): PageType, Encoding.
@@ -29,48 +30,80 @@ _CODECS = (_LOW, _LOW, _HIGH, _HIGH)
 
 
 @dataclass(frozen=True, eq=False)
-class Page:
-    """One data page as it stands in a file, header and compressed body; picklable.
+class Run:
+    """At most 16 segments of one sequence that follow each other, in one column of floats, compressed; picklable.
 
-    `num_rows` are segments; `num_values` counts the elements of their lists, and lists that are null;
-    `num_bytes_plain` is the page's size with its body uncompressed.
+    `frames` are those of the four byte planes, the lowest bytes first, and `frame_sizes` their bytes: none where the
+    source has no such numbers, and each segment's list is null. `lengths` are the numbers of values of the lists.
     """
 
-    content: UInt8[np.ndarray, "bytes"]
-    num_rows: int
+    frames: UInt8[np.ndarray, "bytes"]
+    frame_sizes: tuple[int, ...]
+    lengths: tuple[int, ...]
+
+    @property
+    def num_rows(self) -> int:
+        """Number of segments."""
+        return len(self.lengths)
+
+    def copy(self) -> "Run":
+        """The same in memory of its own."""
+        return replace(self, frames=self.frames.copy())
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """One data page as it stands in a file, in pieces; `num_values` counts nulls too.
+
+    `num_bytes_plain` is its size with its body uncompressed.
+    """
+
+    pieces: tuple[bytes | memoryview, ...]
     num_values: int
     num_bytes_plain: int
 
-    def copy(self) -> "Page":
-        """The same page in memory of its own."""
-        return replace(self, content=self.content.copy())
+
+def float_runs(values: Float32[np.ndarray, "values"] | None, num_frames: int) -> tuple[Run, ...]:
+    """A column of one sequence, compressed; `values` hold its segments one after the other, None is null."""
+    frames = segment_frames(num_frames)
+    runs, start = [], 0
+    for first in range(0, len(frames), RUN_SEGMENTS):
+        of_run = frames[first : first + RUN_SEGMENTS]
+        if values is None:
+            runs.append(Run(np.empty(0, np.uint8), (), (0,) * len(of_run)))
+            continue
+        lengths = values.size // num_frames * of_run
+        stop = start + int(lengths.sum())
+        planes = np.ascontiguousarray(values[start:stop].view(np.uint8).reshape(-1, 4).T)
+        compressed = [codec.compress(plane, asbytes=True) for codec, plane in zip(_CODECS, planes, strict=True)]
+        content = np.frombuffer(b"".join(compressed), np.uint8)
+        runs.append(Run(content, tuple(map(len, compressed)), tuple(lengths.tolist())))
+        start = stop
+    return tuple(runs)
 
 
-def float_pages(values: Float32[np.ndarray, "values"] | None, num_frames: int, *, nullable: bool) -> tuple[Page, ...]:
-    """Pages of a column of lists, one list for each segment of a sequence; without values each list is null.
-
-    `values` hold its segments one after the other. `nullable` says whether the column may hold nulls.
-    """
+def float_page(runs: Sequence[Run], *, nullable: bool) -> Page:
+    """The page of a column of lists of floats; `nullable` says whether the column may hold nulls."""
     # Levels of definition: of an optional list it takes one to be there, of an element one more.
     defined = 2 if nullable else 1
-    frames = segment_frames(num_frames)
-    pages, start = [], 0
-    for first in range(0, len(frames), PAGE_SEGMENTS):
-        of_page = frames[first : first + PAGE_SEGMENTS]
-        if values is None:
-            pages.append(_page(_null_levels(len(of_page)), len(of_page)))
-            continue
-        lengths = values.size // num_frames * of_page
-        stop = start + int(lengths.sum())
-        pages.append(_page(_list_levels(lengths.tolist(), defined), len(of_page), values[start:stop]))
-        start = stop
-    return tuple(pages)
+    repetition, definition = [], []
+    for run in runs:
+        if run.frame_sizes:
+            repetition += [level for length in run.lengths for level in ((0, 1), (1, length - 1))]
+            definition.append((defined, sum(run.lengths)))
+        else:
+            repetition.append((0, run.num_rows))
+            definition.append((0, run.num_rows))
+    levels = _levels(repetition) + _levels(definition)
+    planes = zip(*(_frames(run) for run in runs if run.frame_sizes), strict=True)
+    pieces = (_LOW.compress(levels, asbytes=True), *(frame for plane in planes for frame in plane))
+    num_values = sum(count for _, count in definition)
+    return _page(pieces, num_values, len(levels) + 4 * sum(map(sum, (run.lengths for run in runs))), BYTE_STREAM_SPLIT)
 
 
 def integer_page(values: Int32[np.ndarray, "values"]) -> Page:
     """The page of a column of integers without nulls."""
-    content = _LOW.compress(values.astype("<i4"), asbytes=True)
-    return _with_header([content], values.size, values.size, values.nbytes, PLAIN)
+    return _page((_LOW.compress(values.astype("<i4"), asbytes=True),), values.size, values.nbytes, PLAIN)
 
 
 def num_segments(num_frames: int) -> int:
@@ -84,13 +117,9 @@ def segment_frames(num_frames: int) -> Int32[np.ndarray, "segments"]:
     return np.minimum(SEGMENT_FRAMES, num_frames - starts, dtype=np.int32)
 
 
-def _list_levels(lengths: Sequence[int], defined: int) -> bytes:
-    repetition = [run for length in lengths for run in ((0, 1), (1, length - 1))]
-    return _levels(repetition) + _levels([(defined, sum(lengths))])
-
-
-def _null_levels(count: int) -> bytes:
-    return _levels([(0, count)]) + _levels([(0, count)])
+def _frames(run: Run) -> list[memoryview]:
+    ends = accumulate(run.frame_sizes)
+    return [run.frames[end - size : end].data for end, size in zip(ends, run.frame_sizes, strict=True)]
 
 
 def _levels(runs: Iterable[tuple[int, int]]) -> bytes:
@@ -99,23 +128,8 @@ def _levels(runs: Iterable[tuple[int, int]]) -> bytes:
     return len(content).to_bytes(4, "little") + content
 
 
-def _page(levels: bytes, num_rows: int, values: Float32[np.ndarray, "values"] | None = None) -> Page:
-    """Levels, then the byte planes of the values; without values each row is null."""
-    size = 0 if values is None else values.size
-    body = np.empty(len(levels) + 4 * size, np.uint8)
-    body[: len(levels)] = np.frombuffer(levels, np.uint8)
-    if values is not None:
-        body[len(levels) :].reshape(4, -1)[...] = values.view(np.uint8).reshape(-1, 4).T
-    # The first frame holds the levels as well, and alone where there is nothing else.
-    bounds = [0, *range(len(levels) + size, len(body) + 1, size or 1)]
-    planes = zip(_CODECS, pairwise(bounds), strict=False)
-    frames = [codec.compress(body[start:stop], asbytes=True) for codec, (start, stop) in planes]
-    return _with_header(frames, num_rows, size or num_rows, len(body), BYTE_STREAM_SPLIT)
-
-
-def _with_header(frames: Sequence[bytes], num_rows: int, num_values: int, num_bytes: int, encoding: int) -> Page:
+def _page(body: tuple[bytes | memoryview, ...], num_values: int, num_bytes: int, encoding: int) -> Page:
     of_data = struct({1: i32(num_values), 2: i32(encoding), 3: i32(RLE), 4: i32(RLE)})
-    compressed = sum(map(len, frames))
+    compressed = sum(map(len, body))
     header = struct({1: i32(DATA_PAGE), 2: i32(num_bytes), 3: i32(compressed), 5: of_data}).content
-    content = np.frombuffer(b"".join((header, *frames)), np.uint8)
-    return Page(content, num_rows, num_values, len(header) + num_bytes)
+    return Page((header, *body), num_values, len(header) + num_bytes)

@@ -1,4 +1,4 @@
-"""Pages → immutable part files: row groups of 16–31 segments, sequences contiguous and within one part."""
+"""Compressed sequences → immutable parts: row groups of 16–31 segments, sequences contiguous and within one part."""
 
 import hashlib
 from collections.abc import Sequence
@@ -11,8 +11,16 @@ from motionkit.store import files
 from motionkit.store.encode import EncodedMotion
 from motionkit.store.footer import MAGIC, Chunk, footer, row_group
 from motionkit.store.manifest import PENDING_SUFFIX, FileEntry
-from motionkit.store.pages import Page, integer_page, segment_frames
-from motionkit.store.schema import KEY_COLUMNS, PART_BYTES, ROW_GROUP_SEGMENTS, SEGMENT_FRAMES, part_name
+from motionkit.store.pages import Page, Run, float_page, integer_page, segment_frames
+from motionkit.store.schema import (
+    FLOAT_COLUMNS,
+    KEY_COLUMNS,
+    PART_BYTES,
+    ROW_GROUP_SEGMENTS,
+    SEGMENT_FRAMES,
+    SEGMENTS,
+    part_name,
+)
 from motionkit.store.thrift import Value
 
 
@@ -38,44 +46,39 @@ class _File:
 
 
 class _RowGroup:
-    """The segments of the row group that is being filled: their keys, and pages of their frames."""
+    """The segments of the row group that is being filled: their keys, and runs of their frames."""
 
     def __init__(self) -> None:
-        self._keys: list[Int32[np.ndarray, "3 segments"]] = []
-        self._pages: list[tuple[Page, ...]] = []
+        self._keys: list[Int32[np.ndarray, "3 _"]] = []
+        self._runs: list[tuple[Run, ...]] = []
         self.num_rows = 0
 
-    def append(self, keys: Int32[np.ndarray, "3 segments"], pages: Sequence[Page]) -> None:
-        """Add segments that follow each other, and the page of each column of floats that holds them; all is copied."""
+    def append(self, keys: Int32[np.ndarray, "3 segments"], runs: Sequence[Run]) -> None:
+        """Add segments that follow each other, and the run of each column of floats that holds them; all is copied."""
         self._keys.append(keys.copy())
-        self._pages.append(tuple(page.copy() for page in pages))
+        self._runs.append(tuple(run.copy() for run in runs))
         self.num_rows += keys.shape[1]
 
     def write_to(self, file: _File) -> Value:
-        """Append all pages to the file, column after column; the row group's entry in the footer."""
+        """Append one page for each column to the file; the row group's entry in the footer."""
         keys = np.concatenate(self._keys, axis=1)
-        chunks = [_chunk(file, [integer_page(key)], (int(key.min()), int(key.max()))) for key in keys]
-        chunks += [_chunk(file, pages) for pages in zip(*self._pages, strict=True)]
+        chunks = [_chunk(file, integer_page(key), (int(key.min()), int(key.max()))) for key in keys]
+        for name, runs in zip(FLOAT_COLUMNS, zip(*self._runs, strict=True), strict=True):
+            chunks.append(_chunk(file, float_page(runs, nullable=SEGMENTS.field(name).nullable)))
         return row_group(chunks, self.num_rows)
 
 
-def _chunk(file: _File, pages: Sequence[Page], bounds: tuple[int, int] | None = None) -> Chunk:
+def _chunk(file: _File, page: Page, bounds: tuple[int, int] | None = None) -> Chunk:
     first_byte = file.num_bytes
-    for page in pages:
-        file.write(page.content.data)
-    return Chunk(
-        first_byte,
-        file.num_bytes - first_byte,
-        sum(page.num_bytes_plain for page in pages),
-        sum(page.num_values for page in pages),
-        bounds,
-    )
+    for piece in page.pieces:
+        file.write(piece)
+    return Chunk(first_byte, file.num_bytes - first_byte, page.num_bytes_plain, page.num_values, bounds)
 
 
 class PartWriter:
     """Owns the part being written and the row group being filled; finished parts are in `finished`.
 
-    A row group ends with the page that brings it to 16 segments, a part with the sequence that ends such a row group
+    A row group ends with the run that brings it to 16 segments, a part with the sequence that ends such a row group
     when the part has `part_bytes`. So memory is bounded by one row group.
     """
 
@@ -97,9 +100,9 @@ class PartWriter:
     def add_sequence(self, sequence_index: int, motion: EncodedMotion) -> None:
         """Append the segments of one sequence."""
         keys = _keys(sequence_index, motion.num_frames)
-        for pages in zip(*motion.columns, strict=True):
-            self._pending.append(keys[:, : pages[0].num_rows], pages)
-            keys = keys[:, pages[0].num_rows :]
+        for runs in zip(*motion.columns, strict=True):
+            self._pending.append(keys[:, : runs[0].num_rows], runs)
+            keys = keys[:, runs[0].num_rows :]
             if self._pending.num_rows >= ROW_GROUP_SEGMENTS:
                 self._write_row_group()
         if self._file is not None and not self._pending.num_rows and self._file.num_bytes >= self._part_bytes:

@@ -15,7 +15,7 @@ from motionkit.errors import StoreError, UsageError
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
-from motionkit.store.encode import EncodedMotion, pages_of
+from motionkit.store.encode import EncodedMotion, compressed
 from motionkit.store.manifest import Manifest, read_committed, read_manifest
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
@@ -155,7 +155,7 @@ class Store:
                 flat = self._segments.read_flat(row, widths)
                 placeless = {name: value for name, value in row.items() if name not in PLACE_COLUMNS}
                 columns = [flat.get(name) for name in FLOAT_COLUMNS]
-                yield EncodedMotion(placeless, skeleton, pages_of(columns, row["num_frames"]))
+                yield EncodedMotion(placeless, skeleton, compressed(columns, row["num_frames"]))
 
     def query(self, sql: str) -> pa.Table:
         """Result of one SQL statement over `sequences`, `segments`, `skeletons`; raises `UsageError` for bad SQL."""

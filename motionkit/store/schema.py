@@ -16,8 +16,8 @@ FORMAT_NAME = "motionkit-store"
 FORMAT_VERSION = 2
 
 SEGMENT_FRAMES = 256
-# A page holds segments of one sequence, and a row group whole pages.
-PAGE_SEGMENTS = 16
+# So many segments of a sequence are compressed together, and lie in one row group.
+RUN_SEGMENTS = 16
 ROW_GROUP_SEGMENTS = 16
 PART_BYTES = 128 * 2**20
 SEQUENCES_PER_ROW_GROUP = 4096

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from motionkit.store import StoreWriter, thrift
 from motionkit.store import pages as pages_module
 from motionkit.store import parts as parts_module
-from motionkit.store.pages import float_pages, integer_page
+from motionkit.store.pages import float_page, float_runs, integer_page
 from motionkit.store.schema import KEY_COLUMNS, SEGMENTS
 from motionkit.store.thrift import Value
 
@@ -48,7 +48,7 @@ def column(num_frames: int, channels: int, seed: int) -> np.ndarray:
 @given(takes=st.lists(st.tuples(st.sampled_from([1, 2, 255, 256, 257, 600]), st.booleans()), min_size=1, max_size=6))
 def test_pyarrow_and_duckdb_read_what_was_written(takes, make_motion, monkeypatch) -> None:
     """Rows, nulls, keys and their statistics, whatever the lengths and wherever rotations are missing."""
-    monkeypatch.setattr(pages_module, "PAGE_SEGMENTS", 2)
+    monkeypatch.setattr(pages_module, "RUN_SEGMENTS", 2)
     monkeypatch.setattr(parts_module, "ROW_GROUP_SEGMENTS", 3)
     motions = [make_motion(f"m{i}", count, rotations=rotations) for i, (count, rotations) in enumerate(takes)]
     with tempfile.TemporaryDirectory() as folder:
@@ -114,26 +114,28 @@ def test_every_byte_of_a_part_is_accounted_for(small_store) -> None:
     assert place + metadata.serialized_size + 8 == (small_store / PART).stat().st_size
 
 
-def test_pages_do_not_depend_on_what_lies_beside_them(tmp_path, make_motion) -> None:
+def test_what_is_compressed_does_not_depend_on_what_lies_beside_it(tmp_path, make_motion) -> None:
     with StoreWriter.create(tmp_path / "store") as writer:
         for number in range(5):
             writer.add(make_motion(f"m{number}", 300, rotations=True))
     content = (tmp_path / "store" / PART).read_bytes()
     for number in range(5):
         flat = make_motion(f"m{number}", 300, rotations=True).root_translation
-        blocks = np.concatenate([flat[:256].T.ravel(), flat[256:].T.ravel()])
-        (page,) = float_pages(blocks, 300, nullable=True)
-        assert content.count(page.content.tobytes()) == 1
+        (run,) = float_runs(np.concatenate([flat[:256].T.ravel(), flat[256:].T.ravel()]), 300)
+        start = 0
+        for size in run.frame_sizes:
+            assert content.count(run.frames[start : start + size].tobytes()) == 1
+            start += size
 
 
-def test_a_page_knows_its_size() -> None:
-    (page,) = float_pages(column(100, 6, seed=0), 100, nullable=False)
-    assert (page.num_rows, page.num_values) == (1, 600)
-    assert page.num_bytes_plain > 2400 > len(page.content) - 100
-    long = float_pages(column(256 * 40 + 1, 3, seed=1), 256 * 40 + 1, nullable=False)
-    assert [page.num_rows for page in long] == [16, 16, 9]
-    nulls = float_pages(None, 256 * 17, nullable=True)
-    assert [(page.num_rows, page.num_values) for page in nulls] == [(16, 16), (1, 1)]
+def test_runs_are_short_and_pages_know_their_sizes() -> None:
+    long = float_runs(column(256 * 40 + 1, 3, seed=1), 256 * 40 + 1)
+    assert [run.num_rows for run in long] == [16, 16, 9]
+    nulls = float_runs(None, 256 * 17)
+    assert [(run.num_rows, run.frames.size) for run in nulls] == [(16, 0), (1, 0)]
+    page = float_page([*long, *nulls], nullable=True)
+    assert page.num_values == 3 * (256 * 40 + 1) + 17
+    assert page.num_bytes_plain > 4 * 3 * (256 * 40 + 1)
     assert integer_page(np.arange(5, dtype=np.int32)).num_values == 5
 
 
@@ -141,9 +143,9 @@ def test_a_sequences_page_takes_no_more_room_than_arrows() -> None:
     """A page of one sequence, its byte planes apart, against Arrow's own of the same values."""
     steps = np.random.default_rng(3).standard_normal((66, 200)) * 0.01
     walk = (np.rint(np.cumsum(steps, axis=1) * 2**22) / 2**22).astype(np.float32).ravel()
-    (page,) = float_pages(walk, 200, nullable=False)
+    page = float_page(float_runs(walk, 200), nullable=False)
     sink = pa.BufferOutputStream()
     options = {"compression": "zstd", "use_dictionary": False, "use_byte_stream_split": True}
     pq.write_table(pa.table({"values": walk}), sink, write_statistics=False, **options)
     arrows = pq.ParquetFile(pa.BufferReader(sink.getvalue())).metadata.row_group(0).column(0).total_compressed_size
-    assert len(page.content) < arrows
+    assert sum(map(len, page.pieces)) < arrows

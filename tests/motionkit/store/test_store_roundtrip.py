@@ -46,7 +46,7 @@ frame_counts = st.lists(
 @given(counts=frame_counts, cut=st.integers(0, 12), rates=st.data())
 def test_any_lengths_come_back(counts, cut, rates, make_motion, monkeypatch):
     """Whatever the lengths, however they fall on segments, pages, row groups, parts and appends."""
-    monkeypatch.setattr(pages_module, "PAGE_SEGMENTS", 2)
+    monkeypatch.setattr(pages_module, "RUN_SEGMENTS", 2)
     monkeypatch.setattr(parts_module, "ROW_GROUP_SEGMENTS", 3)
     fps = rates.draw(st.fractions(min_value=1, max_value=1000, max_denominator=1001))
     motions = [
