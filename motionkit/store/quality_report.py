@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from motionkit.store.reader import Store
+from motionkit.store.schema import SEQUENCES
 
 WORST = 5
 
@@ -96,7 +97,9 @@ FIGURES = {
 
 def report_quality(store: Store, where: str | None = None) -> QualityReport:
     """Add up the quality columns of the sequences for which `where` (SQL) holds; raises `UsageError` for bad SQL."""
-    rows = store.sequences.iloc[store.select(where)]
+    # All but the texts, which take most of a whole table's memory.
+    columns = [name for name in SEQUENCES.names if name not in ("captions", "operations")]
+    rows = store.columns(*columns).loc[store.select(where)]
     return QualityReport(
         store=str(store.path),
         where=where,

@@ -11,6 +11,7 @@ from motionkit.errors import StoreError, UsageError
 from motionkit.skeleton import KIT21
 from motionkit.store import Store, StoreWriter
 from motionkit.store.cache import open_cache
+from motionkit.store.quality_report import report_quality
 from motionkit.store.removal import remove
 from motionkit.store.rewrite import compact, merge
 from motionkit.store.validate import faults
@@ -85,6 +86,13 @@ def test_sql_sees_no_segments_of_removed_sequences(tmp_path, make_motion):
     )
     frames = sum(motion.num_frames for motion in motions(make_motion)) - 600
     assert counted.to_pylist() == [{"n": Store.open(path).manifest.num_segments, "sequences": 39, "frames": frames}]
+
+
+def test_the_quality_report_counts_what_is_left(tmp_path, make_motion):
+    path = write(tmp_path / "store", motions(make_motion))
+    remove(path, ["take-0", "take-3"])
+    assert report_quality(Store.open(path)).num_sequences == 38
+    assert report_quality(Store.open(path), "sequence_id = 'take-39'").num_sequences == 1
 
 
 def test_a_number_is_not_given_twice(tmp_path, make_motion):
