@@ -3,14 +3,16 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from eval.baselines.row_curves import CUBIC, LINEAR
+from eval.report.results import commit
 from motionkit.encoders import load_encoder, runs_with, trained_encoder_names
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.interpolation.fields import INTERPOLATORS
 from motionkit.motionfield import MotionEncoder
-from motionkit.training.run import RunFolder
+from motionkit.training.run import RunFolder, versions
 
 # Names of trained encoders as the paper prints them; any other is called what its entry point is.
 TITLES = {
@@ -85,7 +87,14 @@ def completer_of(name: str, run: Path, title: str) -> Completer:
     encoder = load_encoder(name, run)
     model = RunFolder(run).stage(name).model_path
     digest = hashlib.sha256(model.read_bytes()).hexdigest() if model.is_file() else str(run)
-    return Completer(title, encoder, f"run {run.name!r}", f"{name}-{digest}", trained=True)
+    # What a network answers depends on the code that asks it: figures of another commit are not taken for this one's.
+    return Completer(title, encoder, f"run {run.name!r}", f"{name}-{digest}-{code_version()}", trained=True)
+
+
+@cache
+def code_version() -> str:
+    """The commit of this code, or the package's version where there is no checkout."""
+    return commit() or versions()["motionkit"]
 
 
 def _told_untrained(name: str, run: Path | None) -> str:

@@ -83,7 +83,7 @@ def environment() -> dict[str, Any]:
         "versions": versions(),
         "processors": os.cpu_count(),
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "commit": _commit(),
+        "commit": commit(),
     }
 
 
@@ -129,7 +129,8 @@ def _block(document: dict[str, Any]) -> Block:
     return Block(**{**document, "rows": rows, "columns": tuple(document["columns"])})
 
 
-def _commit() -> str | None:
+def commit() -> str | None:
+    """The commit of this code, where it runs from a git checkout."""
     here = Path(__file__).resolve().parent
     try:
         found = subprocess.run(
