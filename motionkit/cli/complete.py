@@ -1,5 +1,7 @@
 """`motionkit complete`: more frames between those of a clip, its gaps closed, its ends continued."""
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +12,8 @@ from motionkit.errors import MotionkitError, UsageError
 from motionkit.settings import default_path
 
 if TYPE_CHECKING:
-    from motionkit.completing.job import CompletedClip
+    from motionkit.completing.clips import ClipSource
+    from motionkit.completing.job import CompletedClip, Job, OutputPath
 
 FORMATS = ("bvh", "npz")
 
@@ -92,22 +95,8 @@ def complete(
     for problem in problems:
         stderr.print(f"motionkit: {problem}", markup=False)
     path_of = OutputPath(out, len(sources), [Path(each) for each in clips if Path(each).is_dir()])
-    done: list[CompletedClip] = []
-    with progress() as display:
-        task = display.add_task("complete", total=len(sources), note="")
-        for source in sources:
-            frames = display.add_task(source.name, total=None, note="")
-            try:
-                completed = job.complete(source, path_of, lambda count: display.advance(frames, count))  # noqa: B023
-            except (MotionkitError, OSError) as error:
-                failures.append((source.name, str(error)))
-                named = str(error) if source.name in str(error) else f"{source.name}: {error}"
-                stderr.print(f"motionkit: {named}", markup=False)
-            else:
-                done.append(completed)
-                _tell(completed, as_json)
-            display.remove_task(frames)
-            display.advance(task)
+    done, failed = _complete_each(job, sources, path_of, as_json)
+    failures += failed
     if as_json:
         print_json(
             {
@@ -118,6 +107,30 @@ def complete(
         )
     if failures:
         raise typer.Exit(1)
+
+
+def _complete_each(
+    job: "Job", sources: "Sequence[ClipSource]", path_of: "OutputPath", as_json: bool
+) -> "tuple[list[CompletedClip], list[tuple[str, str]]]":
+    """What was written, and name and message of each clip that could not be: one that fails loses no other."""
+    done: list[CompletedClip] = []
+    failures: list[tuple[str, str]] = []
+    with progress() as display:
+        task = display.add_task("complete", total=len(sources), note="")
+        for source in sources:
+            frames = display.add_task(source.name, total=None, note="")
+            try:
+                completed = job.complete(source, path_of, partial(display.advance, frames))
+            except (MotionkitError, OSError) as error:
+                failures.append((source.name, str(error)))
+                named = str(error) if source.name in str(error) else f"{source.name}: {error}"
+                stderr.print(f"motionkit: {named}", markup=False)
+            else:
+                done.append(completed)
+                _tell(completed, as_json)
+            display.remove_task(frames)
+            display.advance(task)
+    return done, failures
 
 
 def _tell(completed: "CompletedClip", as_json: bool) -> None:

@@ -7,11 +7,6 @@ from torch import Tensor, nn
 KERNEL = 3
 
 
-def receptive_frames(blocks: int) -> int:
-    """How many frames one feature vector sees: head, two convolutions a block and tail add one frame on each side."""
-    return 1 + (KERNEL - 1) * (2 * blocks + 2)
-
-
 class EdsrEncoder(nn.Module):
     """One feature vector a frame: head, `blocks` residual blocks, tail, and the head's output added (EDSR, Lim 2017).
 
