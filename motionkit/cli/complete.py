@@ -3,65 +3,36 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
+from motionkit.cli import complete_options as option
 from motionkit.console import print_json, progress, stderr, stdout
-from motionkit.errors import MotionkitError, UsageError
+from motionkit.errors import MotionkitError
 from motionkit.settings import default_path
 
 if TYPE_CHECKING:
     from motionkit.completing.clips import ClipSource
     from motionkit.completing.job import CompletedClip, Job, OutputPath
 
-FORMATS = ("bvh", "npz")
-
 
 def complete(
-    clips: Annotated[list[str], typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)],
-    fps: Annotated[
-        str | None, typer.Option(help="New framerate, any: 120, 23.976, 60000/1001.", show_default="the clip's own")
-    ] = None,
-    keep: Annotated[
-        str | None,
-        typer.Option(metavar="A:B,…", help="Frames to keep, [A, B) counted from 0; all others are made anew."),
-    ] = None,
-    extend: Annotated[
-        str | None,
-        typer.Option(metavar="BEFORE,AFTER", help="Seconds to add before and after, or frames of the clip: 0,15f."),
-    ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="A trained encoder (pahires …) or an interpolator (slerp, spline, hold …).",
-            show_default="a trained pahires if there is one, else spline",
-        ),
-    ] = None,
-    run: Annotated[
-        str | None, typer.Option(help="Run that holds the trained encoder.", show_default="the one trained last")
-    ] = None,
-    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="File, or folder for several clips.", show_default="NAME.completed.EXT beside each"),
-    ] = None,
-    file_format: Annotated[
-        str | None, typer.Option("--format", help="Write bvh or npz instead of the clip's own format.")
-    ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")] = False,
-    compare: Annotated[
-        str | None,
-        typer.Option(metavar="NAME,…", help="Also write an HTML page with moving skeletons: slerp,spline."),
-    ] = None,
-    source_fps: Annotated[
-        str | None, typer.Option(help="Framerate of clips whose files say none or a wrong one (.amc, .npy).")
-    ] = None,
-    skeleton_map: Annotated[
-        list[Path] | None, typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md).")
-    ] = None,
-    store: Annotated[Path | None, typer.Option(help="Store of sequence ids.", show_default="./store")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
+    clips: option.Clips,
+    fps: option.TargetFps = None,
+    keep: option.KeptFrames = None,
+    extend: option.Extension = None,
+    model: option.EncoderName = None,
+    run: option.RunName = None,
+    runs: option.RunsFolder = None,
+    out: option.OutPlace = None,
+    file_format: option.FormatChoice = None,
+    overwrite: option.Overwrite = False,
+    compare: option.ComparedNames = None,
+    source_fps: option.SourceFps = None,
+    skeleton_map: option.SkeletonMaps = None,
+    store: option.StorePath = None,
+    as_json: option.AsJson = False,
 ) -> None:
     """Complete clips: a higher framerate, gaps closed, ends continued; given frames and bones stay as they are."""
     from motionkit.completing.request import CompletionRequest, Reach, parse_extend, parse_keep, parse_target_fps
@@ -73,8 +44,6 @@ def complete(
         before=before,
         after=after,
     )
-    if file_format is not None and file_format not in FORMATS:
-        raise UsageError(f"--format {file_format}: expected {' or '.join(FORMATS)}")
     from motionkit.completing.clips import find_clips
     from motionkit.completing.encoder_choice import choose_encoder
     from motionkit.completing.job import Job, OutputPath

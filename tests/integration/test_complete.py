@@ -261,7 +261,6 @@ def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
         (["--extend", "1e5"], 1, "at most 60 s"),
         (["--fps", "60", "--model", "sprline"], 2, "'sprline'"),
         (["--fps", "60", "--model", "slerp", "--run", "nano"], 2, "leave --run out"),
-        (["--fps", "60", "--format", "fbx"], 2, "bvh or npz"),
         (["--fps", "60", "--compare", "slurp"], 2, "'slurp'"),
         (["--fps", "60", "--model", "nerm", "--runs", "none"], 2, "--run"),
     ],
@@ -281,3 +280,8 @@ def test_a_folder_that_cannot_be_written(motionkit: Run, walk: Path, tmp_path: P
     assert outcome.code == 1 and "file" in outcome.stderr.splitlines()[-1]
     outcome = motionkit("complete", tmp_path / "no such.bvh", "--fps", "60")
     assert outcome.code == 2 and "no such.bvh is no file" in outcome.stderr
+
+
+def test_formats_that_are_not_written_are_refused(motionkit: Run, walk: Path) -> None:
+    outcome = motionkit("complete", walk, "--fps", "60", "--format", "fbx")
+    assert outcome.code == 2 and "'bvh', 'npz'" in outcome.stderr and outcome.stdout == ""
