@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from eval.evaluators.guo_networks import GuoWidths
+from eval.evaluators.guo.networks import GuoWidths
 
 VOCABULARY = (
     *("sos", "eos", "unk", "a", "person", "man", "walk", "slowly", "forward", "and", "turn", "left", "in", "circle"),

@@ -7,8 +7,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from eval.evaluators.native_config import NativeConfig, NativeNetworkConfig, NativeTrainingConfig
-from eval.evaluators.native_stage import STAGE as EVALUATOR
+from eval.evaluators.native.config import NativeConfig, NativeNetworkConfig, NativeTrainingConfig
+from eval.evaluators.native.stage import STAGE as EVALUATOR
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
 from motionkit.store.writer import StoreWriter

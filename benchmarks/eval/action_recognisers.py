@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from eval.evaluators.gru_kinds import CMU_MOCAP, HUMANACT12
-from eval.evaluators.gru_recogniser import GruRecogniser, load_gru
+from eval.evaluators.actions.gru import GruRecogniser, load_gru
+from eval.evaluators.actions.gru_kinds import CMU_MOCAP, HUMANACT12
 from eval.metrics.accuracy import accuracy
-from eval.real import RealMotion, real_motion
-from eval.samples import SampleSet, sample_set
+from eval.samples.real import RealMotion, real_motion
+from eval.samples.sets import SampleSet, sample_set
 from motionkit.store import Store
 
 DESCRIBED = {

@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from eval.evaluators.guo import MAX_FRAMES, GuoEvaluator, load_guo
-from eval.evaluators.guo_files import GuoFiles
-from eval.evaluators.guo_kind import KINDS
-from eval.evaluators.guo_networks import GuoNetworks
-from eval.evaluators.guo_words import read_word_vectors
+from eval.evaluators.guo.evaluator import MAX_FRAMES, GuoEvaluator, load_guo
+from eval.evaluators.guo.files import GuoFiles
+from eval.evaluators.guo.kind import KINDS
+from eval.evaluators.guo.networks import GuoNetworks
+from eval.evaluators.guo.words import read_word_vectors
 from motionkit.features.statistics import Statistics
 from motionkit.motion import Caption
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.evaluators.native import NativeEvaluator, load_native
+from eval.evaluators.native.evaluator import NativeEvaluator, load_native
 from eval.metrics.interval import estimate
 from eval.metrics.r_precision import REFERENCE_POOL, r_precision
 from motionkit.resample import resample_positions

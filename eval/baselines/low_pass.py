@@ -1,7 +1,7 @@
 """All sets smoothed alike, so that what is compared lies below the noise of capture."""
 
 from eval.corruptions import low_pass
-from eval.samples import SampleSet
+from eval.samples.sets import SampleSet
 
 
 def low_passed(samples: SampleSet, cutoff_hz: float) -> SampleSet:

@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 from jaxtyping import Float32
 
-from eval.samples import SampleSet
+from eval.samples.sets import SampleSet
 from motionkit.completion import SLERP, upsample
 from motionkit.motion import Motion
 from motionkit.motionfield import MotionEncoder

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 from jaxtyping import Float32
 
-from eval.samples import SampleSet
+from eval.samples.sets import SampleSet
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import at_origin, facing_forward, on_floor
 from motionkit.skeleton import SMPL22

@@ -11,8 +11,8 @@ from motionkit.settings import default_path
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from eval.clip_fid import PoseRange, SecondsRange
-    from eval.evaluators.guo_files import GuoFiles
+    from eval.clip_fid.score import PoseRange, SecondsRange
+    from eval.evaluators.guo.files import GuoFiles
     from eval.report.results import Result
     from eval.tables.registry import TableRequest
 
@@ -52,7 +52,7 @@ def evaluate(
     as_json: options.AsJson = False,
 ) -> None:
     """Build one of the papers' tables or figures, or calibrate the features that clip-FID is computed on."""
-    from eval.clip_fid import Protocol
+    from eval.clip_fid.score import Protocol
     from eval.sample_folder import SampleOptions
     from eval.tables.registry import TableRequest, installed_tables
 
@@ -90,7 +90,7 @@ def evaluate(
 def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
     """End with exit code 1 where samples that were given have no row in the table, with the reason."""
     from eval.sample_folder import SampleFolderError
-    from eval.tables.nearest_training import TITLE as COPIES
+    from eval.tables.nerm.nearest_training import TITLE as COPIES
 
     scored = [block for block in result.blocks if block.title != COPIES]
     shown = {row.name for block in scored for row in block.rows if row.cells}
@@ -153,7 +153,7 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
 
 
 def _guo_files(weights: Path | None, glove: Path | None, statistics: Path | None) -> "GuoFiles | None":
-    from eval.evaluators.guo_files import GuoFiles
+    from eval.evaluators.guo.files import GuoFiles
 
     if weights is None:
         unused = next((name for name, path in (("--glove", glove), ("--statistics", statistics)) if path), None)
@@ -184,7 +184,7 @@ def _framerates(text: str | None) -> "tuple[Fraction, ...] | None":
 
 
 def _sizes(text: str) -> "PoseRange | SecondsRange":
-    from eval.clip_fid import PoseRange, SecondsRange
+    from eval.clip_fid.score import PoseRange, SecondsRange
 
     low, _, high = text.partition(":")
     try:

@@ -50,7 +50,7 @@ def report(
 
 def _pictures(results: "list[Result]", folder: Path) -> list[Path]:
     """Draw the calibration and every result with columns of framerates, or of seconds and a quality; what was drawn."""
-    from eval.calibration import TASK
+    from eval.clip_fid.calibration import TASK
     from eval.report.calibration_figure import calibration_figure
     from eval.report.cost_curves import cost_curve_of, cost_figure
     from eval.report.figures import curves_figure, save

@@ -7,12 +7,11 @@ from functools import cache
 from pathlib import Path
 
 from eval.baselines.row_curves import CUBIC, LINEAR
-from eval.report.results import commit
 from motionkit.encoders import load_encoder, runs_with, trained_encoder_names
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.interpolation.fields import INTERPOLATORS
 from motionkit.motionfield import MotionEncoder
-from motionkit.training.run import RunFolder, versions
+from motionkit.training.run import RunFolder, commit, versions
 
 # Names of trained encoders as the paper prints them; any other is called what its entry point is.
 TITLES = {

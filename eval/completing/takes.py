@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from eval.real import of_split_and
+from eval.samples.real import of_split_and
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.features import rotation_rows
 from motionkit.kinematics import matrix_to_quaternion

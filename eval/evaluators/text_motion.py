@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from eval.samples import SampleSet
+from eval.samples.sets import SampleSet
 from motionkit.motion import Caption
 
 

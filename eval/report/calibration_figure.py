@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.calibration import DISJOINT, FLAT, MAX_FLAT_RATIO, level_name
+from eval.clip_fid.calibration import DISJOINT, FLAT, MAX_FLAT_RATIO, level_name
 from eval.corruptions import Family, families
 from eval.report.figures import CURVE_COLOURS, GREY, MARKERS
 from eval.report.results import Block, Cell, Result, ResultError, Row

@@ -2,7 +2,6 @@
 
 import json
 import os
-import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from motionkit.errors import MotionkitError
-from motionkit.training.run import versions, write_json
+from motionkit.training.run import commit, versions, write_json
 
 FORMAT = "motionkit-result/1"
 Origin = Literal["ours", "reference", "paper"]
@@ -127,15 +126,3 @@ def _block(document: dict[str, Any]) -> Block:
         for row in document["rows"]
     )
     return Block(**{**document, "rows": rows, "columns": tuple(document["columns"])})
-
-
-def commit() -> str | None:
-    """The commit of this code, where it runs from a git checkout."""
-    here = Path(__file__).resolve().parent
-    try:
-        found = subprocess.run(
-            ("git", "rev-parse", "HEAD"), cwd=here, capture_output=True, text=True, timeout=10, check=True
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return found.stdout.strip()

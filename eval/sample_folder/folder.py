@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float32, Int64
 
 from eval.baselines.upsampled import each_upsampled
-from eval.samples import SampleSet
+from eval.samples.sets import SampleSet
 from motionkit.errors import FormatError, MotionkitError
 from motionkit.resample import resample_positions
 from motionkit.skeleton import SMPL22

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from eval.evaluators.guo_files import REACH_FRAMES
+from eval.evaluators.guo.files import REACH_FRAMES
 from eval.sample_folder.arrays import StoredMotion, read_stored
 from eval.sample_folder.bodies import check_bodies, padding_remark, turn_upright
 from eval.sample_folder.folder import Packer, SampleFolder, SampleFolderError, SampleText, left_out_line

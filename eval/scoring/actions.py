@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from threadpoolctl import threadpool_limits
 
-from eval.evaluators.action_recogniser import Recognition
+from eval.evaluators.actions.recogniser import Recognition
 from eval.metrics.accuracy import accuracy
 from eval.metrics.diversity import diversity, diversity_with_replacement
 from eval.metrics.frechet import frechet_distance

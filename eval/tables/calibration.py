@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from functools import partial
 
-from eval.calibration import (
+from eval.clip_fid.calibration import (
     CLEAN,
     DISJOINT,
     FLAT,
@@ -17,10 +17,10 @@ from eval.calibration import (
     calibrate,
     level_name,
 )
+from eval.clip_fid.feature_sources import FeatureSource, feature_sources
 from eval.corruptions import families
-from eval.feature_sources import FeatureSource, feature_sources
-from eval.real import RealMotion, real_motion
 from eval.report.results import Block, Cell, Result, Row, environment
+from eval.samples.real import RealMotion, real_motion
 from eval.tables.registry import TableRequest
 from motionkit.console import progress
 from motionkit.errors import MotionkitError

@@ -11,8 +11,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eval.clip_fid import Protocol
-from eval.evaluators.guo_files import GuoFiles
+from eval.clip_fid.score import Protocol
+from eval.evaluators.guo.files import GuoFiles
 from eval.report.results import Result
 from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
 from motionkit.console import progress

@@ -14,9 +14,9 @@ from eval.metrics.r_precision import r_precision_both_ways
 from eval.metrics.registry import find_metric
 from eval.protocols.text_motion import TextMotionProtocol
 from eval.report.results import Block, Cell, Origin, Row
-from eval.reported import SOURCES, reported_figures
 from eval.scoring.scores import Scores
 from eval.scoring.text_motion import TextMotionPairs
+from eval.tables.reported import SOURCES, reported_figures
 
 ORACLE, FLOOR = "each motion on its caption's point", "real, disjoint halves"
 NOTES = {

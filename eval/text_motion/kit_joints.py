@@ -7,7 +7,7 @@ The spine's joints and the middle of the feet are not among the 22 and are inter
 import numpy as np
 from jaxtyping import Float32
 
-from eval.samples import SampleSet
+from eval.samples.sets import SampleSet
 from motionkit.features.humanml3d_processing import bone_lengths, uniform_skeleton
 from motionkit.skeleton import KIT21, SMPL22
 from motionkit.skeleton_map import joint_map

@@ -10,10 +10,10 @@ from json import dumps
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from eval.embedding_cache import Embedder
 from eval.protocols.text_motion import MultiModalityRule
-from eval.samples import SampleSet, sample_set
+from eval.samples.sets import SampleSet, sample_set
 from eval.scoring.text_motion import TextMotionPairs
+from eval.text_motion.embedding_cache import Embedder
 from eval.text_motion.kit_joints import as_kit_joints
 from eval.text_motion.real_pairs import CaptionedMotions
 from motionkit.generation import GenerationRequest, GenerativeModel

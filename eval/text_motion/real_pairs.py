@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.protocols.text_motion import LengthRule
-from eval.real import NoRealMotionError, real_motion
-from eval.samples import SampleSet, sample_set
+from eval.samples.real import NoRealMotionError, real_motion
+from eval.samples.sets import SampleSet, sample_set
 from motionkit.motion import Caption
 from motionkit.skeleton import SMPL22
 

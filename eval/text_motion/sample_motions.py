@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float64
 
-from eval.embedding_cache import Embedder, fingerprint_of_vectors
 from eval.evaluators.text_motion import PoseVectorEvaluator
 from eval.protocols.text_motion import TextMotionProtocol
 from eval.sample_folder import SampleFolder
-from eval.samples import SampleSet
+from eval.samples.sets import SampleSet
 from eval.scoring.text_motion import TextMotionPairs
+from eval.text_motion.embedding_cache import Embedder, fingerprint_of_vectors
 from eval.text_motion.kit_joints import MADE_OF_22, as_kit_joints, kit_bone_lengths
 from eval.text_motion.real_pairs import CaptionedMotions, middle
 from motionkit.errors import UsageError

@@ -14,14 +14,15 @@ def test_both_are_importable(tmp_path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(f"WHERE = {name!r}\n", encoding="utf-8")
     script = (
-        "import eval.eval_humanml, eval.a2m.tools, eval.unconstrained.evaluate, eval.metrics.frechet, eval.clip_fid\n"
+        "import eval.eval_humanml, eval.a2m.tools, eval.unconstrained.evaluate\n"
+        "import eval.metrics.frechet, eval.clip_fid.score\n"
         "from eval.commands.eval import evaluate\n"
-        "from eval.reported import reported_figures\n"
+        "from eval.tables.reported import reported_figures\n"
         "from eval.report.render import to_html\n"
         "assert len(reported_figures('nerm', '2')) == 20 and to_html([])\n"
         "print(eval.eval_humanml.WHERE, eval.a2m.tools.WHERE, eval.metrics.frechet.__name__)\n"
     )
-    for order in ("", "import eval.eval_humanml\n", "import eval.clip_fid\n"):
+    for order in ("", "import eval.eval_humanml\n", "import eval.clip_fid.score\n"):
         done = subprocess.run(
             (sys.executable, "-c", order + script),
             cwd=tmp_path,

@@ -8,14 +8,14 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eval import feature_sources
-from eval.clip_fid import PoseRange, Protocol
+from eval.clip_fid import feature_sources
+from eval.clip_fid.score import PoseRange, Protocol
 from eval.report.render import to_markdown
 from eval.report.results import Block, Result, Row
-from eval.tables import figure8
-from eval.tables.ablations import HIGHEST, LOWEST, TABLES
-from eval.tables.figure5 import build_figure5
-from eval.tables.figure8 import build_figure8
+from eval.tables.nerm import figure8
+from eval.tables.nerm.ablations import HIGHEST, LOWEST, TABLES
+from eval.tables.nerm.figure5 import build_figure5
+from eval.tables.nerm.figure8 import build_figure8
 from eval.tables.registry import TableRequest
 from motionkit.cli.ablate import ablate
 from motionkit.errors import MotionkitError, UsageError

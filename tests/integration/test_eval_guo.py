@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval import feature_sources
-from eval.evaluators import guo
-from eval.evaluators.guo_networks import GuoWidths
+from eval.clip_fid import feature_sources
+from eval.evaluators.guo import evaluator as guo
+from eval.evaluators.guo.networks import GuoWidths
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import process
 from motionkit.formats.pose_folders.humanml3d import recover_positions

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval.evaluators import guo
-from eval.evaluators.guo_networks import GuoWidths
-from eval.tables import table1
-from eval.text_motion import sources
+from eval.evaluators.guo import evaluator as guo
+from eval.evaluators.guo.networks import GuoWidths
+from eval.tables import text_motion_sources as sources
+from eval.tables.nerm import table1
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import process, standard_bone_lengths
 from motionkit.formats.pose_folders.kit import UNIT_METRES

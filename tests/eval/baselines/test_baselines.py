@@ -8,7 +8,7 @@ import pytest
 from eval.baselines.low_pass import low_passed
 from eval.baselines.upsampled import each_upsampled, upsampled, upsampled_positions
 from eval.baselines.vectors import upsample_as_vectors
-from eval.samples import SampleSet, sample_set
+from eval.samples.sets import SampleSet, sample_set
 from motionkit.skeleton import SMPL22
 
 

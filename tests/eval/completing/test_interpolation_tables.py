@@ -18,9 +18,9 @@ from eval.completing.scale import measure_scale
 from eval.completing.takes import NoTakesError, data_sets_of, open_clips
 from eval.protocols.interpolation import INTEGER_SCALES, OTHER_SCALES, InterpolationProtocol, scale_label
 from eval.report.render import to_markdown
-from eval.tables.extrapolation_table import TABLE as EXTRAPOLATION
-from eval.tables.inbetweening_table import TABLE as INBETWEENING
-from eval.tables.interpolation_tables import TABLE_1, TABLE_2
+from eval.tables.pahires.extrapolation import TABLE as EXTRAPOLATION
+from eval.tables.pahires.inbetweening import TABLE as INBETWEENING
+from eval.tables.pahires.interpolation import TABLE_1, TABLE_2
 from eval.tables.registry import TableRequest
 from motionkit import kinematics
 from motionkit.errors import UsageError

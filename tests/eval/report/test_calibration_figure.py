@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from eval.calibration import CLEAN, DISJOINT, FLAT, level_name
+from eval.clip_fid.calibration import CLEAN, DISJOINT, FLAT, level_name
 from eval.corruptions import families
 from eval.report.calibration_figure import calibration_figure
 from eval.report.figures import save

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from eval.evaluators.action_recogniser import Recognition
+from eval.evaluators.actions.recogniser import Recognition
 from eval.metrics.multimodality import multimodality_by_class, multimodality_by_class_with_replacement
 from eval.metrics.registry import find_metric
 from eval.protocols.actions import ACTION_PROTOCOLS, find_action_protocol

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.protocols.text_motion import LengthRule, find_text_motion_protocol
-from eval.real import NoRealMotionError
+from eval.samples.real import NoRealMotionError
 from eval.text_motion.real_pairs import captioned_motions, limited, middle
 from motionkit.motion import Caption, Motion
 from motionkit.skeleton import SMPL22

@@ -7,11 +7,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.embedding_cache import Embedder
 from eval.protocols.text_motion import find_text_motion_protocol
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.folder import SampleFolderError
-from eval.samples import SampleSet, sample_set
+from eval.samples.sets import SampleSet, sample_set
+from eval.text_motion.embedding_cache import Embedder
 from eval.text_motion.real_pairs import CaptionedMotions
 from eval.text_motion.sample_motions import AS_VECTORS, BY_JOINTS, sample_embeddings
 from motionkit.errors import UsageError

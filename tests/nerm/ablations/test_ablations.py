@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from eval.reported import reported_figures
+from eval.tables.reported import reported_figures
 from motionkit.clips import WindowPoses
 from motionkit.errors import UsageError
 from motionkit.skeleton import SMPL22

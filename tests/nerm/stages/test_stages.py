@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.reconstruction_errors import DISTANCE
+from eval.tables.nerm.table4 import HELD_OUT, TRAINING, build_table4
+from eval.tables.reconstruction_errors import DISTANCE
 from eval.tables.registry import TableRequest
-from eval.tables.table4 import HELD_OUT, TRAINING, build_table4
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
 from motionkit.store.writer import StoreWriter

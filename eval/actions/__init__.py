@@ -1,0 +1,1 @@
+"""Motions whose actions a recogniser knows, and the recognisers that there are."""

@@ -1,0 +1,146 @@
+"""Motions whose actions a recogniser knows: real ones, and what a model generates for their actions and durations."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float32, Int64
+
+from eval.evaluators.actions.recogniser import ActionRecogniser
+from eval.samples.sets import SampleSet, sample_set
+from eval.scoring.actions import LabelledRecognition
+from motionkit.errors import MotionkitError
+from motionkit.formats.smpl.layouts import SMPL
+from motionkit.generation import GenerationRequest, GenerativeModel
+from motionkit.motion import Motion
+from motionkit.motionfield import to_motion
+from motionkit.resample import resample
+from motionkit.skeleton import SMPL22
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
+
+LEAST_FRAMES = 10
+"""Shorter motions show no action, and are left out."""
+
+LEAST_MOTIONS = 2
+"""An action with a single motion has no MultiModality, and is left out."""
+
+
+class NoActionsError(MotionkitError):
+    """Motions without an action that the recogniser knows."""
+
+
+@dataclass(frozen=True, eq=False)
+class ActionSet:
+    """Motions with the index of each one's action among the recogniser's, and what was left out, for people."""
+
+    samples: SampleSet
+    labels: Int64[np.ndarray, "sequences"]
+    left_out: tuple[str, ...] = ()
+
+    def recognised(self, recogniser: ActionRecogniser) -> LabelledRecognition:
+        """What the recogniser says of them."""
+        return LabelledRecognition(recogniser.recognise(self.samples), self.labels)
+
+
+def plain_name(action: str) -> str:
+    """An action's name without the differences that spelling makes: lower case, words separated by one space."""
+    return " ".join(action.lower().replace("_", " ").replace("-", " ").split())
+
+
+def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
+    """The motions whose action is one of `actions` (`plain_name` decides), at least two of each.
+
+    Raises `NoActionsError` where none is left.
+    """
+    index = {plain_name(action): label for label, action in enumerate(actions)}
+    found = np.array([index.get(plain_name(action), -1) for action in samples.actions or [""] * samples.num_sequences])
+    counts = np.bincount(found[found >= 0], minlength=len(actions))
+    long_enough = samples.num_frames >= LEAST_FRAMES
+    kept = np.flatnonzero((found >= 0) & long_enough & (counts[found] >= LEAST_MOTIONS))
+    left_out = _left_out(samples, found, counts, long_enough, actions)
+    if not len(kept):
+        raise NoActionsError(
+            f"{samples.name}: no motion's action is one that the recogniser knows ({', '.join(actions)}); "
+            + ("; ".join(left_out) or "they have no actions")
+        )
+    return ActionSet(samples.select(kept), found[kept], left_out)
+
+
+def _left_out(
+    samples: SampleSet,
+    found: Int64[np.ndarray, "sequences"],
+    counts: Int64[np.ndarray, "actions"],
+    long_enough: np.ndarray,
+    actions: Sequence[str],
+) -> tuple[str, ...]:
+    lines = []
+    unknown = (
+        Counter(samples.actions[i] or "no action" for i in np.flatnonzero(found < 0).tolist())
+        if samples.actions
+        else {}
+    )
+    if unknown:
+        listed = ", ".join(f"{action} ({count})" for action, count in sorted(unknown.items()))
+        lines.append(f"{sum(unknown.values())} motions of actions that it does not know: {listed}")
+    single = [actions[label] for label in np.flatnonzero((counts > 0) & (counts < LEAST_MOTIONS)).tolist()]
+    if single:
+        lines.append(f"actions with a single motion: {', '.join(single)}")
+    short = int(((found >= 0) & ~long_enough).sum())
+    if short:
+        lines.append(f"{short} motions of fewer than {LEAST_FRAMES} frames")
+    return tuple(lines)
+
+
+def with_rotations(store: "Store", samples: SampleSet) -> SampleSet:
+    """The same motions with the store's true local rotations at their framerate, resampled where their own is another.
+
+    Raises `NoActionsError` where a motion has none.
+    """
+    rotations: list[Float32[np.ndarray, "_frames _joints 4"]] = []
+    for index, sequence_id in enumerate(samples.sequence_ids):
+        motion = store.read(sequence_id)
+        if motion.local_rotations is None or motion.skeleton.joint_names[: SMPL22.num_joints] != SMPL22.joint_names:
+            raise NoActionsError(
+                f"{sequence_id} has no rotations of SMPL's joints, and this recogniser sees nothing else: narrow the "
+                'motions (--where "has_rotations") or ingest UESTC or AMASS'
+            )
+        made = motion if motion.fps == samples.fps else resample(motion, samples.fps)
+        assert made.local_rotations is not None
+        frames = np.minimum(np.arange(int(samples.num_frames[index])), made.num_frames - 1)
+        has_hands = motion.skeleton.joint_names == SMPL.joint_names
+        rotations.append(made.local_rotations[frames, : SMPL.num_joints if has_hands else SMPL22.num_joints])
+    joints = min(each.shape[1] for each in rotations)
+    return replace(samples, local_rotations=np.concatenate([each[:, :joints] for each in rotations]))
+
+
+def generated_like(
+    real: ActionSet, model: GenerativeModel, fps: Fraction, num_draws: int, seed: int
+) -> list[ActionSet]:
+    """For every real motion one with its action and duration (l_max where that is longer), `num_draws` times over.
+
+    Draw d has seeds of its own. What the model raises for an action that it does not know goes through.
+    """
+    durations = (real.samples.num_frames - 1) / float(fps)
+    requests = [
+        GenerationRequest(min(float(seconds), model.max_duration_seconds), action=action)
+        for seconds, action in zip(durations, real.samples.actions, strict=True)
+    ]
+    draws = []
+    for draw in range(num_draws):
+        fields = model.generate(requests, seed=seed, first=draw * len(requests))
+        motions = [to_motion(field, fps) for field in fields]
+        draws.append(replace(real, samples=_generated_set(model.name, motions, real.samples), left_out=()))
+    return draws
+
+
+def _generated_set(name: str, motions: Sequence[Motion], real: SampleSet) -> SampleSet:
+    made = sample_set(
+        name, real.fps, [motion.joint_positions for motion in motions], real.sequence_ids, actions=real.actions
+    )
+    rotations = [motion.local_rotations for motion in motions if motion.local_rotations is not None]
+    return replace(made, local_rotations=np.concatenate(rotations)) if len(rotations) == len(motions) else made

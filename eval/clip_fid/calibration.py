@@ -1,0 +1,165 @@
+"""Calibration of a feature set: does clip-FID rise with every kind of damage, and stay flat where nothing changed?
+
+A feature set has to pass before its clip-FID may be quoted: a network trained to match text and motion does not.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+
+from eval.clip_fid.score import Protocol, score_disjoint_halves, score_rows
+from eval.corruptions import Family, families, shift_between_frames, translate, turn
+from eval.evaluators.feature_set import FeatureSet
+from eval.metrics.interval import Estimate
+from eval.samples.sets import SampleSet
+
+TASK = "calibration"
+VERSION = "calibration/2"
+CLEAN = "clean (absolute)"
+DISJOINT = "disjoint halves of the takes (P2)"
+FLAT = "flat: "
+"""Names of rows in a result: the same-take floor, the floor of disjoint takes, what harmless transforms begin with."""
+MIN_SPEARMAN = 0.95
+MAX_FLAT_RATIO = 1.5
+"""A transform that changes nothing may raise the score to this multiple of the same-take floor."""
+
+
+@dataclass(frozen=True)
+class Graded:
+    """Scores of one family at one framerate: `strengths` mild to severe, `scores` with the clean set's first."""
+
+    family: str
+    unit: str
+    strengths: tuple[float, ...]
+    scores: tuple[Estimate, ...]
+
+    @property
+    def spearman(self) -> float:
+        """Rank correlation between severity (clean included) and mean score."""
+        from scipy.stats import spearmanr
+
+        means = [score.mean for score in self.scores]
+        return float(spearmanr(range(len(means)), means).statistic)
+
+    @property
+    def first_visible(self) -> float | None:
+        """The mildest strength told from clean motion of the same takes at 95 %, and all severer ones; None if none."""
+        return self.first_above(self.scores[0])
+
+    def first_above(self, floor: Estimate) -> float | None:
+        """The mildest strength whose interval lies above a floor's, and all severer ones' too; None if none does."""
+        ceiling = floor.mean + floor.ci95
+        visible: float | None = None
+        for strength, score in zip(reversed(self.strengths), reversed(self.scores[1:]), strict=True):
+            if score.mean - score.ci95 <= ceiling:
+                break
+            visible = strength
+        return visible
+
+    @property
+    def passes(self) -> bool:
+        """Whether the score rises with the damage (Spearman ≥ 0.95 over level means)."""
+        return self.spearman >= MIN_SPEARMAN
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How one feature set behaves at one framerate; `flat` are scores of transforms that change nothing.
+
+    `floor` is what other draws from the same takes score (P1), `disjoint_floor` what other takes do (P2), which tables
+    quote.
+    """
+
+    fps: Fraction
+    features: str
+    fingerprint: str
+    num_sequences: int
+    duration_seconds: float
+    floor: Estimate
+    disjoint_floor: Estimate
+    graded: tuple[Graded, ...]
+    flat: Mapping[str, Estimate]
+
+    @property
+    def passes(self) -> bool:
+        """Whether every family rises and every flat test stays near the floor."""
+        steady = all(score.mean <= MAX_FLAT_RATIO * self.floor.mean for score in self.flat.values())
+        return steady and all(family.passes for family in self.graded)
+
+
+def calibrate(
+    real: SampleSet,
+    shifted: SampleSet | None,
+    features: FeatureSet,
+    protocol: Protocol,
+    on_replication: Callable[[], None] = lambda: None,
+) -> Calibration:
+    """Score every corruption of the real set, and every harmless transform, against the real set itself.
+
+    `shifted` is the real set made from native frames that start one later, where there is one. Corrupted sets have the
+    same sequences as the clean one and share its draws, so levels differ by the corruption alone. `on_replication` is
+    called after each replication of the rows and of the disjoint halves. Raises `ClipError` where the takes are too few
+    or too short.
+    """
+    protocol = replace(protocol, detailed_replications=0)
+    rows: dict[str, SampleSet] = {"clean": real}
+    rows |= _harmless(real, protocol.seed)
+    if shifted is not None:
+        rows["native grid shifted by one frame"] = shifted
+    flat_names = [name for name in rows if name != "clean"]
+    levels: list[tuple[Family, tuple[float, ...]]] = []
+    for family in families():
+        strengths = family.levels_at(float(real.fps))
+        levels.append((family, strengths))
+        for strength in strengths:
+            rows[level_name(family, strength)] = _corrupted(real, family, strength, protocol.seed)
+    scores = score_rows(real, rows, features, protocol, on_replication=on_replication)
+    floor = scores["clean"].clip_fid
+    graded = [
+        Graded(
+            family.name,
+            family.unit,
+            strengths,
+            (floor, *(scores[level_name(family, strength)].clip_fid for strength in strengths)),
+        )
+        for family, strengths in levels
+        if strengths
+    ]
+    flat = {name: scores[name].clip_fid for name in flat_names}
+    disjoint_floor = score_disjoint_halves(real, features, protocol, on_replication=on_replication).clip_fid
+    return Calibration(
+        fps=real.fps,
+        features=features.name,
+        fingerprint=features.fingerprint,
+        num_sequences=real.num_sequences,
+        duration_seconds=real.duration_seconds,
+        floor=floor,
+        disjoint_floor=disjoint_floor,
+        graded=tuple(graded),
+        flat=flat,
+    )
+
+
+def level_name(family: Family, strength: float) -> str:
+    """What a level's row is called."""
+    return f"{family.name} {strength:g} {family.unit}"
+
+
+def _corrupted(real: SampleSet, family: Family, strength: float, seed: int) -> SampleSet:
+    rng = np.random.default_rng((seed, 5))
+    sequences = [family.corrupt(take[None], float(real.fps), strength, rng)[0] for take in real.sequences()]
+    return real.with_positions(level_name(family, strength), real.fps, sequences)
+
+
+def _harmless(real: SampleSet, seed: int) -> dict[str, SampleSet]:
+    """Global yaw and translation drawn per take, and sinc interpolation by half a frame."""
+    rng = np.random.default_rng((seed, 6))
+    takes = list(real.sequences())
+    turned = [turn(take, float(yaw)) for take, yaw in zip(takes, rng.uniform(0, 2 * np.pi, len(takes)), strict=True)]
+    offsets = rng.uniform(-5.0, 5.0, (len(takes), 2))
+    moved = [translate(take, offset) for take, offset in zip(takes, offsets, strict=True)]
+    delayed = [shift_between_frames(take) for take in takes]
+    named = {"yaw": turned, "translation": moved, "sinc interpolation by half a frame": delayed}
+    return {name: real.with_positions(name, real.fps, sequences) for name, sequences in named.items()}

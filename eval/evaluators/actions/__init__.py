@@ -1,0 +1,1 @@
+"""Recognisers of actions: fitted here, or published with weights of the user's."""

@@ -1,0 +1,57 @@
+"""What accuracy and the action task's FID, Diversity and MultiModality need of a recogniser of actions."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float64
+
+from eval.samples.sets import SampleSet
+from motionkit.errors import MotionkitError
+
+
+@dataclass(frozen=True, eq=False)
+class Recognition:
+    """What a recogniser says of motions: a feature vector and a score per action for each, in the set's order."""
+
+    features: Float64[np.ndarray, "sequences features"]
+    scores: Float64[np.ndarray, "sequences actions"]
+
+
+@runtime_checkable
+class ActionRecogniser(Protocol):
+    """Tells which of its actions a motion shows; a motion's row depends on that motion alone."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of everything that the numbers depend on: definition, weights, settings."""
+        ...
+
+    @property
+    def fps(self) -> Fraction | None:
+        """The only framerate at which motions may be given; None where any may."""
+        ...
+
+    @property
+    def actions(self) -> tuple[str, ...]:
+        """Names of the actions, in the order of the scores."""
+        ...
+
+    def recognise(self, samples: SampleSet) -> Recognition:
+        """Features and scores of every sequence. Raises `MotionkitError` for a framerate or skeleton it cannot take."""
+        ...
+
+
+def check_fps(recogniser: ActionRecogniser, samples: SampleSet) -> None:
+    """Raise `MotionkitError` for motions of another framerate than the recogniser's only one."""
+    if recogniser.fps not in (None, samples.fps):
+        raise MotionkitError(
+            f"{samples.name}: motions at {samples.fps} fps, but the recogniser {recogniser.name!r} was trained at "
+            f"{recogniser.fps} fps and has no notion of time; resample them first"
+        )

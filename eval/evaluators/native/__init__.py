@@ -1,0 +1,1 @@
+"""The learned evaluator at native framerates: network, training, features."""

@@ -1,0 +1,1 @@
+"""Sample sets: motions of one framerate, real or generated, that tables compare."""

@@ -1,0 +1,1 @@
+"""NeRM's tables and figures, one file each."""

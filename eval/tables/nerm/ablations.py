@@ -1,0 +1,288 @@
+"""NeRM's Tables 5 to 9 and ours: runs of `motionkit ablate`, by reconstruction and by what they generate.
+
+A row is a variant; where it was trained with several seeds its numbers are their means. What is not trained is a row
+without numbers that says which command makes it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from eval.report.results import Block, Cell, Result, Row, environment
+from eval.tables.nerm.clip_fid_column import P1, P2
+from eval.tables.nerm.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
+from eval.tables.nerm.table2 import ROW_NOTES
+from eval.tables.parts import Part
+from eval.tables.registry import Table, TableRequest
+from eval.tables.reported import SOURCES, Reported, reported_figures
+from motionkit.console import progress
+from motionkit.errors import MotionkitError, UsageError
+from motionkit.training.ablations import Ablation, Entry, run_name
+from motionkit.training.config import parse_override
+from motionkit.training.run import RunFolder
+from nerm.ablations.training import NERM
+from nerm.ablations.variants import ABLATIONS, LAYOUTS
+
+VERSION = "ablation/1"
+COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
+LOWEST, HIGHEST = "lowest of the seeds", "highest of the seeds"
+MOST_SEEDS = 100
+WINDOW_SETS = {
+    TRAINING: "Reconstruction of training windows, from their μ",
+    HELD_OUT: "Reconstruction of held-out windows, encoded by optimisation",
+}
+WANTED_ERRORS = ((TRAINING, MPJPE), (TRAINING, MRE), (HELD_OUT, MPJPE))
+
+
+@dataclass(frozen=True)
+class _Trained:
+    """A row with its runs, one a seed."""
+
+    entry: Entry
+    runs: tuple[Path, ...]
+
+
+def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
+    """Every figure that the runs of one ablation can give.
+
+    Raises `UsageError` without a run's name, or where none of the table's runs is trained, and what loading the store
+    raises.
+    """
+    from motionkit.store.reader import Store
+
+    if request.run is None:
+        raise UsageError("an ablation table needs the name of its runs: --run NAME for runs/NAME-VARIANT")
+    rows = [_Trained(entry, _runs(request.run, entry)) for entry in ablation.entries]
+    if not any(row.runs for row in rows):
+        raise UsageError(
+            f"no run of this table is trained in {str(request.run.parent)!r}: motionkit ablate {ablation.table} "
+            f"--run {request.run.name} trains {', '.join(run_name(request.run.name, v, 0) for v in ablation.variants)}"
+        )
+    yardstick = Yardstick(Store.open(request.store), request, request.fps or COLUMNS)
+    missing: list[str] = []
+    blocks = _reconstruction_blocks(ablation, rows, yardstick, missing)
+    if "denoiser" in ablation.stages:
+        blocks.append(_synthesis_block(ablation, rows, yardstick, missing))
+        if not any(row.cells for row in blocks[-1].rows):
+            missing.append(
+                f"clip-FID: no denoiser is trained (motionkit ablate {ablation.table} --run {request.run.name})"
+            )
+    paper = _paper_blocks(ablation)
+    return Result(
+        task=f"nerm-table{ablation.table}",
+        version=VERSION,
+        title=f"{_name(ablation)}: {ablation.title}",
+        caption=(
+            "What one setting does to the first stage's reconstructions and to generated motion. All rows have the "
+            "same recipe but for what they name, the same codebook and the same windows; 'global' is the paper's "
+            f"layout of z, 'local' ours. Compared with split {request.split!r}{request.restriction}."
+        ),
+        blocks=(*(block for block in blocks if any(row.cells for row in block.rows)), *paper),
+        definition=_definition(rows, request),
+        notes=(*_differences(rows), *(() if paper else (_nothing_printed(ablation),))),
+        missing=tuple(dict.fromkeys(missing)),
+        provenance={
+            "store": {"path": request.store.name, "fingerprint": yardstick.store.fingerprint},
+            "runs": {run.name: _facts(run) for row in rows for run in row.runs},
+            "seed": request.seed,
+            "environment": environment(),
+        },
+    )
+
+
+def _runs(prefix: Path, entry: Entry) -> tuple[Path, ...]:
+    """The runs of a row whose field is trained, by seed."""
+    named = (prefix.parent / run_name(prefix.name, entry.variant, seed) for seed in range(MOST_SEEDS))
+    return tuple(run for run in named if RunFolder(run).stage("field").is_complete)
+
+
+def _reconstruction_blocks(
+    ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick, missing: list[str]
+) -> list[Block]:
+    measured = _measure(rows, yardstick.reconstruction, missing)
+    blocks = []
+    for windows, error in WANTED_ERRORS:
+        name = error_of(windows, error)
+        found = {
+            row.entry.label: _mean([part.rows[name] for part in measured[row.entry.label] if name in part.rows])
+            for row in rows
+        }
+        blocks.append(
+            Block(
+                f"{WINDOW_SETS[windows]}: {error}",
+                tuple(label(fps) for fps in yardstick.rates),
+                tuple(_row(ablation, row, found[row.entry.label], "field", yardstick.request) for row in rows),
+            )
+        )
+    return blocks
+
+
+def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick, missing: list[str]) -> Block:
+    measured = _measure(rows, yardstick.synthesis, missing, stage="denoiser")
+    found = {row.entry.label: _mean([part.rows[SYNTHESIS] for part in measured[row.entry.label]]) for row in rows}
+    references: tuple[Row, ...] = ()
+    if any(found.values()):
+        floors = yardstick.floors()
+        missing.extend(floors.missing)
+        references = tuple(Row(name, "reference", floors.rows[name], ROW_NOTES[name]) for name in (P1, P2))
+    protocol = yardstick.request.protocol
+    return Block(
+        "Motion synthesis: clip-FID on the kinematic descriptor",
+        tuple(label(fps) for fps in yardstick.rates),
+        (
+            *references,
+            *(_row(ablation, row, found[row.entry.label], "denoiser", yardstick.request) for row in rows),
+        ),
+        note=(
+            f"Mean ± half the 95 % interval over {protocol.replications} replications of N = {protocol.num_clips:,} "
+            "clips on each side: how exactly one run is measured, not how much another seed would differ."
+        ),
+    )
+
+
+def _measure(
+    rows: Sequence[_Trained], figure: Callable[[Path], Part], missing: list[str], stage: str = "field"
+) -> dict[str, list[Part]]:
+    """A figure of every run whose stage is trained, each run once; a run that can't be measured is told."""
+    parts: dict[Path, Part] = {}
+    runs = list(dict.fromkeys(run for row in rows for run in row.runs if RunFolder(run).stage(stage).is_complete))
+    with progress() as display:
+        task = display.add_task(f"measuring {stage}", total=len(runs), note="")
+        for run in runs:
+            display.update(task, note=run.name)
+            try:
+                parts[run] = figure(run)
+            except MotionkitError as error:
+                missing.append(f"{run.name}: {error}")
+            else:
+                missing.extend(parts[run].missing)
+            display.advance(task)
+    return {row.entry.label: [parts[run] for run in row.runs if run in parts] for row in rows}
+
+
+def _mean(of_seeds: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:
+    """The mean over seeds of each column; one seed's numbers as they are."""
+    if len(of_seeds) == 1:
+        return dict(of_seeds[0])
+    columns = {
+        column: [cells[column] for cells in of_seeds if column in cells] for cells in of_seeds for column in cells
+    }
+    return {column: _mean_cell(cells) for column, cells in columns.items()}
+
+
+def _mean_cell(cells: Sequence[Cell]) -> Cell:
+    values = [cell.value for cell in cells]
+    shared = [name for name in cells[0].details if all(name in cell.details for cell in cells)]
+    details = {name: sum(cell.details[name] for cell in cells) / len(cells) for name in shared}
+    return Cell(sum(values) / len(values), None, {**details, LOWEST: min(values), HIGHEST: max(values)})
+
+
+def _row(ablation: Ablation, row: _Trained, cells: Mapping[str, Cell], stage: str, request: TableRequest) -> Row:
+    assert request.run is not None
+    num_seeds = sum(RunFolder(run).stage(stage).is_complete for run in row.runs)
+    if not num_seeds:
+        what = "not trained" if stage == "field" else f"its {stage} is not trained"
+        command = NERM.command_for(ablation.table, request.run.name, row.entry.variant)
+        return Row(row.entry.label, "ours", {}, f"{what}: {command}")
+    several = f"mean of {num_seeds} seeds" if num_seeds > 1 else ""
+    return Row(row.entry.label, "ours", cells, several)
+
+
+def _definition(rows: Sequence[_Trained], request: TableRequest) -> dict[str, Any]:
+    return {
+        "rows": {row.entry.label: list(row.entry.variant.change) for row in rows},
+        "training windows": "do not overlap, not mirrored; decoded from the posterior mean, not fitted again",
+        "held-out windows": "z by L-BFGS on evenly spaced native poses against the frozen field",
+        "MRE": "root of the mean squared difference of `native` pose vectors (263 numbers; m, m/s, rad/s)",
+        "truth": "the capture, brought down band-limited to the column's framerate; slower takes are left out",
+        "split": request.split,
+        "where": request.where,
+        "low_pass_hz": request.low_pass_hz,
+        "motions": request.max_motions,
+    }
+
+
+def _facts(run: Path) -> dict[str, Any]:
+    """What a run's stages say of themselves: steps, losses, seconds."""
+    folder = RunFolder(run)
+    stages = [name for name in ("field", "denoiser") if folder.stage(name).is_complete]
+    return {name: folder.stage(name).read_summary() for name in stages}
+
+
+def _differences(rows: Sequence[_Trained]) -> tuple[str, ...]:
+    """A warning where runs differ in more than what the table varies: trained longer, or on other sequences."""
+    varied = {parse_override(setting)[0] for row in rows for setting in row.entry.variant.change}
+    varied |= {parse_override(setting)[0] for settings in LAYOUTS.values() for setting in settings}
+    values: dict[str, dict[str, list[str]]] = {}
+    for run in dict.fromkeys(run for row in rows for run in row.runs):
+        for stage in ("field", "denoiser"):
+            folder = RunFolder(run).stage(stage)
+            if folder.is_complete:
+                for key, value in _leaves(folder.read_config()["config"][stage], f"{stage}."):
+                    values.setdefault(key, {}).setdefault(str(value), []).append(run.name)
+    return tuple(
+        f"These runs differ in more than the table varies: {key} is "
+        + ", ".join(f"{value} in {' and '.join(runs)}" for value, runs in found.items())
+        + "."
+        for key, found in values.items()
+        if len(found) > 1 and key not in varied
+    )
+
+
+def _leaves(values: Mapping[str, Any], prefix: str) -> list[tuple[str, Any]]:
+    found: list[tuple[str, Any]] = []
+    for name, value in values.items():
+        found += _leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else [(prefix + name, value)]
+    return found
+
+
+def _paper_blocks(ablation: Ablation) -> tuple[Block, ...]:
+    """The paper's own figures in its own units: MRE, and clip-FID by its own evaluator."""
+    figures = [figure for figure in reported_figures("nerm", ablation.table) if figure.value is not None]
+    titles = {"mre": "motion reconstruction, MRE", "clip_fid": "motion synthesis, clip-FID"}
+    notes = dict.fromkeys(
+        f"{_printed_row(each)} at {_printed_fps(each)}: {each.note}." for each in figures if each.note
+    )
+    blocks = []
+    for metric, title in titles.items():
+        cells: dict[str, dict[str, Cell]] = {}
+        for figure in figures:
+            if figure.metric == metric and figure.value is not None:
+                cells.setdefault(_printed_row(figure), {})[_printed_fps(figure)] = Cell(figure.value, figure.ci95)
+        if cells:
+            columns = dict.fromkeys(column for found in cells.values() for column in found)
+            rows = tuple(Row(f"{name} (paper)", "paper", found) for name, found in cells.items())
+            told = (f"100 sequences of another data set, trained for far longer. Source: {SOURCES['nerm']}.", *notes)
+            blocks.append(
+                Block(f"Printed in the NeRM paper (HumanML3D): {title}", tuple(columns), rows, note=" ".join(told))
+            )
+    return tuple(blocks)
+
+
+def _printed_row(figure: Reported) -> str:
+    return figure.setting.partition(";")[2].replace("=", " = ") or figure.method
+
+
+def _printed_fps(figure: Reported) -> str:
+    return f"{figure.setting.partition(';')[0].removesuffix('fps')} fps"
+
+
+def _name(ablation: Ablation) -> str:
+    return f"Table {ablation.table}" if ablation.table.isdigit() else "Ours"
+
+
+def _nothing_printed(ablation: Ablation) -> str:
+    if ablation.table.isdigit():
+        return "The paper's figures of this table are illegible in the copy that the reported figures were read from."
+    return "The paper has no such table; its NeRM-fixed is a row of its Table 1."
+
+
+TABLES = {
+    name: Table("nerm", name, ablation.title, partial(build_ablation, ablation), takes_samples=False)
+    for name, ablation in ABLATIONS.items()
+}
+TABLE_5, TABLE_6, TABLE_7, TABLE_8, TABLE_9 = (TABLES[number] for number in "56789")
+TABLE_OURS = TABLES["ours"]

@@ -1,0 +1,75 @@
+"""NeRM's Figure 5: unconditional generation, by clip-FID and diversity."""
+
+from fractions import Fraction
+
+from eval.report.results import Block, Cell, Result, Row, environment
+from eval.tables.nerm.clip_fid_column import P1, P2
+from eval.tables.nerm.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
+from eval.tables.nerm.table2 import COLUMNS, ROW_NOTES
+from eval.tables.registry import Table, TableRequest
+from motionkit.errors import UsageError
+
+VERSION = "unconditional/1"
+NERM, REAL = "NeRM, unconditional", "real"
+
+
+def build_figure5(request: TableRequest) -> Result:
+    """clip-FID and diversity of motions that were generated without a condition.
+
+    Raises `UsageError` without a run, `RunError` where it is not trained, and what loading the store raises.
+    """
+    from motionkit.store.reader import Store
+
+    if request.run is None:
+        raise UsageError("figure 5 needs a trained model: --run NAME (motionkit train makes one)")
+    store = Store.open(request.store)
+    yardstick = Yardstick(store, request, request.fps or COLUMNS)
+    part, floors = yardstick.unconditional(request.run), yardstick.floors()
+    columns = tuple(label(Fraction(fps)) for fps in yardstick.rates)
+    nothing: dict[str, Cell] = {}
+    protocol = request.protocol
+    return Result(
+        task="nerm-figure5",
+        version=VERSION,
+        title="Figure 5: unconditional generation",
+        caption=(
+            f"Motions generated without text or action, as long as the real sequences of split {request.split!r}"
+            f"{request.restriction}: mean ± half the 95 % interval over {protocol.replications} replications of "
+            f"N = {protocol.num_clips:,} random clips on each side."
+        ),
+        blocks=(
+            Block(
+                "clip-FID on the kinematic descriptor",
+                columns,
+                (
+                    *(Row(name, "reference", floors.rows.get(name, nothing), ROW_NOTES[name]) for name in (P1, P2)),
+                    Row(NERM, "ours", part.rows.get(SYNTHESIS, nothing)),
+                ),
+            ),
+            Block(
+                "Diversity (Eq. 7) of clips in the kinematic descriptor's space",
+                columns,
+                (
+                    Row(REAL, "reference", part.rows.get(REAL_DIVERSITY, nothing)),
+                    Row(NERM, "ours", part.rows.get(DIVERSITY, nothing)),
+                ),
+                lower_is_better=False,
+                note="Better the closer to real motion's. It sees clips, not whole motions.",
+            ),
+        ),
+        definition={"split": request.split, "where": request.where, "low_pass_hz": request.low_pass_hz},
+        notes=(
+            "The paper draws this figure as bars without numbers, for methods trained on another data set; its FID of "
+            "whole motions needs the evaluator of Guo et al.",
+        ),
+        missing=tuple(dict.fromkeys((*part.missing, *floors.missing))),
+        provenance={
+            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
+            "run": request.run.name,
+            "seed": request.seed,
+            "environment": environment(),
+        },
+    )
+
+
+TABLE = Table("nerm", "figure5", "unconditional generation", build_figure5, takes_samples=False)

@@ -1,0 +1,97 @@
+"""NeRM's Figure 8: what generating one motion costs, against how good it is."""
+
+import time
+from collections.abc import Callable, Mapping
+from fractions import Fraction
+
+from eval.report.results import Block, Cell, Result, Row, environment
+from eval.tables.nerm.clip_fid_column import P1, P2
+from eval.tables.nerm.run_figures import SYNTHESIS, Yardstick, label
+from eval.tables.registry import Table, TableRequest
+from motionkit.errors import UsageError
+from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions, load_model
+from motionkit.motionfield import to_motion
+
+VERSION = "cost/1"
+TARGET_FPS = Fraction(60)
+SECONDS = 9.8
+STEPS = (50, 20, 10, 5)
+REPEATS = 5
+CPU, WALL = "CPU seconds a motion", "seconds a motion"
+
+
+def build_figure8(request: TableRequest) -> Result:
+    """Seconds for one motion of 9.8 s (or l_max) at 60 fps, and clip-FID there, by the number of diffusion steps.
+
+    Raises `UsageError` without a run, `RunError` where it is not trained, and what loading the store raises.
+    """
+    from motionkit.store.reader import Store
+
+    if request.run is None:
+        raise UsageError("figure 8 needs a trained model: --run NAME (motionkit train makes one)")
+    fps, *others = request.fps or (TARGET_FPS,)
+    if others:
+        raise UsageError(f"figure 8 is at one framerate: --fps {fps}")
+    store, model = Store.open(request.store), load_model("nerm", request.run)
+    yardstick = Yardstick(store, request, (fps,))
+    floors = yardstick.floors()
+    missing = list(floors.missing)
+    quality, column = f"clip-FID, {label(fps)}", label(fps)
+    rows = [Row(name, "reference", _renamed(floors.rows.get(name, {}), column, quality)) for name in (P1, P2)]
+    for steps in STEPS:
+        sampling = SamplingOptions(steps=steps)
+        part = yardstick.synthesis(request.run, sampling)
+        missing.extend(part.missing)
+        cells = _renamed(part.rows[SYNTHESIS], column, quality) | generation_cost(model, sampling, fps)
+        rows.append(Row(f"NeRM, {steps} diffusion steps", "ours", cells))
+    seconds = min(SECONDS, model.max_duration_seconds)
+    return Result(
+        task="nerm-figure8",
+        version=VERSION,
+        title="Figure 8: inference time and quality",
+        caption=(
+            f"Generating one motion of {seconds:g} s at {label(fps)} without a condition, the quickest of {REPEATS} "
+            f"calls. clip-FID as in Table 2, split {request.split!r}{request.restriction}."
+        ),
+        blocks=(Block("Cost and clip-FID", (CPU, WALL, quality), tuple(rows)),),
+        definition={"seconds": seconds, "fps": str(fps), "repeats": REPEATS, "split": request.split},
+        notes=(
+            "The paper draws this figure without numbers, for one GPU (RTX 3090). Seconds are of this machine, and "
+            "wall seconds of whatever else it did; CPU seconds count all threads.",
+        ),
+        missing=tuple(dict.fromkeys(missing)),
+        provenance={
+            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
+            "run": request.run.name,
+            "seed": request.seed,
+            "environment": environment(),
+        },
+    )
+
+
+def generation_cost(model: GenerativeModel, sampling: SamplingOptions, fps: Fraction) -> dict[str, Cell]:
+    """CPU and wall seconds of the quickest of some calls, each of one unconditional motion that is decoded whole."""
+    request = GenerationRequest(min(SECONDS, model.max_duration_seconds))
+
+    def generate() -> None:
+        (field,) = model.generate([request], seed=0, sampling=sampling)
+        to_motion(field, fps)
+
+    generate()  # what is kept from call to call (coordinates) is not a motion's cost
+    return {
+        CPU: Cell(min(_seconds(generate, time.process_time) for _ in range(REPEATS))),
+        WALL: Cell(min(_seconds(generate, time.perf_counter) for _ in range(REPEATS))),
+    }
+
+
+def _seconds(work: Callable[[], None], clock: Callable[[], float]) -> float:
+    started = clock()
+    work()
+    return clock() - started
+
+
+def _renamed(cells: Mapping[str, Cell], column: str, name: str) -> dict[str, Cell]:
+    return {name: cells[column]} if column in cells else {}
+
+
+TABLE = Table("nerm", "figure8", "inference time and quality", build_figure8, takes_samples=False)

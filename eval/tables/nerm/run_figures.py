@@ -1,0 +1,261 @@
+"""What one trained run scores: how it reconstructs and what it generates, by framerate."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eval.baselines.low_pass import low_passed
+from eval.clip_fid.feature_sources import fit_on
+from eval.clip_fid.score import (
+    REAL,
+    ClipError,
+    check_lengths,
+    describe_clips,
+    draw_clips,
+    place_clips,
+    score_disjoint_halves,
+    score_rows,
+)
+from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
+from eval.evaluators.kinematic import BLOCKS, KinematicDescriptor
+from eval.evaluators.kinematic import VERSION as KINEMATIC_VERSION
+from eval.metrics.diversity import diversity
+from eval.metrics.interval import estimate
+from eval.report.results import Cell
+from eval.samples.generated import Window, chosen_windows, sample_fields, windows_of
+from eval.samples.real import NoRealMotionError, RealMotion, real_motion
+from eval.samples.sets import SampleSet
+from eval.tables.nerm.clip_fid_column import P1, P2
+from eval.tables.nerm.table2 import clip_fid_cell
+from eval.tables.nerm.table4 import VERSION as RECONSTRUCTION_VERSION
+from eval.tables.nerm.table4 import held_out_windows, training_windows
+from eval.tables.parts import Part, kept
+from eval.tables.reconstruction_errors import mpjpe_cell, mre_cell, window_errors
+from eval.tables.registry import TableRequest
+from motionkit.checksums import sha256_of
+from motionkit.errors import UsageError
+from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions, load_model
+from motionkit.motionfield import MotionField
+from motionkit.training.run import RunFolder
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
+
+TRAINING, HELD_OUT, SYNTHESIS = "training", "held out", "clip-FID"
+DIVERSITY, REAL_DIVERSITY = "diversity", "diversity of real motion"
+PARTS = {"slip": BLOCKS["slip"]}
+MPJPE, MRE = "root-aligned MPJPE (mm)", "MRE"
+ERRORS = {MPJPE: mpjpe_cell, MRE: mre_cell}
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """The real set and the descriptor of each framerate that has both, and why others have not."""
+
+    found: Mapping[Fraction, tuple[SampleSet, KinematicDescriptor]]
+    missing: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """What all runs of a table are held against: a store's real motion at some framerates, a descriptor for each.
+
+    Nothing is loaded before it is needed; what was computed once, for the same request, is read from RESULTS/parts.
+    """
+
+    store: "Store"
+    request: TableRequest
+    rates: tuple[Fraction, ...]
+
+    @cached_property
+    def real(self) -> RealMotion:
+        """The compared sequences."""
+        return real_motion(self.store, self.request.split, self.request.where)
+
+    def floors(self) -> Part:
+        """clip-FID of real motion with itself: independent draws (P1), and disjoint halves of the takes (P2)."""
+        return kept(self.request.results, "floors", self._clip_terms(), self._floors)
+
+    def synthesis(self, run: Path, sampling: SamplingOptions = SamplingOptions()) -> Part:
+        """clip-FID of what a run generates for the captions and durations of the real sequences.
+
+        Raises `RunError` where a stage of it is not trained.
+        """
+        terms = {**self._generated_terms(run), "sampling": asdict(sampling)}
+        return kept(self.request.results, "synthesis", terms, lambda: self._synthesis(run, sampling))
+
+    def unconditional(self, run: Path) -> Part:
+        """clip-FID and diversity of what a run generates without any condition but the real sequences' durations.
+
+        Raises `RunError` where a stage of it is not trained.
+        """
+        return kept(self.request.results, "unconditional", self._generated_terms(run), lambda: self._unconditional(run))
+
+    def reconstruction(self, run: Path) -> Part:
+        """Errors of training windows decoded from μ and of held-out windows encoded by optimisation.
+
+        Raises `RunError` where the field is not trained.
+        """
+        terms = {
+            "version": RECONSTRUCTION_VERSION,
+            "models": {"field": _sha256(run, "field")},
+            "motions": self.request.max_motions,
+            **self._terms(),
+        }
+        return kept(self.request.results, "reconstruction", terms, lambda: self._reconstruction(run))
+
+    def _terms(self) -> dict[str, Any]:
+        request = self.request
+        return {
+            "store": self.store.fingerprint,
+            "split": request.split,
+            "where": request.where,
+            "fps": [str(fps) for fps in self.rates],
+            "seed": request.seed,
+        }
+
+    def _generated_terms(self, run: Path) -> dict[str, Any]:
+        models = {stage: _sha256(run, stage) for stage in ("field", "denoiser")}
+        return {"models": models, "motions": self.request.max_motions, **self._clip_terms()}
+
+    def _clip_terms(self) -> dict[str, Any]:
+        versions = [CLIP_FID_VERSION, KINEMATIC_VERSION]
+        protocol = asdict(self.request.protocol)
+        return {"versions": versions, "protocol": protocol, "low_pass_hz": self.request.low_pass_hz, **self._terms()}
+
+    def _smoothed(self, samples: SampleSet) -> SampleSet:
+        cutoff = self.request.low_pass_hz
+        return samples if cutoff is None else low_passed(samples, cutoff)
+
+    @cached_property
+    def _columns(self) -> _Columns:
+        has_training = bool((self.store.columns("split")["split"] == "train").any())
+        train = real_motion(self.store, "train") if has_training else self.real
+        found, missing = {}, []
+        for fps in self.rates:
+            try:
+                real = self._smoothed(self.real.at(fps))
+                check_lengths(real, self.request.protocol)
+                found[fps] = (real, fit_on(self._smoothed(train.at(fps))))
+            except (NoRealMotionError, ClipError) as error:
+                missing.append(f"clip-FID, {label(fps)}: {error}")
+        return _Columns(found, tuple(missing))
+
+    def _floors(self) -> Part:
+        protocol, missing = self.request.protocol, list(self._columns.missing)
+        rows: dict[str, dict[str, Cell]] = {P1: {}, P2: {}}
+        for fps, (real, descriptor) in self._columns.found.items():
+            rows[P1][label(fps)] = clip_fid_cell(score_rows(real, {P1: real}, descriptor, protocol, PARTS)[P1])
+            try:
+                rows[P2][label(fps)] = clip_fid_cell(score_disjoint_halves(real, descriptor, protocol, PARTS))
+            except ClipError as error:
+                missing.append(f"{P2}, {label(fps)}: {error}")
+        return Part(rows, tuple(missing))
+
+    def _windows(self, model: GenerativeModel) -> list[Window]:
+        """What is asked of a model: the real sequences' durations and conditions, a random choice of many."""
+        windows = windows_of(self.real.at(min(self._columns.found)), model.max_duration_seconds)
+        return chosen_windows(windows, self.request.seed, self.request.max_motions)
+
+    def _synthesis(self, run: Path, sampling: SamplingOptions) -> Part:
+        model, columns = load_model("nerm", run), self._columns
+        if not columns.found:
+            return Part({SYNTHESIS: {}}, columns.missing)
+        windows = self._windows(model)
+        requests = [window.request for window in windows]
+        fields = dict(zip(windows, model.generate(requests, seed=self.request.seed, sampling=sampling), strict=True))
+        cells, missing = {}, list(columns.missing)
+        for fps in columns.found:
+            score = self._score(run, fields, fps)
+            if score is None:
+                missing.append(f"{run.name}, {label(fps)}: no generated motion is for a sequence this fast")
+            else:
+                cells[label(fps)] = score
+        return Part({SYNTHESIS: cells}, tuple(missing))
+
+    def _unconditional(self, run: Path) -> Part:
+        model, columns = load_model("nerm", run), self._columns
+        if not columns.found:
+            return Part({}, columns.missing)
+        windows = self._windows(model)
+        requests = [GenerationRequest(window.request.duration_seconds) for window in windows]
+        fields = dict(zip(windows, model.generate(requests, seed=self.request.seed), strict=True))
+        rows: dict[str, dict[str, Cell]] = {SYNTHESIS: {}, DIVERSITY: {}, REAL_DIVERSITY: {}}
+        for fps, (real, _) in columns.found.items():
+            score, samples = self._score(run, fields, fps), sample_fields(fields, real.sequence_ids, fps, run.name)
+            if score is not None and samples is not None:
+                rows[SYNTHESIS][label(fps)] = score
+                rows[DIVERSITY][label(fps)] = self._diversity(self._smoothed(samples), fps)
+            rows[REAL_DIVERSITY][label(fps)] = self._diversity(real, fps)
+        return Part(rows, columns.missing)
+
+    def _score(self, run: Path, fields: Mapping[Window, MotionField], fps: Fraction) -> Cell | None:
+        real, descriptor = self._columns.found[fps]
+        samples = sample_fields(fields, real.sequence_ids, fps, run.name)
+        if samples is None:
+            return None
+        rows = {run.name: self._smoothed(samples)}
+        return clip_fid_cell(score_rows(real, rows, descriptor, self.request.protocol, PARTS)[run.name])
+
+    def _diversity(self, samples: SampleSet, fps: Fraction) -> Cell:
+        """Diversity of random clips in the descriptor's space, over the protocol's replications."""
+        protocol, descriptor = self.request.protocol, self._columns.found[fps][1]
+        values = []
+        for replication in range(protocol.replications):
+            places = place_clips(draw_clips(protocol, fps, replication, REAL), samples)
+            rng = np.random.default_rng((protocol.seed, replication, 5))
+            values.append(diversity(describe_clips(samples, places, descriptor), rng))
+        found = estimate(values)
+        return Cell(found.mean, found.ci95)
+
+    def _reconstruction(self, run: Path) -> Part:
+        from nerm.field.reconstruction import reconstructions
+        from nerm.field.saved import load_field
+
+        trained = load_field(run)
+        if trained.store_fingerprint != self.store.fingerprint:
+            raise UsageError(
+                f"the field of {run} was trained on another state of the store (fingerprint "
+                f"{trained.store_fingerprint[:16]}, now {self.store.fingerprint[:16]}): name that store, or train again"
+            )
+        missing: list[str] = []
+        sets = {
+            TRAINING: training_windows(trained, self.store, self.request),
+            HELD_OUT: held_out_windows(trained, self.store, self.request, missing),
+        }
+        rows: dict[str, dict[str, Cell]] = {}
+        for name, encoded in sets.items():
+            if encoded is None:
+                continue
+            for fps in self.rates:
+                found = reconstructions(trained, encoded.source, encoded.windows, encoded.latents, fps)
+                errors = [window_errors(window, fps) for window in found]
+                if not errors:
+                    missing.append(f"{name} windows, {label(fps)}: no take is that fast")
+                for error, cell_of in ERRORS.items():
+                    cell = cell_of(errors)
+                    if cell is not None:
+                        rows.setdefault(error_of(name, error), {})[label(fps)] = cell
+        return Part(rows, tuple(missing))
+
+
+def error_of(windows: str, error: str) -> str:
+    """The row of a reconstruction's part with one error of one set of windows."""
+    return f"{windows}: {error}"
+
+
+def label(fps: Fraction) -> str:
+    """A framerate as a column's name."""
+    return f"{fps} fps"
+
+
+def _sha256(run: Path, stage: str) -> str:
+    """The hash of a stage's model; raises `RunError` where the stage is not trained."""
+    folder = RunFolder(run).stage(stage)
+    folder.read_summary()
+    return sha256_of(folder.model_path)

@@ -1,0 +1,361 @@
+"""NeRM's Table 1: text-to-motion with whole motions at one framerate, under a protocol."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eval.evaluators.text_motion import TextMotionEvaluator
+from eval.protocols.text_motion import TextMotionProtocol, find_text_motion_protocol
+from eval.report.results import Block, Result, environment
+from eval.sample_folder import SampleFolder
+from eval.samples.real import NoRealMotionError
+from eval.scoring.scores import Scores
+from eval.scoring.text_motion import TextMotionPairs, score_text_motion
+from eval.scoring.yardsticks import size_remarks
+from eval.tables.registry import Table, TableRequest
+from eval.tables.text_motion_blocks import ScoredRow, paper_block, scored_blocks
+from eval.tables.text_motion_sources import text_motion_evaluators
+from eval.text_motion.embedding_cache import FOLDER, Embedder
+from eval.text_motion.kit_joints import MADE_OF_22, kit_bone_lengths
+from eval.text_motion.model_motions import ModelMotions
+from eval.text_motion.real_pairs import CaptionedMotions, captioned_motions, limited
+from eval.text_motion.sample_motions import sample_embeddings
+from motionkit.checksums import sha256_of
+from motionkit.console import progress
+from motionkit.errors import MotionkitError, UsageError
+from motionkit.generation import GenerativeModel, load_model
+from motionkit.skeleton import SMPL22, STANDARD_SKELETONS
+from motionkit.training.run import RunFolder
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+VERSION = "text-motion/1"
+DEFAULT_FPS = Fraction(20)
+REAL, NERM, FIXED = "real", "NeRM", "NeRM-fixed"
+FIXED_SUFFIX = "-fixed"
+SMALL = 1000
+"""Fewer motions than this make a table a small-scale one, and its caption says so."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A trained run as a row; `identity` holds the hashes of all that its motions come from."""
+
+    name: str
+    run: Path
+    model: GenerativeModel
+    identity: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """How an evaluator sees motions: at which framerate, and which joints."""
+
+    fps: Fraction
+    layout: str
+
+    @property
+    def label(self) -> str:
+        """Its name in a result."""
+        joints = (
+            "" if self.layout == SMPL22.name else f", {STANDARD_SKELETONS[self.layout].num_joints} joints of KIT-ML"
+        )
+        return f"{float(self.fps):g} fps{joints}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """What every evaluator's numbers are made from."""
+
+    request: TableRequest
+    protocol: TextMotionProtocol
+    models: tuple[_Model, ...]
+    folders: tuple[SampleFolder, ...]
+    display: "Progress"
+    missing: list[str]
+
+
+def build_table1(request: TableRequest) -> Result:
+    """Compute every row that can be computed; what cannot is named in `missing`.
+
+    Raises `UsageError` for a protocol, evaluator or framerate that there is not, `StoreError` for a store that cannot
+    be used, and `NoRealMotionError` where it has no captioned motion.
+    """
+    from motionkit.store.reader import Store
+
+    protocol = find_text_motion_protocol(request.published)
+    missing: list[str] = []
+    store, folders = Store.open(request.store), request.sample_folders
+    with progress() as display:
+        task = display.add_task("loading", total=None, note="")
+        evaluators = text_motion_evaluators(request, protocol, missing)
+        models = _models(request, missing)
+        for each in models:
+            longest = each.model.max_duration_seconds
+            lengths, kit_lengths = (limited(rule, longest) for rule in (protocol.lengths, protocol.kit_lengths))
+            protocol = replace(protocol, lengths=lengths, kit_lengths=kit_lengths)
+        job = _Job(request, protocol, models, folders, display, missing)
+        real: dict[_Sight, CaptionedMotions] = {}
+        for evaluator in evaluators:
+            sight = _sight(request, evaluator)
+            if sight not in real:
+                rule = protocol.lengths_at(sight.fps)
+                real[sight] = captioned_motions(store, request.split, request.where, sight.fps, rule, sight.layout)
+                _check_pool(real[sight], protocol, request)
+        display.remove_task(task)
+        blocks = _all_blocks(job, evaluators, real)
+    return Result(
+        task="nerm-table1",
+        version=VERSION,
+        title="Table 1: text-to-motion",
+        caption=_caption(request, protocol, real),
+        blocks=(*blocks, *map(paper_block, dict.fromkeys(sight.fps for sight in real))),
+        definition=_definition(request, protocol, real),
+        notes=_notes(protocol, real),
+        missing=tuple(dict.fromkeys(missing)),
+        provenance={
+            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
+            "runs": {each.run.name: each.identity for each in models},
+            "samples": {folder.name: folder.fingerprint for folder in folders},
+            "seed": request.seed,
+            "environment": environment(),
+        },
+    )
+
+
+TABLE = Table("nerm", "1", "text-to-motion at 20 fps", build_table1)
+
+
+def _models(request: TableRequest, missing: list[str]) -> tuple[_Model, ...]:
+    """NeRM and, where it is trained, NeRM-fixed: the run of the same name with `-fixed` after it."""
+    if request.run is None:
+        missing.append(f"{NERM}: no run was given (motionkit train makes one)")
+        return ()
+    found = []
+    fixed = request.run.with_name(request.run.name + FIXED_SUFFIX)
+    for name, run, setting in ((NERM, request.run, ""), (FIXED, fixed, " --set field.fixed_fps=20")):
+        if not run.is_dir():
+            missing.append(f"{name}: there is no run {run.name!r} (motionkit train --run {run.name}{setting} makes it)")
+            continue
+        try:
+            model = load_model("nerm", run)
+            paths = {stage: RunFolder(run).stage(stage).model_path for stage in ("field", "denoiser")}
+            identity = {stage: sha256_of(path) for stage, path in paths.items()}
+            found.append(_Model(name, run, model, identity))
+        except MotionkitError as error:
+            missing.append(f"{name}: {error}")
+    return tuple(found)
+
+
+def _sight(request: TableRequest, evaluator: TextMotionEvaluator) -> _Sight:
+    asked = request.fps or (evaluator.fps or DEFAULT_FPS,)
+    if len(asked) != 1:
+        raise UsageError("table 1 compares whole motions at one framerate: give one --fps, such as 20 or 12.5")
+    if evaluator.fps not in (None, asked[0]):
+        only = float(evaluator.fps or 0)
+        raise UsageError(
+            f"--fps {float(asked[0]):g}: the evaluator {evaluator.name!r} means nothing but at {only:g} fps"
+        )
+    return _Sight(asked[0], evaluator.layout)
+
+
+def _check_pool(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> None:
+    """Raise where not one pool can be filled."""
+    if real.samples.num_sequences < protocol.pool:
+        raise NoRealMotionError(
+            f"{real.samples.name}: {real.samples.num_sequences} captioned motions take part, but a text chooses among "
+            f"{protocol.pool} (protocol {protocol.name!r}); name a larger split (--split all) or ingest more"
+        )
+    if request.max_motions < protocol.pool:
+        raise UsageError(
+            f"--motions {request.max_motions}: a text chooses among {protocol.pool}; give that many at least"
+        )
+
+
+def _all_blocks(
+    job: _Job, evaluators: list[TextMotionEvaluator], real: Mapping[_Sight, CaptionedMotions]
+) -> list[Block]:
+    """Every evaluator's blocks; one that cannot read the real motions or captions is named in `missing`.
+
+    Raises its `MotionkitError` where none can.
+    """
+    blocks: list[Block] = []
+    for evaluator in evaluators:
+        try:
+            blocks += _blocks(job, evaluator, real[_sight(job.request, evaluator)])
+        except MotionkitError as error:
+            if len(evaluators) == 1:
+                raise
+            job.missing.append(f"evaluator {evaluator.name!r}: {error}")
+    if not blocks:
+        raise UsageError("; ".join(job.missing))
+    return blocks
+
+
+def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -> tuple[Block, ...]:
+    """One evaluator's numbers."""
+    protocol, request = job.protocol, job.request
+    embedder = Embedder(evaluator, request.results / FOLDER)
+    task = job.display.add_task(f"{evaluator.name}: embedding real motion", total=None, note="")
+    pairs = TextMotionPairs(embedder.texts(real.captions), embedder.motions(real.samples))
+    job.display.remove_task(task)
+    chosen = _chosen(real, protocol, request)
+    rows = [_real_row(job, pairs, chosen)]
+    for each in job.models:
+        try:
+            rows.append(_model_row(job, each, real, pairs, chosen, embedder))
+        except (MotionkitError, ValueError) as error:
+            job.missing.append(f"{each.name}, {evaluator.name}: {error}")
+    for folder in job.folders:
+        try:
+            rows.append(_sample_row(job, folder, real, pairs, embedder))
+        except (MotionkitError, ValueError) as error:
+            job.missing.append(f"{folder.name}, {evaluator.name}: {error}")
+    head = f"{evaluator.name} evaluator, protocol {protocol.name}, {float(real.samples.fps):g} fps"
+    provenance = {"evaluator": evaluator.name, "fingerprint": evaluator.fingerprint, "protocol": protocol.name}
+    main, other_way = scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
+    remark = evaluator.remark_at(real.samples.fps)
+    return replace(main, note=" ".join(filter(None, (main.note, remark)))), other_way
+
+
+def _chosen(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> npt.NDArray[np.int64]:
+    """The real motions that models answer: all, or a random choice of as many as are asked for."""
+    number = real.samples.num_sequences
+    most = min(request.max_motions, protocol.num_motions or number)
+    if number <= most:
+        return np.arange(number)
+    return np.sort(np.random.default_rng((request.seed, 7)).choice(number, size=most, replace=False))
+
+
+def _real_row(job: _Job, pairs: TextMotionPairs, chosen: npt.NDArray[np.int64]) -> ScoredRow:
+    """Real motion under the protocol; without its FID where that would be a set's distance from itself."""
+    own = pairs.select(chosen)
+    scores = _score(job, own if job.protocol.reference == "paired" else pairs, [own])
+    if job.protocol.reference == "redraw":
+        return ScoredRow(
+            REAL, "reference", scores, "its FID is what dropped remainders and the choice of motions leave"
+        )
+    values = {name: score for name, score in scores.values.items() if name not in ("fid", "fid_infinity", "kid")}
+    return ScoredRow(REAL, "reference", replace(scores, values=values))
+
+
+def _model_row(
+    job: _Job,
+    each: _Model,
+    real: CaptionedMotions,
+    pairs: TextMotionPairs,
+    chosen: npt.NDArray[np.int64],
+    embedder: Embedder,
+) -> ScoredRow:
+    task = job.display.add_task(f"{embedder.evaluator.name}: {each.name}", total=None, note="motions generated")
+    lengths = kit_bone_lengths(real.samples)
+    motions = ModelMotions(
+        *(each.name, each.model, each.identity, job.request.seed, lengths),
+        on_motions=lambda count: job.display.advance(task, count),
+    )
+    try:
+        wanted = real.select(chosen)
+        draws = [motions.draw(wanted, number, embedder) for number in range(job.request.draws)]
+        repeated = motions.repeated(wanted, job.protocol.multimodality, job.request.max_motions, embedder)
+    finally:
+        job.display.remove_task(task)
+    reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
+    remarks = size_remarks(pairs.motions, reference.motions, draws[0].motions, job.request.seed)
+    note = "; ".join((f"run {each.run.name!r}", *([] if lengths is None else [MADE_OF_22]), *remarks))
+    return ScoredRow(each.name, "ours", _score(job, reference, draws, repeated), note)
+
+
+def _sample_row(
+    job: _Job, folder: SampleFolder, real: CaptionedMotions, pairs: TextMotionPairs, embedder: Embedder
+) -> ScoredRow:
+    found = sample_embeddings(folder, real, job.protocol, embedder)
+    reference = pairs if found.real_rows is None else pairs.select(found.real_rows)
+    scores = _score(job, reference, list(found.draws), found.repeated)
+    remarks = size_remarks(pairs.motions, reference.motions, found.draws[0].motions, job.request.seed)
+    return ScoredRow(folder.name, "ours", scores, "; ".join((folder.describe(), *found.remarks, *remarks)))
+
+
+def _score(
+    job: _Job,
+    reference: TextMotionPairs,
+    draws: list[TextMotionPairs],
+    repeated: npt.NDArray[np.float64] | None = None,
+) -> Scores:
+    task = job.display.add_task("scoring", total=job.protocol.replications, note="")
+    try:
+        return score_text_motion(
+            reference,
+            draws,
+            job.protocol,
+            job.request.seed,
+            repeated=repeated,
+            compat=job.request.compat,
+            on_replication=lambda: job.display.advance(task),
+        )
+    finally:
+        job.display.remove_task(task)
+
+
+def _caption(request: TableRequest, protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]) -> str:
+    caption = (
+        f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean ± half the 95 % "
+        f"interval over {protocol.replications} replications, split {request.split!r}{request.restriction}."
+    )
+    if request.compat:
+        caption += f" Known bugs switched on: {', '.join(request.compat)}."
+    fewest = min(each.samples.num_sequences for each in real.values())
+    if fewest < SMALL:
+        caption += (
+            f" A small-scale run: {fewest} real motions, so rows say how systems rank on this store and no more; FID "
+            "has the bias of its N."
+        )
+    return caption
+
+
+def _definition(
+    request: TableRequest, protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]
+) -> dict[str, Any]:
+    return {
+        "version": VERSION,
+        "protocol": asdict(protocol),
+        "compat": list(request.compat),
+        "draws": request.draws,
+        "motions": request.max_motions,
+        "real_motions": {
+            sight.label: {
+                "motions": each.samples.num_sequences,
+                "different_captions": len(set(each.samples.captions)),
+                "cropped": each.num_cropped,
+                "left_out": dict(each.left_out),
+            }
+            for sight, each in real.items()
+        },
+        "captions": "a sequence's first one, and the stretch that it is about",
+        "generated": "for the caption and the duration of each real motion, sampled at the framerate",
+        "split": request.split,
+        "where": request.where,
+    }
+
+
+def _notes(protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]) -> tuple[str, ...]:
+    notes = []
+    for sight, each in real.items():
+        without = "".join(f", {count} left out ({reason})" for reason, count in each.left_out.items())
+        longest = protocol.lengths_at(sight.fps).longest_seconds
+        cropped = f", {each.num_cropped} cropped to their middle {longest:g} s"
+        notes.append(
+            f"Real motions at {sight.label}: {each.samples.num_sequences} with "
+            f"{len(set(each.samples.captions))} different captions{cropped if each.num_cropped else ''}{without}."
+        )
+    chance = ", ".join(f"{rank / protocol.pool:.3f}" for rank in (1, 2, 3))
+    return (
+        *notes,
+        f"Pools of {protocol.pool}: chance is {chance}.",
+        "Embeddings, and with them every number but the paper's, compare only under one evaluator's fingerprint.",
+    )

@@ -1,0 +1,391 @@
+"""NeRM's Table 3: motions generated for actions, as a recogniser of actions sees them."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eval.actions.recognisers import RecogniserSource, find_recogniser
+from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, with_rotations
+from eval.evaluators.actions.recogniser import ActionRecogniser
+from eval.metrics.accuracy import accuracy
+from eval.metrics.kernel import kid
+from eval.protocols.actions import ActionProtocol, find_action_protocol
+from eval.report.results import Block, Cell, Origin, Result, Row, environment
+from eval.samples.real import RealMotion, real_motion
+from eval.samples.sets import SampleSet
+from eval.scoring.actions import LabelledRecognition, score_actions
+from eval.scoring.scores import Score, Scores
+from eval.scoring.yardsticks import size_remarks
+from eval.tables.registry import Table, TableRequest
+from eval.tables.reported import SOURCES, reported_figures
+from motionkit.console import progress
+from motionkit.errors import MotionkitError, UsageError
+from motionkit.generation import load_model
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
+
+VERSION = "action-to-motion/1"
+DEFAULT = "linear"
+NERM = "NeRM"
+ACCURACY, DIVERSITY, MULTIMODALITY = "Accuracy", "Diversity", "MultiModality"
+COLUMN_OF = {
+    "accuracy": ACCURACY,
+    "diversity": DIVERSITY,
+    "diversity_with_replacement": DIVERSITY,
+    "multimodality_by_class": MULTIMODALITY,
+    "multimodality_by_class_with_replacement": MULTIMODALITY,
+}
+VARIANCE = '1.96 · variance (ACTOR\'s "±")'
+PAPER_COLUMNS = {
+    "fid_train": "FID (train)",
+    "fid_test": "FID (test)",
+    "accuracy": ACCURACY,
+    "diversity": DIVERSITY,
+    "multimodality": MULTIMODALITY,
+}
+PAPER_NOTE = (
+    "The paper words its protocol as 20 evaluations of 1,000 motions with 95 % intervals. What stands after ± in "
+    "ACTOR's row is 1.96 · variance, which is no interval, and ACTOR counts whole sets: the table mixes both. These "
+    "are other motions: nothing above compares with them."
+)
+BEST_WHERE_REAL = "Diversity and MultiModality are best where real motion has them."
+SMALL_MOTIONS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class _Real:
+    """The real motions that a recogniser knows: those compared with, and the training split's where there is one."""
+
+    compared: ActionSet
+    train: ActionSet | None
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """One row: independent draws of its motions, and what is said of them."""
+
+    name: str
+    draws: tuple[LabelledRecognition, ...]
+    note: str
+    is_reference: bool = False
+
+
+def build_table3(request: TableRequest) -> Result:
+    """Accuracy, FID, Diversity and MultiModality of real motion, the run's and other systems' samples.
+
+    Raises `UsageError` for an unknown recogniser or protocol or missing weights, `CheckpointError` for other weights,
+    and `NoActionsError` where the store has no motion of an action that the recogniser knows.
+    """
+    from motionkit.store.reader import Store
+
+    source, protocols = _choices(request)
+    store = Store.open(request.store)
+    missing: list[str] = []
+    with progress() as display:
+        task = display.add_task("recogniser", total=None, note="")
+        recogniser = _recogniser(source, store, request)
+        display.update(task, description="real motion")
+        real = _real(source, recogniser, store, request, missing)
+        systems = [_real_system(real, recogniser, request)]
+        display.update(task, description="generating")
+        systems += [*_nerm(real, recogniser, request, missing), *_folders(source, recogniser, request, missing)]
+    references = _references(real, recogniser, request)
+    blocks = [
+        *(_block(protocol, source, references, systems, request, missing) for protocol in protocols),
+        _by_action(recogniser, systems),
+        *_paper_blocks(source),
+    ]
+    return Result(
+        task="nerm-table3",
+        version=VERSION,
+        title="Table 3: action-to-motion",
+        caption=_caption(source, real, request),
+        blocks=tuple(blocks),
+        definition=_definition(source, recogniser, protocols, real, request),
+        notes=_notes(source, real),
+        missing=tuple(dict.fromkeys(missing)),
+        provenance={
+            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
+            "run": request.run.name if request.run and any(each.name == NERM for each in systems) else None,
+            "seed": request.seed,
+            "environment": environment(),
+        },
+    )
+
+
+TABLE = Table("nerm", "3", "action-to-motion", build_table3)
+
+
+def _choices(request: TableRequest) -> tuple[RecogniserSource, list[ActionProtocol]]:
+    names = request.features or (DEFAULT,)
+    if len(names) != 1:
+        raise UsageError(f"--evaluator {','.join(names)}: table 3 has one recogniser of actions at a time")
+    return find_recogniser(names[0]), [find_action_protocol(name) for name in request.published.split(",")]
+
+
+def _recogniser(source: RecogniserSource, store: "Store", request: TableRequest) -> ActionRecogniser:
+    def train() -> SampleSet:
+        if not _has_training(store):
+            raise UsageError(
+                f"{request.store} has no training split, and {source.name!r} is fitted on one: `motionkit split` "
+                "makes it"
+            )
+        return _long_enough(real_motion(store, "train").at(source.fps))
+
+    return source.make(train, request.guo.weights if request.guo else None)
+
+
+def _has_training(store: "Store") -> bool:
+    return bool((store.columns("split")["split"] == "train").any())
+
+
+def _long_enough(samples: SampleSet) -> SampleSet:
+    from eval.evaluators.motion_statistics import MIN_FRAMES
+
+    return samples.select(np.flatnonzero(samples.num_frames >= MIN_FRAMES))
+
+
+def _real(
+    source: RecogniserSource, recogniser: ActionRecogniser, store: "Store", request: TableRequest, missing: list[str]
+) -> _Real:
+    def known(motion: RealMotion) -> ActionSet:
+        found = known_actions(motion.at(source.fps), recogniser.actions)
+        return replace(found, samples=with_rotations(store, found.samples)) if source.needs_rotations else found
+
+    compared = known(real_motion(store, request.split, request.where))
+    missing += [f"real ({request.split}): {line}" for line in compared.left_out]
+    if request.split in ("train", "all") or not _has_training(store):
+        return _Real(compared, None)
+    try:
+        return _Real(compared, known(real_motion(store, "train")))
+    except NoActionsError as error:
+        missing.append(f"FID (train): {error}")
+        return _Real(compared, None)
+
+
+def _real_system(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> _System:
+    return _System(
+        f"real ({request.split})",
+        (real.compared.recognised(recogniser),),
+        _counted(real.compared.samples.num_sequences, 1)
+        + ("" if real.train is None else "; its FID (train) is what other takes leave"),
+        is_reference=True,
+    )
+
+
+def _counted(motions: int, draws: int) -> str:
+    return f"{motions:,} motions" + (f", generated {draws} times" if draws > 1 else "")
+
+
+def _nerm(real: _Real, recogniser: ActionRecogniser, request: TableRequest, missing: list[str]) -> list[_System]:
+    """The run's own row: one motion for every real one, or for a random choice of `max_motions`, --draws times over."""
+    if request.run is None or not request.run.is_dir():
+        where = "no run was given" if request.run is None else f"there is no run {str(request.run)!r}"
+        missing.append(f"{NERM}: {where} (motionkit train makes one)")
+        return []
+    try:
+        model = load_model("nerm", request.run)
+        asked = _at_most(real.compared, request.max_motions, request.seed)
+        count = asked.samples.num_sequences
+        draws = generated_like(asked, model, real.compared.samples.fps, request.draws, request.seed)
+        recognised = tuple(draw.recognised(recogniser) for draw in draws)
+    except MotionkitError as error:
+        missing.append(f"{NERM}: {error}")
+        return []
+    return [_System(NERM, recognised, f"{_counted(count, request.draws)}, with the actions and durations of real ones")]
+
+
+def _at_most(real: ActionSet, limit: int, seed: int) -> ActionSet:
+    """All, or a random choice of `limit`, in their order."""
+    if real.samples.num_sequences <= limit:
+        return real
+    chosen = np.sort(np.random.default_rng((seed, 3)).choice(real.samples.num_sequences, size=limit, replace=False))
+    return ActionSet(real.samples.select(chosen), real.labels[chosen])
+
+
+def _folders(
+    source: RecogniserSource, recogniser: ActionRecogniser, request: TableRequest, missing: list[str]
+) -> list[_System]:
+    systems = []
+    for folder in request.sample_folders:
+        try:
+            folder.require_actions()
+            known = known_actions(folder.at(source.fps), recogniser.actions)
+            recognised = known.recognised(recogniser)
+        except MotionkitError as error:
+            missing.append(f"{folder.name}: {error}")
+            continue
+        missing += [f"{folder.name}: {line}" for line in known.left_out]
+        note = f"{_counted(known.samples.num_sequences, 1)}; {folder.describe()}"
+        systems.append(_System(folder.name, (recognised,), note))
+    return systems
+
+
+def _references(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> dict[str, np.ndarray]:
+    """Features of real motion by the names of `score_actions`: "test" is what is compared, "train" another set."""
+    found = {"test": real.compared.recognised(recogniser).recognition.features}
+    if real.train is not None:
+        found["train"] = real.train.recognised(recogniser).recognition.features
+    return found
+
+
+def _block(
+    protocol: ActionProtocol,
+    source: RecogniserSource,
+    references: dict[str, np.ndarray],
+    systems: Sequence[_System],
+    request: TableRequest,
+    missing: list[str],
+) -> Block:
+    fids = {"fid_train": "FID (train)", "fid_test": f"FID ({request.split})"}
+    rows = []
+    for system in systems:
+        against = {
+            name: features for name, features in references.items() if not (system.is_reference and name == "test")
+        }
+        first = system.draws[0].recognition.features
+        try:
+            scores = score_actions(against, system.draws, protocol, request.seed)
+        except ValueError as error:
+            missing.append(f"{system.name}, protocol {protocol.name!r}: {error}")
+            continue
+        origin: Origin = "reference" if system.is_reference else "ours"
+        cells = _with_kid(_cells(scores, fids | COLUMN_OF), fids, against, system)
+        remarks = [] if system.is_reference else size_remarks(against["test"], against["test"], first, request.seed)
+        rows.append(Row(system.name, origin, cells, "; ".join((_note(system, scores, protocol), *remarks))))
+    columns = (*fids.values(), ACCURACY, DIVERSITY, MULTIMODALITY)
+    return Block(
+        f"Protocol {protocol.name!r}: {source.title}",
+        tuple(column for column in columns if any(column in row.cells for row in rows)),
+        tuple(rows),
+        note=" ".join((source.note, BEST_WHERE_REAL, *protocol.remarks)),
+        provenance={"protocol": asdict(protocol)},
+    )
+
+
+def _note(system: _System, scores: Scores, protocol: ActionProtocol) -> str:
+    """What is said below the table: how many motions, and where they are fewer than the protocol or FID needs."""
+    lines = [system.note]
+    if not system.is_reference:
+        lines += [line for line in scores.remarks if line not in protocol.remarks]
+    motions, features = system.draws[0].recognition.features.shape
+    if motions <= features:
+        lines.append(
+            f"no more motions than the recogniser's {features} features: FID says little, KID (below) has no bias"
+        )
+    return "; ".join(lines)
+
+
+def _cells(scores: Scores, columns: dict[str, str]) -> dict[str, Cell]:
+    return {columns[metric]: _cell(score) for metric, score in scores.values.items()}
+
+
+def _with_kid(
+    cells: dict[str, Cell], fids: dict[str, str], against: dict[str, np.ndarray], system: _System
+) -> dict[str, Cell]:
+    """KID beside every FID, of the first draw: without bias where motions are few."""
+    for name, features in against.items():
+        column = fids[f"fid_{name}"]
+        found = kid(features, system.draws[0].recognition.features)
+        cells[column] = replace(cells[column], details={**cells[column].details, "KID": found})
+    return cells
+
+
+def _cell(score: Score) -> Cell:
+    """Mean and interval; neither interval nor variance where every replication had the same motions to count."""
+    if np.ptp(score.values) <= 1e-9 * abs(score.values[0]):
+        return Cell(score.estimate.mean)
+    return Cell(score.estimate.mean, score.estimate.ci95, {VARIANCE: score.variance_spread})
+
+
+def _by_action(recogniser: ActionRecogniser, systems: Sequence[_System]) -> Block:
+    """Accuracy action by action, over all draws: what is generated well, and what the recogniser itself confuses."""
+    labels = systems[0].draws[0].labels
+    rows = []
+    for label, action in enumerate(recogniser.actions):
+        cells = {system.name: _accuracy_of(system, label) for system in systems}
+        found = {name: cell for name, cell in cells.items() if cell is not None}
+        if found:
+            rows.append(Row(f"{action} ({int((labels == label).sum())})", "ours", found))
+    return Block(
+        "Accuracy by action (real motions of it)",
+        tuple(system.name for system in systems),
+        tuple(rows),
+        lower_is_better=False,
+    )
+
+
+def _accuracy_of(system: _System, label: int) -> Cell | None:
+    scores = np.concatenate([draw.recognition.scores[draw.labels == label] for draw in system.draws])
+    return Cell(accuracy(scores, np.full(len(scores), label))) if len(scores) else None
+
+
+def _paper_blocks(source: RecogniserSource) -> list[Block]:
+    figures = reported_figures("nerm", "3")
+    blocks = []
+    for dataset in dict.fromkeys(figure.dataset for figure in figures):
+        if source.dataset not in ("", dataset):
+            continue
+        cells: dict[str, dict[str, Cell]] = {}
+        for figure in figures:
+            if figure.dataset == dataset and figure.value is not None:
+                cells.setdefault(figure.method, {})[PAPER_COLUMNS[figure.metric]] = Cell(figure.value, figure.ci95)
+        used = {column for found in cells.values() for column in found}
+        blocks.append(
+            Block(
+                f"Printed in the NeRM paper for {dataset} ({SOURCES['nerm']})",
+                tuple(column for column in PAPER_COLUMNS.values() if column in used),
+                tuple(Row(f"{method} (paper)", "paper", found) for method, found in cells.items()),
+                note=PAPER_NOTE,
+            )
+        )
+    return blocks
+
+
+def _caption(source: RecogniserSource, real: _Real, request: TableRequest) -> str:
+    compared = real.compared
+    actions = len(np.unique(compared.labels))
+    caption = (
+        f"What a recogniser of actions ({source.title}) says of {compared.samples.num_sequences:,} real motions of "
+        f"{actions} actions, split {request.split!r}{request.restriction}, and of motions generated for the same "
+        "actions: mean ± half the 95 % interval over the protocol's replications."
+    )
+    if compared.samples.num_sequences < SMALL_MOTIONS:
+        caption += " A small-scale run: rows say how systems rank on this store and no more."
+    return caption
+
+
+def _definition(
+    source: RecogniserSource,
+    recogniser: ActionRecogniser,
+    protocols: Sequence[ActionProtocol],
+    real: _Real,
+    request: TableRequest,
+) -> dict[str, Any]:
+    return {
+        "version": VERSION,
+        "recogniser": {"name": source.name, "fingerprint": recogniser.fingerprint, "actions": list(recogniser.actions)},
+        "fps": str(source.fps),
+        "protocols": {protocol.name: protocol.version for protocol in protocols},
+        "motions": {
+            "compared": real.compared.samples.num_sequences,
+            "train": None if real.train is None else real.train.samples.num_sequences,
+        },
+        "generated": "one motion for every real one, with its action and its duration (l_max where that is longer)",
+        "split": request.split,
+        "where": request.where,
+    }
+
+
+def _notes(source: RecogniserSource, real: _Real) -> tuple[str, ...]:
+    counts = np.bincount(real.compared.labels)
+    chance = counts.max() / counts.sum()
+    return (
+        f"Always naming the commonest action has an accuracy of {chance:.3f}.",
+        f"All motions are seen at {source.fps} fps: slower real ones are left out, generated ones are asked for at it.",
+        "FIDs of different numbers of motions do not compare; rows name theirs. Where every replication has the same "
+        "motions, accuracy and FID have no interval (--draws N generates N sets).",
+    )

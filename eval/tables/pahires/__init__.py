@@ -1,0 +1,1 @@
+"""PA-HiRes's tables and figures."""

@@ -1,0 +1,188 @@
+"""PA-HiRes' Table 4 and Figures 5 and 6: runs of `motionkit ablate --paper pahires`, by interpolation at ×4.
+
+A variant is a cell: its entry's label says row and column. What is not trained has no number, and a note says which
+command trains it.
+"""
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from functools import partial
+from typing import Any
+
+from eval.completing.encoders import INTERPOLATION, Completer, completer_of
+from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
+from eval.metrics.registry import find_metric
+from eval.protocols.interpolation import VERSION, InterpolationProtocol, scale_label
+from eval.report.results import Block, Cell, Result, Row, environment
+from eval.samples.real import of_split_and
+from eval.tables.pahires.interpolation import caption, definition
+from eval.tables.pahires.measured_interpolation import Measured, measure_data_set
+from eval.tables.registry import Table, TableRequest
+from eval.tables.reported import SOURCES, reported_figures
+from motionkit.console import progress
+from motionkit.errors import UsageError
+from motionkit.training.ablations import Ablation, Variant, run_name
+from motionkit.training.run import RunFolder
+from pahires.ablations import PAHIRES, SEPARATOR, TABLES
+from pahires.stage import STAGE
+
+SCALE = Fraction(4)
+METRICS = {"psnr": "PSNR (dB)", "ssim": "SSIM", "acceleration_error": "acceleration error (m/s²)"}
+REFERENCES = tuple(row for row in INTERPOLATION if row.name in ("SLERP", "cubic spline"))
+
+
+def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
+    """What the runs RUN-VARIANT score, on every data set at the framerate that they were trained for.
+
+    Raises `UsageError` without a run's name, or where none of the runs is trained, and what `build_interpolation`
+    raises.
+    """
+    from motionkit.store.reader import Store
+
+    trained = _trained(ablation, request)
+    store, protocol = Store.open(request.store), InterpolationProtocol()
+    store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
+    rates = {Fraction(_settings(run)["training"]["fps"]) for run in trained.values()}
+    runs = {run.path: completer_of(STAGE.name, run.path, run.path.name) for run in trained.values()}
+    absent: dict[str, str] = {}
+    measured: list[Measured] = []
+    with progress() as display:
+        for data_set in (each for each in data_sets_of(store) if each.fps in rates):
+            try:
+                rows: list[Completer] = [*REFERENCES, *runs.values()]
+                measured.append(measure_data_set(store, data_set, (SCALE,), rows, protocol, request, display))
+            except NoTakesError as error:
+                absent[data_set.label] = str(error)
+    if not measured:
+        rates_told = ", ".join(f"{float(rate):g}" for rate in rates)
+        raise nothing_at_all(absent or {"": f"no data set stands at {rates_told} fps, which the runs were trained for"})
+    missing = [f"{label}: {reason}" for label, reason in absent.items()]
+    names = {label: run.path.name for label, run in trained.items()}
+    untrained = [entry.variant for entry in ablation.entries if entry.label not in trained]
+    missing += [f"{variant.name}: {_command(ablation, request, variant)}" for variant in dict.fromkeys(untrained)]
+    return Result(
+        task=f"pahires-{_place(ablation).lower().replace(' ', '')}",
+        version=VERSION,
+        title=f"PA-HiRes, {_place(ablation)}: {ablation.title}",
+        caption=(
+            f"What one setting does to interpolation at {scale_label(SCALE)}; all else is the same, "
+            f"{_told_training(list(trained.values()))}. {caption(measured, protocol, request)}"
+        ),
+        blocks=(*(block for each in measured for block in _blocks(ablation, each, names)), *_printed(ablation)),
+        definition={
+            **definition(protocol, request),
+            "variants": {entry.label: list(entry.variant.change) for entry in ablation.entries},
+        },
+        notes=(*(remark for each in measured for remark in each.remarks), *_notes(ablation)),
+        missing=tuple(dict.fromkeys((*missing, *(line for each in measured for line in each.missing)))),
+        provenance={
+            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
+            "runs": {run.path.name: run.stage(STAGE.name).read_summary() for run in trained.values()},
+            "seed": request.seed,
+            "environment": environment(),
+        },
+    )
+
+
+TABLE_4, FIGURE_5, FIGURE_6 = (
+    Table("pahires", name, TABLES[name].title, partial(build_ablation, TABLES[name]))
+    for name in ("4", "figure5", "figure6")
+)
+
+
+def _trained(ablation: Ablation, request: TableRequest) -> dict[str, RunFolder]:
+    """Runs of the entries that are trained, by label."""
+    if request.run is None:
+        raise UsageError("an ablation needs the name of its runs: --run NAME for runs/NAME-VARIANT")
+    runs = {
+        entry.label: RunFolder(request.run.parent / run_name(request.run.name, entry.variant, request.seed))
+        for entry in ablation.entries
+    }
+    found = {label: run for label, run in runs.items() if run.stage(STAGE.name).is_complete}
+    if not found:
+        names = ", ".join(dict.fromkeys(run.path.name for run in runs.values()))
+        raise UsageError(
+            f"no run of it is trained in {str(request.run.parent)!r}: motionkit ablate {ablation.table} "
+            f"--paper pahires --run {request.run.name} trains {names}"
+        )
+    return found
+
+
+def _settings(run: RunFolder) -> dict[str, Any]:
+    settings: dict[str, Any] = run.stage(STAGE.name).read_config()["config"]
+    return settings
+
+
+def _command(ablation: Ablation, request: TableRequest, variant: Variant) -> str:
+    assert request.run is not None
+    return f"not trained ({PAHIRES.command_for(ablation.table, request.run.name, variant)})"
+
+
+def _told_training(runs: Sequence[RunFolder]) -> str:
+    """Steps, form and batch of the runs; those that differ are all named."""
+    training = [_settings(run)["training"] for run in runs]
+    told = {name: sorted({str(each[name]) for each in training}) for name in ("steps", "batch", "form", "base")}
+    return ", ".join(f"{name} {' and '.join(values)}" for name, values in told.items())
+
+
+def _blocks(ablation: Ablation, measured: Measured, names: Mapping[str, str]) -> list[Block]:
+    places = {entry.label: entry.label.partition(SEPARATOR)[::2] for entry in ablation.entries}
+    columns = tuple(dict.fromkeys(column for _, column in places.values()))
+    blocks = []
+    for metric, title in METRICS.items():
+        cells: dict[str, dict[str, Cell]] = {row: {} for row, _ in places.values()}
+        for label, (row, column) in places.items():
+            scores = measured.rows.get(names.get(label, ""))
+            if scores is not None:
+                cells[row][column] = Cell(scores[metric][scale_label(SCALE)])
+        references = tuple(
+            Row(f"{each.name}, not trained", "reference", _flat(measured, each.name, metric, columns))
+            for each in REFERENCES
+        )
+        lower = find_metric(metric).higher_is_better is False
+        ours = tuple(Row(row, "ours", found) for row, found in cells.items() if found)
+        blocks.append(
+            Block(f"{measured.data_set.label}: {title}", columns, (*references, *ours), lower_is_better=lower)
+        )
+    return blocks
+
+
+def _flat(measured: Measured, name: str, metric: str, columns: Sequence[str]) -> dict[str, Cell]:
+    """One number in every column: what does not depend on the setting."""
+    return {column: Cell(measured.rows[name][metric][scale_label(SCALE)]) for column in columns}
+
+
+def _place(ablation: Ablation) -> str:
+    number = ablation.table.removeprefix("figure")
+    return f"Table {number}" if number == ablation.table else f"Figure {number}"
+
+
+def _notes(ablation: Ablation) -> tuple[str, ...]:
+    if _place(ablation).startswith("Table"):
+        return ()
+    return ("The paper draws this figure without numbers; it is of HumanML3D at ×4.",)
+
+
+def _printed(ablation: Ablation) -> list[Block]:
+    """The paper's Table 4."""
+    cells: dict[str, dict[str, dict[str, Cell]]] = {}
+    for figure in reported_figures("pahires", ablation.table):
+        setting = dict(part.partition("=")[::2] for part in figure.setting.split(";")[1:])
+        row = "shared (paper)" if setting["shared"] == "yes" else "own parameters (paper)"
+        if figure.value is not None:
+            cells.setdefault(figure.metric, {}).setdefault(row, {})[f"ζ = {setting['terms']}"] = Cell(figure.value)
+    titles = {"psnr_db": "PSNR (dB)", "ssim": "SSIM"}
+    note = (
+        "HumanML3D at ×4, 1,000 epochs. At ζ = 16 it does not agree with the paper's own Table 1 (31.03 dB, 0.975). "
+        f"Source: {SOURCES['pahires']}."
+    )
+    return [
+        Block(
+            f"Printed in the PA-HiRes paper: {titles[metric]}",
+            tuple(dict.fromkeys(column for found in rows.values() for column in found)),
+            tuple(Row(name, "paper", found) for name, found in rows.items()),
+            lower_is_better=False,
+            note=note,
+        )
+        for metric, rows in cells.items()
+    ]

@@ -1,0 +1,49 @@
+"""Extrapolation: a second of motion continued, forwards and backwards, beside standing still and going on."""
+
+from dataclasses import replace
+
+from eval.completing.encoders import HOLD, INTERPOLATION
+from eval.protocols.inbetweening import EXTRAPOLATION_VERSION, continuations
+from eval.report.results import Result, environment
+from eval.tables.pahires.inbetweening import definition
+from eval.tables.pahires.window_rows import WindowTable, measure_table
+from eval.tables.registry import Table, TableRequest
+
+SLERP = next(row for row in INTERPOLATION if row.name == "SLERP")
+ROWS = (
+    replace(HOLD, name="zero velocity", note="the nearest given pose"),
+    replace(
+        SLERP,
+        name="constant velocity",
+        note="joints go on turning as between the last two given poses, the root moving",
+    ),
+)
+METRICS = {"mpjpe_global": "MPJPE (cm)", "l2p": "L2P", "l2q": "L2Q", "npss": "NPSS"}
+
+
+def build_extrapolation(request: TableRequest) -> Result:
+    """Rows of every data set at 30 fps that the store holds; raises what `build_inbetweening` does."""
+    table = WindowTable("extrapolation", EXTRAPOLATION_VERSION, continuations(), METRICS, {}, ROWS, ("pahires",))
+    found = measure_table(table, request)
+    return Result(
+        task="pahires-extrapolation",
+        version=EXTRAPOLATION_VERSION,
+        title="PA-HiRes: extrapolation",
+        caption=(
+            "30 frames (one second) are given, the n frames after or before them asked for and scored; windows and "
+            f"statistics of the in-betweening table. Split {request.split!r}{request.restriction}: "
+            + " ".join(found.told)
+        ),
+        blocks=found.blocks,
+        definition={**definition(request), "given": "frames 0-29 of a window for what comes after, 30-59 for before"},
+        notes=(
+            "The paper shows extrapolation in pictures alone and prints no figures.",
+            "What people do next is not in what they did: an error that grows slowly says that a row does not drift, "
+            "not that it foresees.",
+        ),
+        missing=found.missing,
+        provenance={**found.provenance, "environment": environment()},
+    )
+
+
+TABLE = Table("pahires", "extrapolation", "extrapolation, forwards and backwards", build_extrapolation)

@@ -1,0 +1,169 @@
+"""PA-HiRes' Tables 1 and 2: frames between given ones, at integer scales and at others."""
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from functools import partial
+from typing import Any
+
+from eval.completing.encoders import INTERPOLATION, trained_completers
+from eval.completing.interpolation import Scores
+from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
+from eval.metrics.registry import find_metric
+from eval.protocols.interpolation import INTEGER_SCALES, OTHER_SCALES, VERSION, InterpolationProtocol, scale_label
+from eval.report.results import Block, Cell, Result, Row, environment
+from eval.samples.real import of_split_and
+from eval.tables.pahires.measured_interpolation import Measured, measure_data_set
+from eval.tables.registry import Table, TableRequest
+from eval.tables.reported import SOURCES, reported_figures
+from motionkit.console import progress
+
+TRAINED = ("pahires", "liif", "meta-sr", "a-liif", "lmf")
+# Blocks of a data set, and the further metrics that stand in the details of the third.
+SHOWN = {
+    "psnr": "PSNR (dB)",
+    "ssim": "SSIM",
+    "mpjpe_global": "MPJPE (cm)",
+    "acceleration_error": "acceleration error (m/s²)",
+}
+DETAILS = {
+    "rotation_angle_error": "rotation error (°)",
+    "velocity_error": "velocity error (m/s)",
+    "jerk_error": "jerk error (m/s³)",
+}
+UNITS = {"mpjpe_global": 100.0}
+SAID_WITH = "mpjpe_global"
+SMALL_TAKES = 100
+
+
+def build_interpolation(number: str, scales: Sequence[Fraction], request: TableRequest) -> Result:
+    """All rows of all data sets that the store holds; what cannot be had is named in `missing`.
+
+    Raises `NoTakesError` where no data set has takes, `UsageError` for an encoder that nothing has, and what opening
+    the store raises.
+    """
+    from motionkit.store.reader import Store
+
+    store, protocol = Store.open(request.store), InterpolationProtocol()
+    store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
+    missing: list[str] = []
+    completers = [*INTERPOLATION, *trained_completers(TRAINED, request.run, request.encoders, missing)]
+    measured: list[Measured] = []
+    absent: dict[str, str] = {}
+    with progress() as display:
+        for data_set in data_sets_of(store, request.fps):
+            try:
+                found = measure_data_set(store, data_set, scales, completers, protocol, request, display)
+            except NoTakesError as error:
+                absent[data_set.label] = str(error)
+                continue
+            missing += found.missing
+            measured.append(found)
+    if not measured:
+        raise nothing_at_all(absent)
+    missing += [f"{label}: {reason}" for label, reason in absent.items()]
+    notes = {completer.name: completer.note for completer in completers}
+    labels = tuple(scale_label(scale) for scale in scales)
+    kind = "integer" if all(scale.denominator == 1 for scale in scales) else "non-integer"
+    return Result(
+        task=f"pahires-table{number}",
+        version=VERSION,
+        title=f"PA-HiRes, Table {number}: interpolation at {kind} scales",
+        caption=caption(measured, protocol, request),
+        blocks=(
+            *(block for each in measured for block in _blocks(each, labels, notes if each is measured[0] else {})),
+            *_paper_blocks(number, labels),
+        ),
+        definition=definition(protocol, request),
+        notes=(*(remark for each in measured for remark in each.remarks), *NOTES),
+        missing=tuple(dict.fromkeys(missing)),
+        provenance={
+            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
+            "encoders": {completer.name: completer.fingerprint for completer in completers},
+            "seed": request.seed,
+            "environment": environment(),
+        },
+    )
+
+
+TABLE_1 = Table("pahires", "1", "interpolation at integer scales", partial(build_interpolation, "1", INTEGER_SCALES))
+TABLE_2 = Table("pahires", "2", "interpolation at other scales", partial(build_interpolation, "2", OTHER_SCALES))
+
+NOTES = (
+    "The paper defines neither the pose vector nor PSNR and SSIM of motion: orders and gaps of methods may be compared "
+    "with it, decibels may not (docs/metrics.md).",
+    "Interpolators need no training and may win; then a trained row is not worth its training at that scale.",
+)
+
+
+def _blocks(measured: Measured, columns: tuple[str, ...], notes: Mapping[str, str]) -> list[Block]:
+    label = measured.data_set.label
+    blocks = []
+    for metric, title in SHOWN.items():
+        rows = tuple(
+            Row(name, "ours", _shown(scores, metric, columns), notes.get(name, "") if metric == "psnr" else "")
+            for name, scores in measured.rows.items()
+        )
+        lower = find_metric(metric).higher_is_better is False
+        blocks.append(Block(f"{label}: {title}", columns, rows, lower_is_better=lower))
+    return blocks
+
+
+def _shown(scores: Scores, metric: str, columns: tuple[str, ...]) -> dict[str, Cell]:
+    def details(column: str) -> dict[str, float]:
+        return {title: scores[name][column] for name, title in DETAILS.items()} if metric == SAID_WITH else {}
+
+    unit = UNITS.get(metric, 1.0)
+    return {column: Cell(unit * scores[metric][column], None, details(column)) for column in columns}
+
+
+def caption(measured: Sequence[Measured], protocol: InterpolationProtocol, request: TableRequest) -> str:
+    """What the numbers are of, small samples said."""
+    counts = ", ".join(
+        f"{each.clips.num_clips:,} clips of {each.clips.num_takes:,} takes of {each.data_set.label}"
+        for each in measured
+    )
+    small = min(each.clips.num_takes for each in measured) < SMALL_TAKES
+    return (
+        f"Of every clip {protocol.num_kept} real frames are given and all frames between them asked for; no frame of "
+        f"the truth is interpolated. Split {request.split!r}{request.restriction}: {counts}."
+        + (" **Small scale**: a data set of fewer than 100 takes says little about others." if small else "")
+    )
+
+
+def definition(protocol: InterpolationProtocol, request: TableRequest) -> dict[str, Any]:
+    """Every choice that the figures depend on."""
+    return {
+        "frames": "every k-th real frame of sequences whose native framerate is k times the table's",
+        "given": f"{protocol.num_kept} frames, the i-th at floor(i·s), with their true times",
+        "clips": f"one every {protocol.clip_frames} frames, the same starts at every scale; shorter takes are left out",
+        "pose": "22-joint layout: root position and two columns of each local rotation (135 numbers), in the frame of "
+        "the clip's first pose",
+        "unit range": "0.5 + (x − μ)/(4σ), not clipped; μ, σ of training clips; σ a quarter of its group's at least; "
+        "numbers that never vary (leaf joints) are left out",
+        "psnr": "data range 1, over synthesised frames, mean of the clips' dB, a clip at most 100 dB",
+        "ssim": "data range 1, windows of 7 frames a number, over the whole clip",
+        "mpjpe, rotation error": "synthesised frames; global positions; local rotations",
+        "velocity, acceleration, jerk": "mean distance of per-second differences, over the whole clip",
+        "split": request.split,
+        "where": request.where,
+    }
+
+
+def _paper_blocks(number: str, columns: tuple[str, ...]) -> list[Block]:
+    """The paper's figures, a block for each data set and metric."""
+    cells: dict[tuple[str, str], dict[str, dict[str, Cell]]] = {}
+    for figure in reported_figures("pahires", number):
+        if figure.value is not None:
+            of_method = cells.setdefault((figure.dataset, figure.metric), {}).setdefault(figure.method, {})
+            of_method["×" + figure.setting.removeprefix("x")] = Cell(figure.value)
+    titles = {"psnr_db": "PSNR (dB)", "ssim": "SSIM"}
+    return [
+        Block(
+            f"Printed in the PA-HiRes paper, {data_set}: {titles[metric]}",
+            columns,
+            tuple(Row(f"{name} (paper)", "paper", found) for name, found in rows.items()),
+            lower_is_better=False,
+            note=f"Undefined pose vector, range and clips; trained for 1,000 epochs. Source: {SOURCES['pahires']}.",
+        )
+        for (data_set, metric), rows in cells.items()
+    ]

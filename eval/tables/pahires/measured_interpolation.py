@@ -1,0 +1,101 @@
+"""One data set's interpolation figures, row by row; what was measured before is read from RESULTS/parts."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from eval.completing.encoders import Completer
+from eval.completing.interpolation import InterpolationTask, Scores, measure_interpolation, num_batches
+from eval.completing.scale import measure_scale
+from eval.completing.split_told import told_split
+from eval.completing.takes import DataSet, NoTakesError, TrueClips, open_clips
+from eval.protocols.interpolation import VERSION, InterpolationProtocol
+from eval.report.results import Cell
+from eval.tables.parts import Part, find_part, keep_part
+from eval.tables.registry import TableRequest
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from motionkit.store.reader import Store
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One data set's figures by row, and what is to be said of it."""
+
+    data_set: DataSet
+    clips: TrueClips
+    rows: dict[str, Scores]
+    remarks: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+
+
+def measure_data_set(
+    store: "Store",
+    data_set: DataSet,
+    scales: Sequence[Fraction],
+    completers: Sequence[Completer],
+    protocol: InterpolationProtocol,
+    request: TableRequest,
+    display: "Progress",
+) -> Measured:
+    """A data set's figures: those that were measured before for the same terms are read from RESULTS/parts.
+
+    Raises `NoTakesError` where the compared split has no clip.
+    """
+    clips = open_clips(store, data_set, request.split, request.where, protocol.clip_frames, protocol.clip_frames)
+    remarks, missing = [], []
+    try:
+        training = open_clips(store, data_set, "train", None, protocol.clip_frames, protocol.clip_frames)
+    except NoTakesError:
+        training = clips
+        remarks.append(f"{data_set.label} has no training split: its deviations are those of the compared clips.")
+    terms = {
+        "version": VERSION,
+        "store": store.fingerprint,
+        "data set": [data_set.column, data_set.value, str(data_set.fps)],
+        "split": request.split,
+        "where": request.where,
+        "scales": [str(scale) for scale in scales],
+    }
+    rows: dict[str, Scores] = {}
+    for completer in completers:
+        part = find_part(request.results, "interpolation", {**terms, "encoder": completer.fingerprint})
+        if part is not None:
+            rows[completer.name] = {
+                metric: {column: cell.value for column, cell in cells.items()} for metric, cells in part.rows.items()
+            }
+    wanted = [completer for completer in completers if completer.name not in rows]
+    if wanted:
+        task = display.add_task(data_set.label, total=num_batches(clips), note=f"{clips.num_clips} clips")
+        made, failed = measure_interpolation(
+            InterpolationTask(clips, measure_scale(training), protocol), scales, wanted, lambda: display.advance(task)
+        )
+        for completer in wanted:
+            if completer.name in made:
+                rows[completer.name] = made[completer.name]
+                part = Part({name: _cells(values) for name, values in made[completer.name].items()})
+                keep_part(request.results, "interpolation", {**terms, "encoder": completer.fingerprint}, part)
+        missing += [f"{data_set.label}, {name}: {why}" for name, why in failed.items()]
+        display.remove_task(task)
+    remarks.append(_told_clips(data_set, clips))
+    remarks.append(f"{data_set.label}: {told_split(store, clips, request.split)}")
+    ordered = {completer.name: rows[completer.name] for completer in completers if completer.name in rows}
+    return Measured(data_set, clips, ordered, tuple(remarks), tuple(missing))
+
+
+def _cells(values: Mapping[str, float]) -> dict[str, Cell]:
+    return {column: Cell(value) for column, value in values.items()}
+
+
+def _told_clips(data_set: DataSet, clips: TrueClips) -> str:
+    left_out = {
+        f"shorter than {clips.num_frames} frames": clips.num_short,
+        "of framerates that are no multiple of the table's": clips.num_other_fps,
+    }
+    told = " and ".join(f"{count:,} {why}" for why, count in left_out.items() if count)
+    return f"{data_set.label}: {clips.num_clips:,} clips of {clips.num_takes:,} takes" + (
+        f"; left out are {told}." if told else "."
+    )

@@ -1,0 +1,186 @@
+"""Tables over windows of poses: all their rows on all data sets at 30 fps, measured once and kept."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from eval.completing.encoders import Completer, trained_completers
+from eval.completing.inbetweening import Scores, measure_windows, num_batches
+from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
+from eval.completing.windows import FPS, PoseWindows, data_set_windows, lafan1_windows, num_lafan1_takes
+from eval.protocols.inbetweening import Question
+from eval.report.results import Block, Cell, Row
+from eval.samples.real import of_split_and
+from eval.tables.parts import Part, find_part, keep_part
+from eval.tables.registry import TableRequest
+from motionkit.console import progress
+from motionkit.errors import MotionkitError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from motionkit.store.reader import Store
+
+UNITS = {"mpjpe_global": 100.0}
+
+
+@dataclass(frozen=True)
+class WindowTable:
+    """What a table asks of every window, its blocks and rows.
+
+    `metrics` are blocks by metric, with their titles; `details` further metrics of a block, by what they are called
+    there. `trained` are encoders that the table looks for in its run.
+    """
+
+    name: str
+    version: str
+    questions: tuple[Question, ...]
+    metrics: Mapping[str, str]
+    details: Mapping[str, Mapping[str, str]]
+    rows: tuple[Completer, ...]
+    trained: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class WindowBlocks:
+    """All blocks of a table, what is to be said of each data set, and what could not be had."""
+
+    blocks: tuple[Block, ...]
+    told: tuple[str, ...]
+    missing: tuple[str, ...]
+    provenance: Mapping[str, Any]
+
+
+def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
+    """Every row of every data set at 30 fps; `--fps` has no say here.
+
+    Raises `NoTakesError` where the store has no windows, `UsageError` for an encoder that nothing has, and what opening
+    the store raises.
+    """
+    from motionkit.store.reader import Store
+
+    store = Store.open(request.store)
+    store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
+    missing: list[str] = []
+    completers = [*table.rows, *trained_completers(table.trained, request.run, request.encoders, missing)]
+    blocks: list[Block] = []
+    absent: dict[str, str] = {}
+    told: list[str] = []
+    with progress() as display:
+        for windows in _all_windows(store, request, absent, display):
+            scores = _rows(table, windows, completers, store.fingerprint, request, missing, display)
+            blocks += _blocks(table, windows, completers, scores, with_notes=not told)
+            told.append(f"{windows.name}: {windows.told}")
+    if not blocks:
+        raise nothing_at_all(absent)
+    missing += [f"{label}: {reason}" for label, reason in absent.items()]
+    return WindowBlocks(
+        tuple(blocks),
+        tuple(told),
+        tuple(dict.fromkeys(missing)),
+        {
+            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
+            "encoders": {completer.name: completer.fingerprint for completer in completers},
+            "seed": request.seed,
+        },
+    )
+
+
+def _all_windows(
+    store: "Store", request: TableRequest, absent: dict[str, str], display: "Progress"
+) -> "list[PoseWindows]":
+    """The windows of every data set at 30 fps that has any; why the others have none is told in `absent`."""
+    found = []
+    for data_set in data_sets_of(store):
+        if data_set.fps != FPS:
+            continue
+        task = display.add_task(f"windows of {data_set.name}", total=None, note="")
+        try:
+            if data_set.value == "lafan1":
+                display.update(task, total=num_lafan1_takes(store))
+                found.append(lafan1_windows(store, partial(display.advance, task)))
+            else:
+                found.append(data_set_windows(store, data_set, request.split, request.where))
+        except NoTakesError as error:
+            absent[data_set.label] = str(error)
+        display.remove_task(task)
+    return found
+
+
+def _rows(
+    table: WindowTable,
+    windows: PoseWindows,
+    completers: Sequence[Completer],
+    fingerprint: str,
+    request: TableRequest,
+    missing: list[str],
+    display: "Progress",
+) -> dict[str, Scores]:
+    terms = {
+        "version": table.version,
+        "store": fingerprint,
+        "windows": windows.name,
+        "split": request.split,
+        "where": request.where,
+    }
+    rows: dict[str, Scores] = {}
+    task = display.add_task(windows.name, total=num_batches(windows) * len(completers), note="")
+    for completer in completers:
+        display.update(task, note=completer.name)
+        of_row = {**terms, "encoder": completer.fingerprint}
+        part = find_part(request.results, table.name, of_row)
+        if part is None:
+            try:
+                scores = measure_windows(windows, table.questions, completer, partial(display.advance, task))
+            except (MotionkitError, ValueError) as error:
+                missing.append(f"{windows.name}, {completer.name}: {error}")
+                continue
+            part = Part({metric: {name: Cell(value) for name, value in row.items()} for metric, row in scores.items()})
+            keep_part(request.results, table.name, of_row, part)
+        rows[completer.name] = {
+            metric: {column: cell.value for column, cell in cells.items()} for metric, cells in part.rows.items()
+        }
+    display.remove_task(task)
+    return rows
+
+
+def _blocks(
+    table: WindowTable,
+    windows: PoseWindows,
+    completers: Sequence[Completer],
+    scores: Mapping[str, Scores],
+    *,
+    with_notes: bool,
+) -> list[Block]:
+    columns = tuple(question.label for question in table.questions)
+    shown = [completer for completer in completers if completer.name in scores]
+    first = next(iter(table.metrics))
+    return [
+        Block(
+            f"{windows.name}: {title}",
+            columns,
+            tuple(
+                Row(
+                    completer.name,
+                    "ours",
+                    _cells(scores[completer.name], metric, columns, table.details.get(metric, {})),
+                    completer.note if with_notes and metric == first else "",
+                )
+                for completer in shown
+            ),
+        )
+        for metric, title in table.metrics.items()
+    ]
+
+
+def _cells(scores: Scores, metric: str, columns: Sequence[str], details: Mapping[str, str]) -> dict[str, Cell]:
+    unit = UNITS.get(metric, 1.0)
+    return {
+        column: Cell(
+            unit * scores[metric][column],
+            None,
+            {name: UNITS.get(other, 1.0) * scores[other][column] for name, other in details.items()},
+        )
+        for column in columns
+    }

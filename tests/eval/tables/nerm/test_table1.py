@@ -1,0 +1,319 @@
+"""Table 1: a model that is the real motion scores like it; one that ignores its captions scores chance."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eval.commands.eval import evaluate
+from eval.report.render import to_latex, to_markdown
+from eval.report.results import Result, read_result, write_result
+from eval.samples.real import NoRealMotionError
+from eval.samples.sets import SampleSet
+from eval.tables import registry
+from eval.tables import text_motion_sources as sources
+from eval.tables.nerm import table1
+from eval.tables.registry import TableRequest
+from eval.tables.text_motion_blocks import FLOOR, ORACLE, title_of
+from motionkit.errors import MotionkitError, UsageError
+from motionkit.generation import GenerationRequest
+from motionkit.motion import Caption, Motion
+from motionkit.skeleton import SMPL22
+from motionkit.store.writer import StoreWriter
+from motionkit.timegrid import TimeGrid
+from tests.scripted_model import PosesAt, ScriptedModel
+
+TAKES = 70
+TOP1, TOP3, FID, MM_DIST = (title_of(name) for name in ("r_precision_top1", "r_precision_top3", "fid", "mm_dist"))
+MULTIMODALITY = title_of("multimodality")
+
+
+def positions_at(times_seconds: np.ndarray, take: int, shake: float = 0.0) -> np.ndarray:
+    """A body that leans as its number says: what an evaluator can tell from any stretch of it."""
+    rest = np.zeros((22, 3))
+    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
+        rest[joint] = rest[parent] + SMPL22.offsets[joint]
+    rest += 0.05 * np.random.default_rng(take).normal(size=(22, 3))
+    swing = np.sin(2 * np.pi * times_seconds)[:, None, None] * 0.02
+    return (rest + swing + shake).astype(np.float32)
+
+
+class Shapes:
+    """An evaluator that sees four numbers of a motion's mean pose; a sentence is the number of a take."""
+
+    name, fingerprint, layout = "shapes", "1", "smpl22"
+    fps: Fraction | None = None
+
+    def remark_at(self, fps: Fraction) -> str:
+        return ""
+
+    def embed_motions(self, samples: SampleSet) -> np.ndarray:
+        means = [sequence.astype(np.float64).mean(axis=0).ravel() for sequence in samples.sequences()]
+        return np.stack(means)[:, 3:7]
+
+    def embed_texts(self, captions: Sequence[Caption]) -> np.ndarray:
+        whole = np.arange(20) / 20
+        poses = [positions_at(whole, int(caption.text)).astype(np.float64).mean(axis=0) for caption in captions]
+        return np.stack(poses).reshape(len(captions), -1)[:, 3:7]
+
+
+def listens(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+    """The take that a caption names; motion i of a seed differs from motion j by a millimetre."""
+    return partial(positions_at, take=int(request.text), shake=0.001 * np.random.default_rng(chance).normal())
+
+
+def ignores(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+    """Always another take than the caption's."""
+    return partial(positions_at, take=1000 + int(np.random.default_rng(chance).integers(500)))
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("table1") / "store"
+    with StoreWriter.create(path) as writer:
+        for take in range(TAKES):
+            grid = TimeGrid(Fraction(20), 41 + 20 * (take % 3))
+            motion = Motion(positions_at(grid.seconds(), take), SMPL22, grid, captions=(Caption(str(take)),))
+            writer.add(replace(motion, split="test", sequence_id=f"take-{take:03d}"))
+    return path
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    for name in ("nano", "nano-fixed"):
+        for stage in ("field", "denoiser"):
+            folder = tmp_path / "runs" / name / stage
+            folder.mkdir(parents=True)
+            (folder / "model.safetensors").write_text(f"{name} {stage}")
+    return tmp_path / "runs" / "nano"
+
+
+@pytest.fixture
+def models(run: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, ScriptedModel]:
+    """`nano` listens to its captions, `nano-fixed` doesn't."""
+    made = {"nano": ScriptedModel(listens), "nano-fixed": ScriptedModel(ignores)}
+    monkeypatch.setattr(table1, "load_model", lambda name, folder: made[folder.name])
+    monkeypatch.setattr(sources, "_native", lambda request: Shapes())
+    return made
+
+
+def build(store: Path, folder: Path, run: Path | None, **changes: object) -> Result:
+    request = TableRequest(store=store, results=folder, run=run, max_motions=400)
+    return table1.build_table1(replace(request, **changes))
+
+
+def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:
+    return {row.name: {column: cell.value for column, cell in row.cells.items()} for row in result.blocks[block].rows}
+
+
+def test_a_model_that_is_the_real_motion_scores_like_it(
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+) -> None:
+    result = build(store, tmp_path / "results", run)
+    rows = rows_of(result)
+    assert rows["real"][TOP1] > 0.99 and rows["NeRM"][TOP1] > 0.99
+    assert rows["NeRM-fixed"][TOP3] == pytest.approx(3 / 32, abs=0.08)
+    assert rows["NeRM"][MM_DIST] < 0.01 < 0.1 < rows["NeRM-fixed"][MM_DIST]
+    assert rows["NeRM"][FID] < 0.2 * rows[FLOOR][FID]
+    assert FID not in rows["real"]
+    assert rows[ORACLE][TOP1] == 1.0
+    assert {name: each["N"] for name, each in rows.items() if "N" in each} == {
+        FLOOR: 35,
+        "real": 70,
+        "NeRM": 70,
+        "NeRM-fixed": 70,
+    }
+    # 0.001 times a normal number on every coordinate: pairs are 0.002/√π apart in each of the four that are seen.
+    assert rows["NeRM"][MULTIMODALITY] == pytest.approx(2 * 0.002 / np.sqrt(np.pi), rel=0.2)
+    assert rows["NeRM-fixed"][MULTIMODALITY] > 10 * rows["NeRM"][MULTIMODALITY]
+    (details,) = {tuple(row.cells[FID].details) for row in result.blocks[0].rows if row.name == "NeRM"}
+    assert details == ("FID∞", "KID")
+    other_way = rows_of(result, 1)
+    assert other_way["NeRM"][title_of("r_precision_top1_motion_asks")] > 0.99
+    assert not result.missing
+
+
+def test_the_result_says_what_its_numbers_mean(
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+) -> None:
+    result = build(store, tmp_path / "results", run, published="t2m")
+    assert result.definition["protocol"]["name"] == "t2m"
+    assert result.definition["protocol"]["multimodality"]["pairs"] == "shared"
+    assert result.definition["real_motions"]["20 fps"]["motions"] == 70
+    assert set(result.provenance["runs"]) == {"nano", "nano-fixed"}
+    assert result.blocks[0].provenance == {"evaluator": "shapes", "fingerprint": "1", "protocol": "t2m"}
+    assert rows_of(result)["real"][FID] > 0
+    assert rows_of(result)["NeRM"]["N"] == 64
+    assert title_of("multimodality_shared_pairs") in result.blocks[0].columns
+    text = to_markdown(result)
+    assert "N = 64 against 64 real motions, 30 motions of 13 texts" in text
+    assert "protocol t2m" in text and "There is one set of motions" in text
+    assert "| MDM (paper) | 0.611 ± 0.007 | 5.566 ± 0.027 | 0.544 ± 0.044 |" in text
+    assert r"R-Precision, top 1 $\uparrow$ & " in to_latex(result)
+    assert read_result(write_result(result, tmp_path)).blocks == result.blocks
+
+
+def test_embeddings_are_kept_and_motions_are_not_generated_again(
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+) -> None:
+    first = build(store, tmp_path / "results", run)
+    assert models["nano"].asked == 70 + 13 * 30
+    again = build(store, tmp_path / "results", run)
+    assert models["nano"].asked == 70 + 13 * 30
+    assert again.blocks == first.blocks
+    (run / "denoiser" / "model.safetensors").write_text("trained on")
+    build(store, tmp_path / "results", run)
+    assert models["nano"].asked == 2 * (70 + 13 * 30)
+    build(store, tmp_path / "results", run, draws=3)
+    assert models["nano"].asked == 2 * (70 + 13 * 30) + 2 * 70
+
+
+def test_fewer_motions_than_real_ones_are_a_random_choice(
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+) -> None:
+    for published, reference in (("native", 70), ("momask", 32)):
+        result = build(store, tmp_path / "results", run, max_motions=40, published=published)
+        assert rows_of(result)["NeRM"]["N"] == (40 if published == "native" else 32)
+        notes = {row.name: row.note for row in result.blocks[0].rows}
+        assert f"against {reference} real motions, 30 motions of 1 texts" in notes["NeRM"]
+
+
+def test_a_model_that_makes_less_crops_the_real_motions(
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+) -> None:
+    models["nano"].max_duration_seconds = 3.0  # type: ignore[misc]
+    result = build(store, tmp_path / "results", run)
+    assert result.definition["real_motions"]["20 fps"]["cropped"] == 23
+    assert result.definition["protocol"]["lengths"]["longest_seconds"] == 3.0
+
+
+def test_what_there_is_not_is_named(store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]) -> None:
+    result = build(store, tmp_path / "results", run.with_name("nowhere"))
+    assert set(rows_of(result)) == {ORACLE, FLOOR, "real"}
+    assert any("NeRM: there is no run" in line for line in result.missing)
+    assert any("--set field.fixed_fps=20" in line for line in result.missing)
+
+    def refuse(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+        raise MotionkitError("this model was trained without texts")
+
+    models["nano"].script = refuse
+    told = build(store, tmp_path / "results", run)
+    assert "NeRM, shapes: this model was trained without texts" in told.missing
+    assert "NeRM-fixed" in rows_of(told)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"published": "mmd"}, "no text-to-motion protocol 'mmd'"),
+        ({"features": ("kinematic",)}, "--evaluator kinematic: not an evaluator of text and motion"),
+        ({"fps": (Fraction(20), Fraction(60))}, "give one --fps"),
+        ({"compat": ("nan-is-best",)}, "protocol 'native' has no such bug"),
+        ({"max_motions": 31}, "--motions 31: a text chooses among 32"),
+    ],
+)
+def test_requests_that_mean_nothing(
+    changes: dict[str, object], message: str, store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        build(store, tmp_path / "results", run, **changes)
+
+
+def test_broken_and_too_few_motions_are_told(
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(NoRealMotionError, match="31 captioned motions take part, but a text chooses among 32"):
+        build(store, tmp_path / "results", run, where="sequence_id < 'take-031'")
+
+    models["nano"].script = lambda request, chance: lambda times: np.full((len(times), 22, 3), np.nan, np.float32)
+    told = build(store, tmp_path / "results", run)
+    assert "real" in rows_of(told) and "NeRM" not in rows_of(told)
+    assert any("NeRM, shapes: sample set 'NeRM': sequence 'motion 0' holds NaN" in line for line in told.missing)
+
+
+def test_the_command_passes_everything_on(
+    store: Path,
+    tmp_path: Path,
+    run: Path,
+    models: dict[str, ScriptedModel],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(registry, "find_table", lambda paper, number: table1.TABLE)
+    evaluate(
+        table="1",
+        store=store,
+        runs=run.parent,
+        run=run.name,
+        results=tmp_path / "results",
+        motions=64,
+        protocol="momask",
+        compat="float32-distances",
+        draws=2,
+        as_json=True,
+    )
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["definition"]["protocol"]["name"] == "momask"
+    assert printed["definition"]["compat"] == ["float32-distances"]
+    assert models["nano"].asked == 2 * 64 + 2 * 30
+    written = json.loads((tmp_path / "results" / "nerm-table1.json").read_text(encoding="utf-8"))
+    assert written["blocks"] == printed["blocks"]
+    assert "Known bugs switched on: float32-distances." in (tmp_path / "results" / "nerm-table1.md").read_text("utf-8")
+
+
+def test_an_evaluator_that_cannot_read_the_captions_leaves_the_others(
+    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Deaf(Shapes):
+        name = "deaf"
+
+        def embed_texts(self, captions: Sequence[Caption]) -> np.ndarray:
+            raise MotionkitError("captions have no word/POS tokens")
+
+    monkeypatch.setattr(sources, "_guo", lambda request, leak: Deaf())
+    result = build(store, tmp_path / "results", run, features=("guo", "native"))
+    assert [block.provenance["evaluator"] for block in result.blocks[:2]] == ["shapes", "shapes"]
+    assert "evaluator 'deaf': captions have no word/POS tokens" in result.missing
+    with pytest.raises(MotionkitError, match="no word/POS tokens"):
+        build(store, tmp_path / "results", run, features=("guo",))
+
+
+def test_the_registry_knows_the_table() -> None:
+    assert registry.find_table("nerm", "1") is table1.TABLE
+
+
+def test_samples_are_rows(store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    lines = ["file,caption,group"]
+    for take in range(40):
+        for answer in range(2):
+            positions = positions_at(np.arange(40) / 20, take, 0.001 * answer)
+            np.save(folder / f"{take}-{answer}.npy", positions)
+            lines.append(f"{take}-{answer}.npy,{take},prompt {take}")
+    (folder / "captions.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / "samples.toml").write_text("fps = 20\n", encoding="utf-8")
+    for published, real in (("native", 70), ("mld", 40)):
+        result = build(store, tmp_path / "results", run, samples={"mine": folder}, published=published)
+        rows = {row.name: row for row in result.blocks[0].rows}
+        assert rows["mine"].cells["N"].value == 40
+        assert rows["mine"].cells[TOP1].value > 0.9
+        assert f"N = 40 against {real} real motions, 2 motions of 40 texts" in rows["mine"].note
+        assert "there are 2 sets of motions" in rows["mine"].note
+        assert set(result.provenance["samples"]) == {"mine"}
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    np.save(bare / "a.npy", positions_at(np.arange(40) / 20, 3))
+    (bare / "samples.toml").write_text("fps = 20\n", encoding="utf-8")
+    told = build(store, tmp_path / "results", run, samples={"bare": bare})
+    assert any("bare, shapes: --samples bare: 1 of 1 motions have no caption" in line for line in told.missing)
+
+
+def test_without_an_evaluator_there_is_no_table(store: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="evaluator 'native': it belongs to a run"):
+        build(store, tmp_path / "results", None)

@@ -1,0 +1,122 @@
+"""Table 2's rows: a model that is the real motion reaches the floor; one that is known at 20 fps does not."""
+
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eval.clip_fid import feature_sources
+from eval.clip_fid.score import PoseRange, Protocol
+from eval.report.results import Result
+from eval.tables.nerm import clip_fid_column
+from eval.tables.nerm import table2
+from eval.tables.registry import TableRequest, find_table, installed_tables
+from motionkit.errors import UsageError
+from motionkit.generation import GenerationRequest
+from motionkit.motion import Caption, Motion
+from motionkit.skeleton import SMPL22
+from motionkit.store.writer import StoreWriter
+from motionkit.timegrid import TimeGrid
+from tests.scripted_model import PosesAt, ScriptedModel
+
+FPS = (Fraction(20), Fraction(60))
+
+
+def positions_at(times_seconds: np.ndarray, seed: int) -> np.ndarray:
+    """A swinging, walking body as a function of time."""
+    rng = np.random.default_rng(seed)
+    rest = np.zeros((22, 3))
+    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
+        rest[joint] = rest[parent] + SMPL22.offsets[joint]
+    rate, phase = rng.uniform(0.5, 6, (22, 3)), rng.uniform(0, 6, (22, 3))
+    time = times_seconds[:, None, None]
+    path = np.array([rng.normal(), 0.0, rng.normal()])
+    return (rest + 0.05 * np.sin(2 * np.pi * rate * time + phase) + path * time).astype(np.float32)
+
+
+def truth(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+    """A model that knows every take by its caption."""
+    return partial(positions_at, seed=int(request.text))
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("table2") / "store"
+    with StoreWriter.create(path) as writer:
+        for seed in range(24):
+            grid = TimeGrid(Fraction(60), 300)
+            writer.add(
+                Motion(
+                    joint_positions=positions_at(grid.seconds(), seed),
+                    skeleton=SMPL22,
+                    timegrid=grid,
+                    captions=(Caption(str(seed)),),
+                    split=("train", "test")[seed % 2],
+                    sequence_id=f"take-{seed}",
+                )
+            )
+    return path
+
+
+@pytest.fixture(autouse=True)
+def few_clips_in_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feature_sources, "FIT_CLIPS", 1000)
+
+
+def build(store: Path, folder: Path, **changes: object) -> Result:
+    protocol = Protocol(num_clips=400, replications=2, detailed_replications=1)
+    values: dict[str, object] = {"fps": FPS, "protocol": protocol, "features": ("kinematic",)} | changes
+    return table2.build_table2(TableRequest(store=store, results=folder, **values))  # type: ignore[arg-type]
+
+
+def rows_of(result: Result) -> dict[str, dict[str, float]]:
+    return {row.name: {column: cell.value for column, cell in row.cells.items()} for row in result.blocks[0].rows}
+
+
+def test_a_model_that_is_the_real_motion_reaches_the_floor(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table2, "load_model", lambda name, run: ScriptedModel(truth))
+    (tmp_path / "run").mkdir()
+    result = build(store, tmp_path, run=tmp_path / "run")
+    rows = rows_of(result)
+    floor = rows[clip_fid_column.P1]
+    for column in ("20 fps", "60 fps"):
+        assert rows[clip_fid_column.NERM][column] < 2 * floor[column]
+    assert rows[clip_fid_column.NERM_SLERP]["60 fps"] > 10 * floor["60 fps"]
+    assert rows[clip_fid_column.NERM_SLERP]["60 fps"] == pytest.approx(rows[clip_fid_column.SLERP]["60 fps"], rel=0.3)
+    assert not result.missing
+    assert result.definition["generated_motions"] == {"20 fps": 12, "60 fps": 12}
+    assert result.provenance["run"] == "run"
+    hashes = result.blocks[0].provenance["fingerprints"].values()
+    assert {path.name for path in (tmp_path / "features").iterdir()} == {f"kinematic-{each}.npz" for each in hashes}
+
+
+def test_a_missing_run_leaves_its_rows_out(store: Path, tmp_path: Path) -> None:
+    result = build(store, tmp_path, run=tmp_path / "nowhere")
+    assert clip_fid_column.NERM not in rows_of(result)
+    assert any("there is no run" in line for line in result.missing)
+
+
+def test_smoothing_every_set_hides_what_upsampling_loses(store: Path, tmp_path: Path) -> None:
+    plain = rows_of(build(store, tmp_path, fps=FPS[1:]))
+    result = build(store, tmp_path, fps=FPS[1:], low_pass_hz=4.0)
+    smooth = rows_of(result)
+    assert smooth[clip_fid_column.SLERP]["60 fps"] < 0.7 * plain[clip_fid_column.SLERP]["60 fps"]
+    assert "low-passed at 4 Hz" in result.caption
+
+
+def test_clips_that_fit_nowhere_leave_the_column_out(store: Path, tmp_path: Path) -> None:
+    protocol = Protocol(sizes=PoseRange(16, 200), num_clips=100, replications=1)
+    result = build(store, tmp_path, protocol=protocol)
+    assert set(rows_of(result)[clip_fid_column.P1]) == {"60 fps"}
+    assert any("no sequence has the 200 poses that a clip at 20 fps" in line for line in result.missing)
+
+
+def test_the_registry_knows_the_table() -> None:
+    assert "nerm-2" in installed_tables()
+    assert find_table("nerm", "2") is table2.TABLE
+    with pytest.raises(UsageError, match="no table 2 of 'nobody'"):
+        find_table("nobody", "2")

@@ -1,0 +1,219 @@
+"""Table 3's rows: a model that does as it is told scores like real motion, one that doesn't scores nothing."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from eval.actions.sets import NoActionsError, known_actions, with_rotations
+from eval.evaluators.actions.stgcn_network import StgcnNetwork
+from eval.evaluators.guo.files import GuoFiles
+from eval.report.render import to_markdown
+from eval.report.results import Result, read_result, write_result
+from eval.samples.sets import sample_set
+from eval.tables.nerm import table3
+from eval.tables.registry import TableRequest
+from motionkit import kinematics
+from motionkit.errors import UsageError
+from motionkit.formats.arrays.joints_npy import write_joints_npy
+from motionkit.formats.smpl import uestc
+from motionkit.formats.smpl.layouts import SMPL
+from motionkit.generation import GenerationRequest
+from motionkit.motion import Motion
+from motionkit.skeleton import SMPL22
+from motionkit.store.reader import Store
+from motionkit.store.writer import StoreWriter
+from motionkit.timegrid import TimeGrid
+from tests.acting import ACTIONS, acted, acted_at
+from tests.scripted_model import PosesAt, ScriptedModel
+
+EACH = 12
+FPS = Fraction(20)
+
+
+def actor(*, obeys: bool = True) -> ScriptedModel:
+    """Does what it is told, or always the action after it."""
+
+    def act(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+        # The store spells its actions in its own way; a model knows them as the store does.
+        place = [spelt(action) for action in ACTIONS].index(request.action) + (not obeys)
+        return partial(acted_at, action=ACTIONS[place % 3], seed=10_000 * (chance[0] + 1) + chance[1])
+
+    return ScriptedModel(act, max_duration_seconds=2.0)
+
+
+def knows_nothing(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+    raise UsageError(f"the model knows no action {request.action!r}")
+
+
+def spelt(action: str) -> str:
+    return action.replace(" ", "_").title()
+
+
+def write_store(path: Path, splits: Sequence[str] = ("train", "test")) -> Path:
+    with StoreWriter.create(path) as writer:
+        for seed in range(EACH * 3 * len(splits)):
+            action, frames = ACTIONS[seed % 3], 30 + 10 * (seed % 4)
+            grid = TimeGrid(FPS, frames)
+            motion = Motion(acted(action, seed, frames), SMPL22, grid, action=spelt(action))
+            writer.add(replace(motion, split=splits[seed % len(splits)], sequence_id=f"{seed:03d}"))
+        odd = Motion(acted("nod", 1, 40), SMPL22, TimeGrid(FPS, 40), action="yawn", split=splits[-1], sequence_id="odd")
+        writer.add(odd)
+    return path
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_store(tmp_path_factory.mktemp("table3") / "store")
+
+
+def build(store: Path, folder: Path, **changes: object) -> Result:
+    return table3.build_table3(replace(TableRequest(store=store, results=folder), **changes))  # type: ignore[arg-type]
+
+
+def with_model(monkeypatch: pytest.MonkeyPatch, folder: Path, model: ScriptedModel) -> Path:
+    monkeypatch.setattr(table3, "load_model", lambda name, run: model)
+    run = folder / "runs" / "nano"
+    run.mkdir(parents=True)
+    return run
+
+
+def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:
+    return {row.name: {column: cell.value for column, cell in row.cells.items()} for row in result.blocks[block].rows}
+
+
+def test_a_model_that_obeys_scores_like_real_motion(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = with_model(monkeypatch, tmp_path, actor())
+    result = build(store, tmp_path, run=run, published="native,a2m,actor", draws=2)
+    for block in range(3):
+        rows = rows_of(result, block)
+        real, model = rows["real (test)"], rows["NeRM"]
+        assert real["Accuracy"] > 0.9 and model["Accuracy"] > 0.9
+        assert set(real) == {"FID (train)", "Accuracy", "Diversity", "MultiModality"}
+        assert model["FID (test)"] < 10 and 0.5 < model["Diversity"] / real["Diversity"] < 2
+    assert result.blocks[0].rows[1].cells["FID (test)"].ci95 is not None
+    assert result.blocks[0].rows[0].cells["Accuracy"].ci95 is None
+    assert any("yawn (1)" in line for line in result.missing)
+    by_action = {row.name: row for row in result.blocks[3].rows}
+    assert set(by_action) == {"Nod (12)", "Shuffle_Left (12)", "Shuffle_Right (12)"}
+    assert [block.title.split(" (")[0] for block in result.blocks[4:]] == [
+        "Printed in the NeRM paper for UESTC",
+        "Printed in the NeRM paper for HumanAct12",
+    ]
+    assert read_result(write_result(result, tmp_path)).blocks[0].rows[1].name == "NeRM"
+    text = to_markdown(result)
+    assert (
+        "protocol 'a2m' counts 3,000 motions, here are 36" in text and "1.96 · variance, which is no interval" in text
+    )
+
+
+def test_a_model_that_does_something_else_is_found_out(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    honest = build(store, tmp_path / "a", run=with_model(monkeypatch, tmp_path / "a", actor()))
+    result = build(store, tmp_path / "b", run=with_model(monkeypatch, tmp_path / "b", actor(obeys=False)))
+    assert rows_of(result)["NeRM"]["Accuracy"] < 0.1
+    # All actions are still there, each under another's name: FID cannot see it, MultiModality neither.
+    assert rows_of(result)["NeRM"]["FID (test)"] == pytest.approx(rows_of(honest)["NeRM"]["FID (test)"], abs=3)
+
+
+def test_samples_of_another_system_are_a_row(store: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    lines = ["file,action"]
+    for index in range(9):
+        action, name = ACTIONS[index % 3], f"m{index}"
+        motion = Motion(acted(action, 777 + index), SMPL22, TimeGrid(FPS, 50))
+        write_joints_npy(motion, folder / f"{name}.npy")
+        lines.append(f"{name}.npy,{action}")
+    (folder / "actions.csv").write_text("\n".join(lines) + "\n")
+    rows = rows_of(build(store, tmp_path, samples={"theirs": folder}))
+    assert rows["theirs"]["Accuracy"] > 0.8
+    (folder / "actions.csv").unlink()
+    without = build(store, tmp_path, samples={"theirs": folder})
+    assert "theirs" not in rows_of(without)
+    assert any("theirs: --samples theirs: 9 of 9 motions have no action" in line for line in without.missing)
+
+
+def test_what_cannot_be_scored_is_said(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = build(store, tmp_path, run=tmp_path / "nowhere")
+    assert any("there is no run" in line for line in result.missing)
+    run = with_model(monkeypatch, tmp_path, ScriptedModel(knows_nothing))
+    assert any("the model knows no action" in line for line in build(store, tmp_path, run=run).missing)
+    with pytest.raises(UsageError, match="no recogniser of actions 'best': linear, humanact12, cmu-mocap, uestc"):
+        build(store, tmp_path, features=("best",))
+    with pytest.raises(UsageError, match="one recogniser of actions at a time"):
+        build(store, tmp_path, features=("linear", "uestc"))
+    with pytest.raises(UsageError, match="no action protocol 't2m': native, a2m, actor, mdm"):
+        build(store, tmp_path, published="t2m")
+    with pytest.raises(UsageError, match="--evaluator humanact12 needs the file of its weights"):
+        build(store, tmp_path, features=("humanact12",))
+    with pytest.raises(UsageError, match="--weights belongs to a published recogniser"):
+        build(store, tmp_path, guo=GuoFiles(tmp_path / "some.tar"))
+    untrained = write_store(tmp_path / "untrained", ("test",))
+    with pytest.raises(UsageError, match="has no training split, and 'linear' is fitted on one"):
+        build(untrained, tmp_path)
+
+
+def test_actions_are_found_however_they_are_spelt_and_single_motions_are_left_out() -> None:
+    names = ("Warm_Up", "warm up", "JUMP", "jump", "jump", "sit", "", "fly")
+    lengths = (40, 40, 40, 40, 5, 40, 40, 40)
+    made = [acted("nod", i, length) for i, length in enumerate(lengths)]
+    samples = sample_set("some", FPS, made, [str(i) for i in range(8)], actions=names)
+    found = known_actions(samples, ("warm-up", "jump", "sit"))
+    assert found.samples.sequence_ids == ("0", "1", "2", "3") and found.labels.tolist() == [0, 0, 1, 1]
+    assert found.left_out == (
+        "2 motions of actions that it does not know: fly (1), no action (1)",
+        "actions with a single motion: sit",
+        "1 motions of fewer than 10 frames",
+    )
+    with pytest.raises(NoActionsError, match=r"some: no motion's action is one that the recogniser knows \(dance\)"):
+        known_actions(samples, ("dance",))
+
+
+def turning(num_frames: int, seed: int, joints: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    vectors = rng.normal(size=(1, joints, 3)) + 0.02 * rng.normal(size=(num_frames, joints, 3)).cumsum(axis=0)
+    return kinematics.rotation_vector_to_quaternion(vectors.astype(np.float32))
+
+
+def test_rotations_come_from_the_store_at_the_recognisers_framerate(tmp_path: Path) -> None:
+    body = SMPL.skeleton("smpl", np.concatenate((SMPL22.offsets.cumsum(axis=0), np.ones((2, 3)))))
+    with StoreWriter.create(tmp_path / "store") as writer:
+        for index in range(8):
+            fps, joints = (Fraction(30), 24) if index % 2 else (Fraction(60), 24)
+            rotations = turning(90, index, joints)
+            root = np.zeros((90, 3), np.float32)
+            positions = kinematics.forward_kinematics(rotations, root, body)
+            action = uestc.ACTIONS[index // 4]
+            split = ("train", "test")[index // 2 % 2]
+            grid = TimeGrid(fps, 90)
+            writer.add(
+                Motion(positions, body, grid, rotations, root, action=action, split=split, sequence_id=str(index))
+            )
+    store = Store.open(tmp_path / "store")
+    samples = sample_set(
+        "two", Fraction(30), [np.zeros((45, 22, 3), np.float32), np.zeros((90, 22, 3), np.float32)], ["0", "1"]
+    )
+    found = with_rotations(store, samples).local_rotations
+    assert found is not None and found.shape == (135, 24, 4)
+    np.testing.assert_allclose(np.abs((found[:45] * turning(90, 0, 24)[::2]).sum(-1)), 1.0, atol=1e-3)
+    np.testing.assert_allclose(np.abs((found[45:] * turning(90, 1, 24)).sum(-1)), 1.0, atol=1e-4)
+    torch.manual_seed(0)
+    torch.save(StgcnNetwork(SMPL.parents, 6, 40).state_dict(), tmp_path / "uestc.tar")
+    result = build(store.path, tmp_path, features=("uestc",), guo=GuoFiles(tmp_path / "uestc.tar"))
+    assert set(rows_of(result)["real (test)"]) == {"FID (train)", "Accuracy", "Diversity", "MultiModality"}
+    assert [block.title[:40] for block in result.blocks[2:]] == ["Printed in the NeRM paper for UESTC (Wei"]
+
+
+def test_without_rotations_there_is_nothing_for_uestc_to_see(store: Path, tmp_path: Path) -> None:
+    samples = sample_set("some", FPS, [acted("nod", 0)], ["000"])
+    with pytest.raises(NoActionsError, match="000 has no rotations of SMPL's joints, and this recogniser sees nothing"):
+        with_rotations(Store.open(store), samples)

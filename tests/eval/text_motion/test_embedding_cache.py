@@ -1,0 +1,136 @@
+"""Embeddings are computed once for what they depend on, and a file that cannot be trusted is not used."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from eval.samples.sets import SampleSet, sample_set
+from eval.text_motion.embedding_cache import Embedder, fingerprint_of
+from motionkit.motion import Caption
+
+
+class Counting:
+    """An evaluator that counts what it is asked for."""
+
+    name = "counting"
+    fps, layout = None, "smpl22"
+
+    def __init__(self, fingerprint: str = "a") -> None:
+        self.fingerprint = fingerprint
+        self.asked: list[int] = []
+
+    def remark_at(self, fps: Fraction) -> str:
+        return ""
+
+    def embed_motions(self, samples: SampleSet) -> np.ndarray:
+        self.asked.append(samples.num_sequences)
+        return np.stack([sequence.astype(np.float64).mean(axis=(0, 1)) for sequence in samples.sequences()])
+
+    def embed_texts(self, captions: list[Caption]) -> np.ndarray:
+        self.asked.append(len(captions))
+        return np.array([[len(caption.text), 0.0, 1.0] for caption in captions])
+
+
+def motions(seed: int = 0, fps: int = 20) -> SampleSet:
+    rng = np.random.default_rng(seed)
+    sequences = [rng.normal(size=(frames, 22, 3)).astype(np.float32) for frames in (4, 6, 5)]
+    return sample_set("some", Fraction(fps), sequences, ["a", "b", "c"])
+
+
+def test_the_second_time_nothing_is_embedded(tmp_path: Path) -> None:
+    evaluator = Counting()
+    first = Embedder(evaluator, tmp_path).motions(motions())
+    again = Embedder(evaluator, tmp_path).motions(motions())
+    assert evaluator.asked == [3]
+    assert np.array_equal(first, again)
+    assert len(list(tmp_path.iterdir())) == 1
+    Embedder(evaluator, None).motions(motions())
+    assert evaluator.asked == [3, 3]
+
+
+def test_whatever_changes_is_embedded_anew(tmp_path: Path) -> None:
+    evaluator, other = Counting("a"), Counting("b")
+    changed = motions()
+    changed.positions[7, 3, 1] += 1e-6
+    for samples in (motions(), changed, motions(fps=30)):
+        Embedder(evaluator, tmp_path).motions(samples)
+    assert evaluator.asked == [3, 3, 3]
+    Embedder(other, tmp_path).motions(motions())
+    assert other.asked == [3]
+    same_rows_cut_otherwise = sample_set("some", Fraction(20), np.split(motions().positions, [5, 10]), ["a", "b", "c"])
+    assert fingerprint_of(same_rows_cut_otherwise) != fingerprint_of(motions())
+    renamed = sample_set("another", Fraction(20), list(motions().sequences()), ["x", "y", "z"])
+    assert fingerprint_of(renamed) == fingerprint_of(motions())
+
+
+def test_every_text_is_embedded_once_and_comes_back_in_order(tmp_path: Path) -> None:
+    evaluator = Counting()
+    captions = [Caption(text) for text in ("walks", "runs fast", "walks", "sits")]
+    rows = Embedder(evaluator, tmp_path).texts(captions)
+    assert rows[:, 0].tolist() == [5, 9, 5, 4]
+    assert evaluator.asked == [3]
+    Embedder(evaluator, tmp_path).texts([*captions[:3], Caption("sits", tokens="sits/VERB")])
+    assert evaluator.asked == [3, 3]
+
+
+def damage_truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+def damage_other_key(path: Path) -> None:
+    save_file({"embeddings": np.zeros((3, 3))}, path, metadata={"key": "another"})
+
+
+def damage_shape(path: Path) -> None:
+    _rewrite(path, np.zeros((2, 3)))
+
+
+def damage_kind(path: Path) -> None:
+    _rewrite(path, np.zeros((3, 3), dtype=np.float32))
+
+
+def damage_nan(path: Path) -> None:
+    _rewrite(path, np.full((3, 3), np.nan))
+
+
+def _rewrite(path: Path, array: np.ndarray) -> None:
+    from safetensors import safe_open
+
+    with safe_open(path, framework="np") as opened:
+        metadata = opened.metadata()
+    save_file({"embeddings": array}, path, metadata=metadata)
+
+
+@pytest.mark.parametrize(
+    "damage", [damage_truncated, damage_other_key, damage_shape, damage_kind, damage_nan], ids=lambda f: f.__name__
+)
+def test_a_file_that_cannot_be_trusted_is_made_anew(damage, tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]
+    evaluator = Counting()
+    expected = Embedder(evaluator, tmp_path).motions(motions())
+    (path,) = tmp_path.iterdir()
+    damage(path)
+    assert np.array_equal(Embedder(evaluator, tmp_path).motions(motions()), expected)
+    assert evaluator.asked == [3, 3]
+    assert "computing it anew" in capsys.readouterr().err
+    assert np.array_equal(Embedder(evaluator, tmp_path).motions(motions()), expected)
+    assert evaluator.asked == [3, 3]
+
+
+def test_a_write_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(OSError, match="no space"):
+        Embedder(Counting(), tmp_path).motions(motions())
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_evaluator_that_drops_rows_is_refused(tmp_path: Path) -> None:
+    evaluator = Counting()
+    with pytest.raises(ValueError, match="'counting' gave 2 rows for 3"):
+        Embedder(evaluator, tmp_path).kept({"x": 1}, 3, lambda: np.zeros((2, 3)))
+    assert not list(tmp_path.iterdir())
