@@ -27,7 +27,7 @@ class Piece:
     """A field within a longer motion: when it starts there, and where its own frame lies in the world.
 
     `yaw` turns its poses about +Y (radians, Z+ towards X+), `origin` (x, z in metres) then moves them; both are those
-    of `motionkit.clips.Windows`.
+    of `motionkit.clips.windows.Windows`.
     """
 
     field: MotionField

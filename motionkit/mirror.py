@@ -24,7 +24,7 @@ def mirror(motion: Motion) -> Motion:
     rotations, root = motion.local_rotations, motion.root_translation
     mirrored = replace(
         motion,
-        joint_positions=mirrored_positions(motion.joint_positions, motion.skeleton),
+        joint_positions=mirror_positions(motion.joint_positions, motion.skeleton.left_right_pairs),
         skeleton=motion.skeleton if rotations is None else _mirrored_skeleton(motion.skeleton, order),
         local_rotations=None if rotations is None else rotations[:, order] * TURN_BACK,
         root_translation=None if root is None else root * FLIP,
@@ -32,23 +32,28 @@ def mirror(motion: Motion) -> Motion:
     return mirrored.logged("mirrored: x ← −x, left and right joints exchanged")
 
 
-def mirrored_positions(
-    joint_positions: Float32[np.ndarray, "frames joints 3"], skeleton: Skeleton
-) -> Float32[np.ndarray, "frames joints 3"]:
-    """The mirror image of joint positions alone. Raises `ValueError` as `mirror` does."""
-    return joint_positions[:, _partners(skeleton)] * FLIP
+def mirror_positions(
+    joint_positions: Float32[np.ndarray, "*poses joints 3"], left_right_pairs: tuple[tuple[int, int], ...]
+) -> Float32[np.ndarray, "*poses joints 3"]:
+    """The mirror image of joint positions alone, of any number of poses."""
+    return joint_positions[..., _exchanged(joint_positions.shape[-2], left_right_pairs), :] * FLIP
 
 
 def _partners(skeleton: Skeleton) -> Int[np.ndarray, "joints"]:
     if not skeleton.left_right_pairs:
         raise ValueError(f"skeleton {skeleton.name!r} does not say which joints are left and right")
-    order = np.arange(skeleton.num_joints)
-    for left, right in skeleton.left_right_pairs:
-        order[left], order[right] = right, left
+    order = _exchanged(skeleton.num_joints, skeleton.left_right_pairs)
     for joint, parent in enumerate(skeleton.parents):
         if parent >= 0 and skeleton.parents[order[joint]] != order[parent]:
             names = skeleton.joint_names[joint], skeleton.joint_names[order[joint]]
             raise ValueError(f"skeleton {skeleton.name!r}: {names[0]} and {names[1]} hang from joints that are no pair")
+    return order
+
+
+def _exchanged(num_joints: int, left_right_pairs: tuple[tuple[int, int], ...]) -> Int[np.ndarray, "joints"]:
+    order = np.arange(num_joints)
+    for left, right in left_right_pairs:
+        order[left], order[right] = right, left
     return order
 
 

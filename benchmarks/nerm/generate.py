@@ -25,7 +25,7 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from motionkit.clips import Windows
+from motionkit.clips.windows import Windows
 from motionkit.generation import GenerationRequest
 from nerm.conditions.batch import ConditionLayout
 from nerm.denoiser.latent_space import LatentSpace

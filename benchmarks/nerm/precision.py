@@ -15,7 +15,7 @@ from pathlib import Path
 
 import torch
 
-from motionkit.clips import WindowPoses
+from motionkit.clips.poses import WindowPoses
 from motionkit.skeleton import SMPL22
 from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from motionkit.clips import PositionSource, WindowPoses, Windows
+from motionkit.clips.poses import WindowPoses
+from motionkit.clips.windows import PositionSource, Windows
 from motionkit.skeleton import SMPL22
 from motionkit.store import Store
 from motionkit.store.cache import PositionCache, open_cache

@@ -21,7 +21,7 @@ import torch
 
 from eval.metrics.reconstruction import mpjpe_root_aligned
 from eval.report.results import environment
-from motionkit.clips import WindowPoses
+from motionkit.clips.poses import WindowPoses
 from motionkit.skeleton import SMPL22
 from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float32, Int64
 from torch.nn.functional import smooth_l1_loss
 
-from motionkit.clips import PositionSource
+from motionkit.clips.windows import PositionSource
 from motionkit.errors import UsageError
 from motionkit.resample import resample_positions
 from motionkit.training.precision import autocast

@@ -9,7 +9,7 @@ import pandas as pd
 import torch
 from jaxtyping import Float32
 
-from motionkit.clips import Windows
+from motionkit.clips.windows import Windows
 from motionkit.store.reader import Store
 from motionkit.store.schema import CACHE_FOLDER
 from nerm.conditions.batch import unit_rows

@@ -8,7 +8,7 @@ a path differ in it by far.
 import torch
 from jaxtyping import Float, Float32, Float64
 
-from motionkit.clips import PoseBatch
+from motionkit.clips.poses import PoseBatch
 from nerm.field.network import EncodedCoordinates
 from nerm.field.trained import TrainedField
 

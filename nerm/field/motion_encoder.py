@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float64, Int
 
 from motionkit.assembly import AssembledField, Piece, assemble, even_starts
-from motionkit.clips import PoseBatch
+from motionkit.clips.poses import PoseBatch
 from motionkit.features import field as field_vectors
 from motionkit.motionfield import Observation
 from motionkit.skeleton import SMPL22

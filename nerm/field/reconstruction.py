@@ -13,8 +13,11 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Int64
 
-from motionkit.clips import FrameVectors, PositionSource, WindowPoses, Windows, mirror_positions
+from motionkit.clips.frame_vectors import FrameVectors
+from motionkit.clips.poses import WindowPoses
+from motionkit.clips.windows import PositionSource, Windows
 from motionkit.features import field as field_vectors
+from motionkit.mirror import mirror_positions
 from motionkit.motionfield import to_motion
 from motionkit.resample import resample_positions
 from motionkit.skeleton import SMPL22

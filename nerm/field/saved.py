@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from motionkit.clips import Windows
+from motionkit.clips.windows import Windows
 from motionkit.errors import UsageError
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.device import resolve_device

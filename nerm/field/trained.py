@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64
 
-from motionkit.clips import Windows
+from motionkit.clips.windows import Windows
 from motionkit.motionfield import Poses, check_times
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.timegrid import normalise_seconds

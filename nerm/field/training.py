@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Int64
 
-from motionkit.clips import PoseBatch, WindowPoses, rows_by_duration, shuffled_batches
+from motionkit.clips.order import rows_by_duration, shuffled_batches
+from motionkit.clips.poses import PoseBatch, WindowPoses
 from motionkit.training.precision import autocast, compile_each
 from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.ranks import ALONE, DealtRows, Ranks

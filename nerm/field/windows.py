@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float64
 
-from motionkit.clips import PositionSource, Windows, cut_windows
+from motionkit.clips.windows import PositionSource, Windows, cut_windows
 from motionkit.errors import UsageError
 from motionkit.skeleton import SMPL22
 from nerm.settings.field import FieldConfig

@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Int64
 
-from motionkit.clips import PoseBatch, WindowPoses, chunks
+from motionkit.clips.order import chunks
+from motionkit.clips.poses import PoseBatch, WindowPoses
 from nerm.latents.body_path import measured_heading, relative_to
 from nerm.latents.knots import ridge_knots
 from nerm.latents.local import LocalLatents

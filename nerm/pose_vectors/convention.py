@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from motionkit.clips import FrameVectors
+from motionkit.clips.frame_vectors import FrameVectors
 from motionkit.motionfield import Poses
 from motionkit.skeleton import Skeleton
 from motionkit.store.cache import PositionCache

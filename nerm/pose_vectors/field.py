@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from motionkit.clips import FramePositions, FrameVectors
+from motionkit.clips.frame_vectors import FramePositions, FrameVectors
 from motionkit.features import field
 from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22, Skeleton

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from motionkit.clips import FrameVectors
+from motionkit.clips.frame_vectors import FrameVectors
 from motionkit.features import field, native
 from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.motionfield import Poses

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from motionkit import kinematics
-from motionkit.clips import FrameVectors
+from motionkit.clips.frame_vectors import FrameVectors
 from motionkit.conditions import conjunction
 from motionkit.errors import UsageError
 from motionkit.features import field

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float, Float32
 
-from motionkit.clips import WindowPoses, chunks
+from motionkit.clips.order import chunks
+from motionkit.clips.poses import WindowPoses
 from nerm.pose_vectors.convention import PoseVectors
 from nerm.pose_vectors.field import FIELD_VECTORS
 from nerm.settings.field import FieldConfig

@@ -6,7 +6,8 @@ import time
 import torch
 from jaxtyping import Float32
 
-from motionkit.clips import FrameVectors, WindowPoses
+from motionkit.clips.frame_vectors import FrameVectors
+from motionkit.clips.poses import WindowPoses
 from motionkit.console import stderr
 from motionkit.skeleton import SMPL22
 from motionkit.store.cache import PositionCache

@@ -7,16 +7,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.clips import (
-    PositionSource,
-    WindowPoses,
-    cut_windows,
-    mirror_positions,
-    rows_by_duration,
-    shuffled_batches,
-)
+from motionkit.clips.order import rows_by_duration, shuffled_batches
+from motionkit.clips.poses import WindowPoses
+from motionkit.clips.windows import PositionSource, cut_windows
 from motionkit.errors import UsageError
 from motionkit.features import field
+from motionkit.mirror import mirror_positions
 from motionkit.skeleton import SMPL22
 
 PAIRS = SMPL22.left_right_pairs

@@ -7,7 +7,7 @@ import numpy as np
 from eval.report.results import Block, Cell, Origin, Row
 from eval.samples.sets import SampleSet
 from eval.scoring.memorisation import STRETCH_SECONDS, distances_to_training
-from motionkit.mirror import mirrored_positions
+from motionkit.mirror import mirror_positions
 from motionkit.skeleton import SMPL22
 
 SHARES = {"nearest": 0.0, "5 %": 0.05, "25 %": 0.25, "50 %": 0.5, "75 %": 0.75, "95 %": 0.95}
@@ -40,7 +40,7 @@ def nearest_training_block(
 
 
 def _mirrored(samples: SampleSet) -> SampleSet:
-    images = [mirrored_positions(sequence, SMPL22) for sequence in samples.sequences()]
+    images = [mirror_positions(sequence, SMPL22.left_right_pairs) for sequence in samples.sequences()]
     return samples.with_positions(samples.name, samples.fps, images)
 
 

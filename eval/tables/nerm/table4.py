@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     import torch
 
-    from motionkit.clips import PositionSource, Windows
+    from motionkit.clips.windows import PositionSource, Windows
     from motionkit.store.reader import Store
     from nerm.field.trained import TrainedField
 
@@ -136,7 +136,7 @@ def held_out_windows(
     trained: "TrainedField", store: "Store", request: TableRequest, missing: list[str]
 ) -> EncodedWindows | None:
     """A sample of another split's windows, encoded against the frozen field; None where there is none."""
-    from motionkit.clips import cut_windows
+    from motionkit.clips.windows import cut_windows
     from nerm.field.reconstruction import encode_windows, separate_windows
 
     try:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from eval.tables.reported import reported_figures
-from motionkit.clips import WindowPoses
+from motionkit.clips.poses import WindowPoses
 from motionkit.errors import UsageError
 from motionkit.skeleton import SMPL22
 from motionkit.training.ablations import run_name

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from motionkit.clips import Windows
+from motionkit.clips.windows import Windows
 from nerm.denoiser.corpus_of_field import actions_of_windows, captions_of_windows
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.clips import WindowPoses, cut_windows
+from motionkit.clips.poses import WindowPoses
+from motionkit.clips.windows import cut_windows
 from motionkit.features import field as field_vectors
 from motionkit.skeleton import SMPL22
 from motionkit.training.randomness import step_generator

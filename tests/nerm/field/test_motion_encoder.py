@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.clips import WindowPoses, cut_windows
+from motionkit.clips.poses import WindowPoses
+from motionkit.clips.windows import cut_windows
 from motionkit.completion import complete, observed_errors
 from motionkit.motion import Motion
 from motionkit.motionfield import MotionEncoder, Observation, Poses, joint_velocities, to_motion

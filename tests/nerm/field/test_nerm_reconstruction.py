@@ -3,7 +3,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from motionkit.clips import cut_windows
+from motionkit.clips.windows import cut_windows
 from motionkit.features import field as field_vectors
 from motionkit.skeleton import SMPL22
 from nerm.field.reconstruction import comparable, separate_windows, window_truth

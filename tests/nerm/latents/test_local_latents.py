@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.clips import WindowPoses, cut_windows
+from motionkit.clips.poses import WindowPoses
+from motionkit.clips.windows import cut_windows
 from motionkit.skeleton import SMPL22
 from motionkit.training.config import apply_overrides
 from nerm.latents.body_path import measured_heading, path_speed, placed, relative_to, turned

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from motionkit import kinematics
-from motionkit.clips import WindowPoses, cut_windows, mirror_positions
+from motionkit.clips.poses import WindowPoses
+from motionkit.clips.windows import cut_windows
 from motionkit.errors import UsageError
 from motionkit.features import field, native
+from motionkit.mirror import mirror_positions
 from motionkit.motionfield import to_motion
 from motionkit.skeleton import SMPL22
 from motionkit.store.derived import derived_rows

@@ -10,8 +10,7 @@ import pytest
 from eval.clip_fid import feature_sources
 from eval.clip_fid.score import PoseRange, Protocol
 from eval.report.results import Result
-from eval.tables.nerm import clip_fid_column
-from eval.tables.nerm import table2
+from eval.tables.nerm import clip_fid_column, table2
 from eval.tables.registry import TableRequest, find_table, installed_tables
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest

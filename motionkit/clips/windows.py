@@ -1,0 +1,174 @@
+"""Windows of a corpus: stretches of at most l_max seconds of one sequence, each what one latent stands for.
+
+A window's frame k lies at k / fps after its first, at the coordinate t = −1 + 2·(k / fps) / l_max (NeRM §3.1).
+Positions are read from the cache's file when they are asked for, so memory doesn't grow with the corpus; mirrored
+windows are mirrored then, not stored.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int, Int64
+
+from motionkit.errors import UsageError
+from motionkit.features import field
+from motionkit.mirror import mirror_positions
+from motionkit.store.row_file import RowFile
+
+
+@runtime_checkable
+class PositionSource(Protocol):
+    """What clips need from `motionkit.store.cache.PositionCache`."""
+
+    @property
+    def positions(self) -> Float32[np.ndarray, "total_frames joints 3"]:
+        """Positions of all sequences, one after the other, metres."""
+        ...
+
+    @property
+    def sequence_index(self) -> Int[np.ndarray, "sequences"]:
+        """Each sequence's index in the store."""
+        ...
+
+    @property
+    def start_row(self) -> Int[np.ndarray, "sequences"]:
+        """First row of each sequence in `positions`."""
+        ...
+
+    @property
+    def num_frames(self) -> Int[np.ndarray, "sequences"]:
+        """Frames of each sequence."""
+        ...
+
+    @property
+    def fps_numerator(self) -> Int[np.ndarray, "sequences"]:
+        """Numerator of each sequence's framerate."""
+        ...
+
+    @property
+    def fps_denominator(self) -> Int[np.ndarray, "sequences"]:
+        """Denominator of each sequence's framerate."""
+        ...
+
+
+@runtime_checkable
+class ReadsRows(Protocol):
+    """A source whose frames can be read one by one, so that a training does not come to hold all that it has seen."""
+
+    @property
+    def rows(self) -> RowFile:
+        """The rows of `positions`."""
+        ...
+
+
+def read_positions(source: PositionSource, row: Int64[np.ndarray, "*rows"]) -> Float32[np.ndarray, "*rows joints 3"]:
+    """Copies of a source's frames by their rows."""
+    return source.rows[row] if isinstance(source, ReadsRows) else np.asarray(source.positions[row])
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """W windows of a corpus, as arrays.
+
+    `sequence_index` leads back to the store, `start_row` into the cache's positions; `start_frame` counts from the
+    sequence's first frame. `yaw` (radians) and `origin` (x, z in metres) are the window's frame, of the mirrored pose
+    where `mirrored`.
+    """
+
+    max_duration_seconds: float
+    sequence_index: Int64[np.ndarray, "windows"]
+    start_row: Int64[np.ndarray, "windows"]
+    start_frame: Int64[np.ndarray, "windows"]
+    num_frames: Int64[np.ndarray, "windows"]
+    fps_numerator: Int64[np.ndarray, "windows"]
+    fps_denominator: Int64[np.ndarray, "windows"]
+    mirrored: Bool[np.ndarray, "windows"]
+    yaw: Float32[np.ndarray, "windows"]
+    origin: Float32[np.ndarray, "windows 2"]
+
+    def __len__(self) -> int:
+        return len(self.sequence_index)
+
+    @property
+    def fps(self) -> Float64[np.ndarray, "windows"]:
+        """Native framerates."""
+        return np.asarray(self.fps_numerator / self.fps_denominator)
+
+    @property
+    def start_seconds(self) -> Float64[np.ndarray, "windows"]:
+        """Time of each window's first frame in its sequence."""
+        return np.asarray(self.start_frame / self.fps)
+
+    @property
+    def duration_seconds(self) -> Float64[np.ndarray, "windows"]:
+        """Time from each window's first frame to its last: (num_frames − 1) / fps, at most l_max."""
+        return np.asarray((self.num_frames - 1) / self.fps)
+
+    def exact_fps(self, window: int) -> Fraction:
+        """One window's framerate as a fraction."""
+        return Fraction(int(self.fps_numerator[window]), int(self.fps_denominator[window]))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays by name, as they are saved."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+
+    def select(self, rows: Int[np.ndarray, "chosen"] | Bool[np.ndarray, "windows"]) -> "Windows":
+        """Some of the windows."""
+        return Windows(self.max_duration_seconds, **{name: array[rows] for name, array in self.arrays().items()})
+
+    def __repr__(self) -> str:
+        hours = float(self.duration_seconds.sum()) / 3600
+        return f"Windows({len(self)} of at most {self.max_duration_seconds:g} s, {hours:.2f} h)"
+
+
+def cut_windows(
+    source: PositionSource,
+    *,
+    max_duration_seconds: float,
+    stride_seconds: float | None = None,
+    min_duration_seconds: float = 0.5,
+    mirror_pairs: tuple[tuple[int, int], ...] | None = None,
+) -> Windows:
+    """Cut every sequence into windows of at most `max_duration_seconds`.
+
+    A sequence that fits is one window. A longer one gives full windows every `stride_seconds` (l_max by default) and a
+    last one that ends with it. Sequences shorter than `min_duration_seconds` are left out. With `mirror_pairs` (the
+    skeleton's left and right joints) every window is followed, W rows later, by its mirror image. Raises `UsageError`
+    where nothing is left.
+    """
+    stride = max_duration_seconds if stride_seconds is None else stride_seconds
+    if stride <= 0 or max_duration_seconds <= 0:
+        raise UsageError("a window's longest duration and the stride between windows must be positive")
+    fps = source.fps_numerator / source.fps_denominator
+    frames = source.num_frames.astype(np.int64)
+    longest = np.floor(max_duration_seconds * fps + 1e-6).astype(np.int64) + 1
+    step = np.maximum(1, np.round(stride * fps).astype(np.int64))
+    spare = np.maximum(0, frames - longest)
+    count = np.where((frames - 1) / fps < min_duration_seconds, 0, 1 + -(-spare // step))
+    if not count.any():
+        raise UsageError(f"no sequence lasts {min_duration_seconds:g} s; nothing to cut windows from")
+    sequence = np.repeat(np.arange(len(frames)), count)
+    nth = np.arange(len(sequence)) - np.repeat(np.cumsum(count) - count, count)
+    start = np.minimum(nth * step[sequence], spare[sequence])
+    start_row = source.start_row[sequence].astype(np.int64) + start
+    first_pose = read_positions(source, start_row)
+    mirrored = np.zeros(len(sequence), dtype=np.bool_)
+    if mirror_pairs is not None:
+        first_pose = np.concatenate((first_pose, mirror_positions(first_pose, mirror_pairs)))
+        mirrored = np.concatenate((mirrored, ~mirrored))
+        sequence, start, start_row = (np.concatenate((each, each)) for each in (sequence, start, start_row))
+    yaw, origin = field.window_frame(first_pose)
+    return Windows(
+        max_duration_seconds,
+        sequence_index=source.sequence_index[sequence].astype(np.int64),
+        start_row=start_row,
+        start_frame=start,
+        num_frames=np.minimum(longest, frames)[sequence],
+        fps_numerator=source.fps_numerator[sequence].astype(np.int64),
+        fps_denominator=source.fps_denominator[sequence].astype(np.int64),
+        mirrored=mirrored,
+        yaw=yaw,
+        origin=origin,
+    )
