@@ -7,7 +7,7 @@ from typing import Any
 
 from motionkit.completing.clips import Clip, ClipSource, Progress, as_format, write_whole
 from motionkit.completing.encoder_choice import ChosenEncoder
-from motionkit.completing.page import write_page
+from motionkit.completing.page import write_comparison
 from motionkit.completing.request import ClipRequest, CompletionRequest
 from motionkit.completion import Completion, begin, begin_uneven
 from motionkit.errors import MotionkitError
@@ -82,7 +82,7 @@ class Job:
         write_whole(clip, made, path, progress)
         if page is not None:
             others = [(other.name, self._begin(clip, wanted, other)[0]) for other in self.compared]
-            write_page(page, source.name, clip, wanted.observed, [(name, made), *others])
+            write_comparison(page, source.name, clip, wanted.observed, [(name, made), *others])
         if clip.note:
             warnings.append(clip.note)
         lost = int((~clip.seen).sum())

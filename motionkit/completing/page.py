@@ -1,104 +1,71 @@
-"""An HTML page with moving skeletons side by side: the clip as it was, completed, and completed in other ways.
+"""The page of `--compare`: the clip as it was, completed, and completed in other ways, side by side."""
 
-One file without anything to load: positions are 16-bit numbers in it, a fraction of a millimetre apart.
-"""
-
-import base64
-import json
 from collections.abc import Sequence
-from importlib import resources
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool
 
 from motionkit.completing.clips import Clip
 from motionkit.completion import Completion
-from motionkit.motion import Motion
+from motionkit.player.packing import packed_bytes
+from motionkit.player.page import write_page
+from motionkit.player.take import Take, take_of
+from motionkit.timegrid import format_fps, num_frames_within
 
-# A screen shows no more, and a page of some megabytes opens at once.
-PAGE_FPS, PAGE_SECONDS = 60, 60.0
-TRAVELLING_METRES = 0.1
-PLACEHOLDER = "__PAGE_DATA__"
+# What is looked at; and a page of some megabytes opens at once, whatever the framerate.
+PAGE_SECONDS, PAGE_BYTES = 60.0, 24_000_000
 
 
-def write_page(
+def write_comparison(
     path: Path,
     title: str,
     clip: Clip,
     observed: Bool[np.ndarray, "frames"],
     ways: Sequence[tuple[str, Completion]],
 ) -> None:
-    """Write the page of a clip and of one or more completions of it, by name; it appears whole or not at all."""
-    first = ways[0][1]
-    step = max(1, -(-first.grid.fps.numerator // (first.grid.fps.denominator * PAGE_FPS)))
-    fps = float(first.grid.fps / step)
-    rows = np.arange(0, first.grid.num_frames, step)[: int(PAGE_SECONDS * fps)]
-    seconds = first.seconds(0, first.grid.num_frames)[rows]
-    panels = [(f"{name}", _sampled(made, seconds)) for name, made in ways]
+    """Write the page of a clip and of one or more completions of it, by name; it appears whole or not at all.
+
+    Each has its own frames: the clip those that it came with, a completion those of its framerate. Raises
+    `MotionkitError`.
+    """
+    grid = ways[0][1].grid
+    frame_bytes = packed_bytes(1, clip.motion.skeleton.num_joints) * len(ways)
+    num_shown = min(grid.num_frames, num_frames_within(PAGE_SECONDS, grid.fps), max(1, PAGE_BYTES // frame_bytes))
+    shown_seconds = float(num_shown / grid.fps)
+    takes = [_as_it_was(clip, observed, grid.start_seconds + shown_seconds), *(_made(*way, num_shown) for way in ways)]
+    whole = num_shown == grid.num_frames
+    part = "" if whole else f"Shown: the first {shown_seconds:.4g} of {grid.duration_seconds:.1f} seconds. "
+    note = f"{part}Dark are frames that were given, orange are those that were made."
+    write_page(path, title, takes, note=note, one_camera=True)
+
+
+def _as_it_was(clip: Clip, observed: Bool[np.ndarray, "frames"], until_seconds: float) -> Take:
     motion = clip.motion
-    held, inside = _held(clip, seconds)
-    as_it_was = f"the clip, {float(motion.fps):.6g} fps"
-    low = min(float(joints.min()) for _, joints in [("", held), *panels])
-    high = max(float(joints.max()) for _, joints in [("", held), *panels])
-    scale = max((high - low) / 65_000, 1e-6)
-    centre = (low + high) / 2
-
-    def panel(name: str, joints: Float32[np.ndarray, "times joints 3"]) -> dict[str, Any]:
-        numbers = np.rint((joints - centre) / scale).astype("<i2")
-        return {"name": name, "joints": base64.b64encode(numbers.tobytes()).decode()}
-
-    whole = len(rows) * step >= first.grid.num_frames
-    data = {
-        "title": title,
-        "shown": "" if whole else f"the first {PAGE_SECONDS:g} of {first.grid.duration_seconds:.1f} seconds",
-        "fps": fps,
-        "startSeconds": float(seconds[0]),
-        "numFrames": len(rows),
-        "parents": _drawn_parents(motion),
-        "scale": scale,
-        "centre": centre,
-        "given": _near_known(clip.seconds[observed], seconds, fps).astype(int).tolist(),
-        "inside": inside.astype(int).tolist(),
-        "panels": [panel(as_it_was, held), *(panel(*each) for each in panels)],
-    }
-    template = resources.files("motionkit.completing.templates").joinpath("compare.html").read_text(encoding="utf-8")
-    # In a script nothing may look like the end of one.
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
-    temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_text(template.replace(PLACEHOLDER, text), encoding="utf-8")
-    temporary.replace(path)
-
-
-def _drawn_parents(motion: Motion) -> list[int]:
-    # A joint that travels relative to its parent (hips in a reference on the floor) has no bone to draw.
-    parents = list(motion.skeleton.parents)
-    above = [max(parent, 0) for parent in parents]
-    lengths = np.linalg.norm(motion.joint_positions - motion.joint_positions[:, above], axis=-1)
-    travels = np.ptp(lengths, axis=0) > TRAVELLING_METRES
-    return [-1 if far else parent for parent, far in zip(parents, travels.tolist(), strict=True)]
-
-
-def _sampled(made: Completion, seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times joints 3"]:
-    inside = np.clip(seconds, made.field.start_seconds, made.field.end_seconds)
-    return made.field.query(inside).joint_positions
-
-
-def _held(
-    clip: Clip, seconds: Float64[np.ndarray, "times"]
-) -> tuple[Float32[np.ndarray, "times joints 3"], Bool[np.ndarray, "times"]]:
-    # The clip at its own framerate: each frame until the next; and whether an instant lies inside the clip.
-    frames = np.searchsorted(clip.seconds, seconds + 1e-6, side="right") - 1
-    inside = (frames >= 0) & (seconds <= clip.seconds[-1] + 1e-6)
-    return clip.motion.joint_positions[np.maximum(frames, 0)], np.asarray(inside)
-
-
-def _near_known(
-    known: Float64[np.ndarray, "known"], seconds: Float64[np.ndarray, "times"], fps: float
-) -> Bool[np.ndarray, "times"]:
-    after = np.searchsorted(known, seconds)
-    nearest = np.minimum(
-        np.abs(seconds - known[np.minimum(after, len(known) - 1)]), np.abs(seconds - known[np.maximum(after - 1, 0)])
+    take = replace(
+        take_of(motion, "the clip"),
+        start_seconds=float(clip.seconds[0]),
+        uneven_seconds=clip.uneven_seconds,
+        seen=None if observed.all() else observed,
+        unseen="left out",
+        colours="plain",
     )
-    return np.asarray(nearest < 0.5 / fps - 1e-9)
+    return take.frames(0, max(1, int(np.searchsorted(clip.seconds, until_seconds - 1e-6))))
+
+
+def _made(name: str, completion: Completion, num_shown: int) -> Take:
+    motion = completion.motion(0, num_shown)
+    given = np.zeros(num_shown, bool)
+    given[completion.given_rows[completion.given_rows < num_shown]] = True
+    return Take(
+        name=name,
+        joint_positions=motion.joint_positions,
+        skeleton=motion.skeleton,
+        fps=motion.fps,
+        start_seconds=motion.timegrid.start_seconds,
+        seen=given,
+        unseen="made",
+        colours="given",
+        details=(("framerate", f"{format_fps(motion.fps)} fps"),),
+    )

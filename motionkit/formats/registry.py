@@ -152,6 +152,18 @@ def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, 
     return ScanResult(tuple(_file_item(kind, path, root, licence) for path, kind in kinds if kind is not None))
 
 
+def with_tables_above(item: SourceItem, levels: int = 4) -> SourceItem:
+    """The item of a single file with what the nearest annotation table says of it: `scan` takes those beside it only.
+
+    Tables that cannot be read say nothing.
+    """
+    for folder in item.path.parents[:levels]:
+        for table in _tables(folder)[0]:
+            if item.path in table.rows:
+                return _stated(item, table.rows[item.path])
+    return item
+
+
 def _recognise(path: Path, licence: str, options: ReadOptions) -> ScanResult:
     # A single file whose name says nothing is known by how it begins.
     with path.open("rb") as file:

@@ -1,5 +1,6 @@
 """`motionkit complete`, file to file: every kind of clip, what is made of it, and what is said when nothing can be."""
 
+import base64
 import json
 import re
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from motionkit.formats.bvh.motion import read_bvh, write_bvh
 from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
 from motionkit.motion import Caption, Motion
 from motionkit.motionfield import to_motion
+from motionkit.player.packing import unpack
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
 from tests.motionkit.formats.samples import NUM_BVH_CHANNELS, bvh_text
@@ -83,10 +85,14 @@ def test_gaps_and_ends_with_json_and_a_page(motionkit: Run, walk: Path, motion: 
     assert made.num_frames == int(0.2 * 59.94) + int(59.94 * ((last - 1) / 30 + 0.2)) + 1
     page = out.with_suffix(".html").read_text(encoding="utf-8")
     data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)[1])  # type: ignore[index]
-    assert [panel["name"] for panel in data["panels"]] == ["the clip, 30 fps", "squad", "slerp", "rotation-cubic"]
-    assert data["numFrames"] == len(data["given"]) == made.num_frames
-    # Some are given, some are made; nothing is loaded from elsewhere.
-    assert 0 < sum(data["given"]) < made.num_frames and "http" not in page.replace("http://www.w3.org", "")
+    assert [take["name"] for take in data["takes"]] == ["the clip", "squad", "slerp", "rotation-cubic"]
+    as_it_was, *ways = data["takes"]
+    assert {take["numFrames"] for take in ways} == {made.num_frames} and as_it_was["numFrames"] == last
+    np.testing.assert_allclose(unpack(ways[0]["positions"]), made.joint_positions, atol=2e-4)
+    # Each has its own frames on one clock; the page says which were given.
+    assert as_it_was["startSeconds"] == 0 and ways[0]["startSeconds"] == pytest.approx(-int(0.2 * 59.94) * 1001 / 60000)
+    given = np.unpackbits(np.frombuffer(base64.b64decode(ways[0]["seen"]), np.uint8), bitorder="little")
+    assert given.sum() == clip["num_given_frames"]
 
 
 def test_npz_keeps_all_it_knows(motionkit: Run, tmp_path: Path, motion: Motion) -> None:

@@ -1,0 +1,151 @@
+// What holds it together: the takes, the clock, the keys.
+
+const find = (id) => document.getElementById(id);
+const data = JSON.parse(find("data").textContent);
+const SPEEDS = [...find("speed").options].map((option) => option.value);
+const NARROWEST_PANEL = 300;
+const page = { start: 0, end: 0 };
+const panels = data.takes.map((take, number) => makePanel(take, number, data.takes.length === 1, mark, refresh));
+page.start = Math.min(...panels.map(({ take }) => secondsOf(take, 0)));
+page.end = Math.max(...panels.map(({ take }) => endOf(take)));
+const sizes = panels.map(({ take }) => take.size);
+// One scale for all, so that sizes compare, unless a unit is another.
+const commonSize = Math.max(...sizes) < 3 * Math.min(...sizes) ? Math.max(...sizes) : 0;
+
+// Marked at first: the first of those with the highest framerate.
+let marked = 0, seconds = page.start, playing = true, last = null, waiting = false;
+panels.forEach(({ take }, number) => {
+  const best = panels[marked].take;
+  if (take.fps[0] * best.fps[1] > best.fps[0] * take.fps[1]) marked = number;
+});
+
+function show() {
+  waiting = false;
+  const settings = { linear: find("between").value === "linear", follow: find("follow").checked, trails: find("trails").checked,
+    leader: find("shared").checked ? panels[marked].take : null };
+  for (const panel of panels) drawPanel(panel, seconds, settings, commonSize);
+  drawTimeline(panels, marked, seconds);
+  const { take } = panels[marked], held = frameAt(take, seconds), input = find("frame");
+  if (document.activeElement !== input || playing) input.value = take.firstFrame + held.frame;
+  find("clock").textContent = `${seconds.toFixed(3)} s of ${page.end.toFixed(2)}`;
+  timeline.canvas.setAttribute("aria-valuenow", seconds.toFixed(3));
+  timeline.canvas.setAttribute("aria-valuetext", `${seconds.toFixed(2)} seconds`);
+}
+
+// Draws at the next occasion, once.
+function refresh() {
+  if (!waiting) { waiting = true; requestAnimationFrame(show); }
+}
+
+function seek(to) { seconds = Math.max(page.start, Math.min(page.end - SAME_SECONDS, to)); refresh(); }
+
+function setPlaying(yes) {
+  playing = yes; last = null;
+  find("play").textContent = playing ? "Pause" : "Play";
+  if (playing) requestAnimationFrame(tick);
+}
+
+function tick(now) {
+  if (!playing) return;
+  if (last !== null) {
+    seconds += (now - last) / 1000 * Number(find("speed").value);
+    if (seconds >= page.end) seconds = page.start;
+    show();
+  }
+  last = now;
+  requestAnimationFrame(tick);
+}
+
+// To a frame of the marked take, by its own number; it stands still there.
+function goToFrame(frame) {
+  const { take } = panels[marked];
+  setPlaying(false);
+  seek(secondsOf(take, Math.max(0, Math.min(take.numFrames - 1, frame))));
+}
+
+function step(frames) { goToFrame(frameAt(panels[marked].take, seconds).frame + frames); }
+
+function mark(number) {
+  marked = number;
+  panels.forEach((panel, each) => panel.figure.classList.toggle("marked", each === marked && panels.length > 1));
+  const { take } = panels[marked], input = find("frame");
+  input.min = take.firstFrame; input.max = take.firstFrame + take.numFrames - 1;
+  input.title = `of ${take.name}: ${input.min} … ${input.max}`;
+  refresh();
+}
+
+function changeSpeed(by) {
+  const at = SPEEDS.indexOf(find("speed").value) + by;
+  find("speed").value = SPEEDS[Math.max(0, Math.min(SPEEDS.length - 1, at))];
+}
+
+// A single motion says its name itself.
+document.querySelector("h1").textContent = panels.length > 1 ? data.title : "";
+find("note").textContent = data.note;
+find("shared").checked = data.oneCamera;
+find("shared-label").hidden = panels.length === 1;
+find("panels").append(...panels.map((panel) => panel.figure));
+find("panels").classList.toggle("many", panels.length > 2);
+timeline.canvas.setAttribute("aria-valuemin", page.start.toFixed(3));
+timeline.canvas.setAttribute("aria-valuemax", page.end.toFixed(3));
+
+find("play").onclick = () => setPlaying(!playing);
+find("back").onclick = () => step(-1);
+find("next").onclick = () => step(1);
+find("frame").onfocus = () => setPlaying(false);
+find("frame").oninput = (event) => { if (event.target.value !== "") goToFrame(Number(event.target.value) - panels[marked].take.firstFrame); };
+find("reset").onclick = () => { Object.assign(view, FIRST_VIEW); refresh(); };
+for (const id of ["between", "follow", "trails", "shared"]) find(id).onchange = refresh;
+
+const scrub = (event) => {
+  const box = timeline.canvas.getBoundingClientRect();
+  setPlaying(false);
+  seek(instantAt(event.clientX - box.left, box.width));
+};
+timeline.canvas.onpointerdown = (event) => { timeline.canvas.setPointerCapture(event.pointerId); scrub(event); };
+timeline.canvas.onpointermove = (event) => { if (event.buttons) scrub(event); };
+
+const toggle = (id) => { find(id).checked = !find(id).checked; refresh(); };
+const KEYS = {
+  " ": () => setPlaying(!playing),
+  ArrowLeft: (event) => step(event.shiftKey ? -10 : -1),
+  ArrowRight: (event) => step(event.shiftKey ? 10 : 1),
+  ArrowUp: () => changeSpeed(1),
+  ArrowDown: () => changeSpeed(-1),
+  Home: () => goToFrame(0),
+  End: () => goToFrame(Infinity),
+  f: () => toggle("follow"),
+  c: () => toggle("shared"),
+  t: () => toggle("trails"),
+  i: () => { find("between").value = find("between").value === "hold" ? "linear" : "hold"; refresh(); },
+  r: () => find("reset").onclick(),
+};
+document.addEventListener("keydown", (event) => {
+  const own = event.target.closest("input[type=number], select"), act = KEYS[event.key] || KEYS[event.key.toLowerCase()];
+  if (!act || own || event.ctrlKey || event.metaKey || event.altKey) return;
+  // A button that has the focus would be pressed by space, too.
+  event.preventDefault();
+  act(event);
+});
+
+// Rows as full as may be: four panels are two and two where three would fit.
+function arrange() {
+  const most = Math.max(1, Math.floor(find("panels").clientWidth / NARROWEST_PANEL)), rows = Math.ceil(panels.length / most);
+  find("panels").style.setProperty("--columns", Math.ceil(panels.length / rows));
+  refresh();
+}
+new ResizeObserver(arrange).observe(find("panels"));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", refresh);
+
+// A page may be opened at an instant, standing still: page.html#frame=12 of the marked take, or #t=1.5.
+function followAddress() {
+  const asked = /^#(frame|t)=(-?\d+(?:\.\d+)?)$/.exec(location.hash);
+  if (!asked) return false;
+  setPlaying(false);
+  if (asked[1] === "frame") goToFrame(Number(asked[2]) - panels[marked].take.firstFrame); else seek(Number(asked[2]));
+  return true;
+}
+window.onhashchange = followAddress;
+mark(marked);
+if (!followAddress()) setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
+show();

@@ -1,0 +1,188 @@
+"""`motionkit view`, file to page: every kind of motion, stretches, limits, what is told when nothing is shown."""
+
+import json
+import re
+import webbrowser
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Outcome
+
+from motionkit.features import humanml3d
+from motionkit.features.humanml3d_processing import process
+from motionkit.formats.arrays.npz import motion_arrays, write_npz
+from motionkit.formats.bvh.motion import read_bvh, write_bvh
+from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
+from motionkit.motion import Caption, Motion
+from motionkit.motionfield import to_motion
+from motionkit.player.packing import unpack
+from motionkit.store import StoreWriter
+from motionkit.synthetic import make_body, perform
+
+Run = Callable[..., Outcome]
+HALF_STEP = 5.1e-5
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    """Two seconds of a walk at 30 fps, with rotations."""
+    walked = to_motion(perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0), Fraction(30))
+    captions = (Caption("a person walks", 0.0, 1.0), Caption("on"))
+    return replace(walked.frames(0, 60), sequence_id="set/walk", captions=captions, action="walk")
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Pages are written where one is."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def takes_of(outcome: Outcome) -> list[dict[str, Any]]:
+    """What the page holds that a call has written."""
+    assert outcome.code == 0, outcome.stderr
+    text = Path(outcome.stdout.strip()).read_text("utf-8")
+    found = re.findall(r'<script id="data" type="application/json">(.*?)</script>', text, re.DOTALL)
+    takes: list[dict[str, Any]] = json.loads(found[0])["takes"]
+    return takes
+
+
+def test_a_bvh_file_at_its_own_framerate(motionkit: Run, motion: Motion) -> None:
+    write_bvh(motion, Path("walk.bvh"))
+    outcome = motionkit("view", "walk.bvh")
+    assert outcome.stdout == "walk.view.html\n" and outcome.stderr == ""
+    (take,) = takes_of(outcome)
+    np.testing.assert_allclose(unpack(take["positions"]), read_bvh(Path("walk.bvh")).joint_positions, atol=HALF_STEP)
+    assert take["name"] == "walk.bvh" and take["fps"] == [30, 1] and take["numFrames"] == 60
+    again = motionkit("view", "walk.bvh")
+    assert again.code == 1 and "--overwrite" in again.stderr and again.stdout == ""
+    assert motionkit("view", "walk.bvh", "--overwrite").code == 0
+
+
+def test_many_kinds_side_by_side_each_on_its_own_frames(motionkit: Run, motion: Motion) -> None:
+    write_npz(motion, Path("walk.npz"))
+    np.save("joints.npy", motion.joint_positions)
+    vectors = humanml3d.vectors(process(motion.joint_positions, "smpl22"), "smpl22")
+    np.save("vectors.npy", vectors)
+    told = motionkit("view", "joints.npy", "--fps", "60000/1001", "--out", "one.html")
+    assert takes_of(told)[0]["fps"] == [60000, 1001]
+    with StoreWriter.create(Path("store")) as writer:
+        writer.add(motion)
+    outcome = motionkit("view", "walk.npz", "vectors.npy", "set/walk", "--out", "pages/all.html", "--json")
+    report = json.loads(outcome.stdout)
+    assert report["page"] == "pages/all.html" and report["failed"] == []
+    assert report["bytes"] == Path("pages/all.html").stat().st_size
+    assert [(each["name"], each["fps"], each["num_frames"]) for each in report["motions"]] == [
+        ("walk.npz", "30", 60),
+        ("vectors.npy", "20", 59),
+        ("set/walk", "30", 60),
+    ]
+    walk, of_vectors, stored = takes_of(motionkit("view", "walk.npz", "vectors.npy", "set/walk", "--out", "b.html"))
+    for take in (walk, stored):
+        np.testing.assert_allclose(unpack(take["positions"]), motion.joint_positions, atol=HALF_STEP)
+        assert take["captions"] == [["a person walks", 0.0, 1.0], ["on", 0.0, None]] and "walk" in take["labels"]
+    np.testing.assert_allclose(unpack(of_vectors["positions"]), humanml3d.positions(vectors, "smpl22"), atol=1e-4)
+
+
+def test_a_condition_and_a_limit(motionkit: Run, motion: Motion) -> None:
+    with StoreWriter.create(Path("store")) as writer:
+        for number in range(9):
+            writer.add(replace(motion, sequence_id=f"set/{number}", action="walk" if number % 2 else "run"))
+    outcome = motionkit("view", "--where", "action = 'run'", "--limit", "3")
+    assert [take["name"] for take in takes_of(outcome)] == ["set/0", "set/2", "set/4"]
+    assert outcome.stdout == "set_0-and-2-more.view.html\n" and "first 3 of 5" in outcome.stderr
+    outcome = motionkit("view", "--where", "action = 'hop'")
+    assert outcome.code == 2 and "'hop'" in outcome.stderr
+
+
+def test_folders_one_bad_file_costs_nothing_of_the_others(motionkit: Run, motion: Motion) -> None:
+    vectors = humanml3d.vectors(process(motion.joint_positions, "smpl22"), "smpl22")
+    entry = Entry("000001", humanml3d.positions(vectors, "smpl22"), vectors)
+    write_humanml3d(Path("takes/set"), [entry])
+    write_bvh(motion, Path("takes/a.bvh"))
+    write_bvh(motion, Path("takes/b.bvh"))
+    Path("takes/c.bvh").write_text(Path("takes/a.bvh").read_text("utf-8")[:-400], encoding="utf-8")
+    # A table above says what a single file below is.
+    Path("clips.csv").write_text("file,caption\ntakes/b.bvh,somebody walks\n", encoding="utf-8")
+    outcome = motionkit("view", "takes", "--json")
+    report = json.loads(outcome.stdout)
+    assert outcome.code == 1 and "the file ends" in outcome.stderr
+    assert [Path(each["clip"]).name for each in report["failed"]] == ["c.bvh"]
+    assert sorted(each["name"] for each in report["motions"]) == ["000001.npy (000001)", "a.bvh", "b.bvh"]
+    (take,) = takes_of(motionkit("view", "takes/b.bvh"))
+    assert take["captions"] == [["somebody walks", 0.0, None]]
+    # Names that folders tell apart are told with them.
+    Path("other").mkdir()
+    Path("takes/a.bvh").rename("other/b.bvh")
+    names = [take["name"] for take in takes_of(motionkit("view", "takes/b.bvh", "other/b.bvh"))]
+    assert names == ["takes/b.bvh", "other/b.bvh"]
+
+
+def test_a_stretch_keeps_the_files_frame_numbers_and_seconds(motionkit: Run, motion: Motion) -> None:
+    write_npz(motion, Path("walk.npz"))
+    (take,) = takes_of(motionkit("view", "walk.npz", "--from", "0.5", "--to", "1"))
+    assert (take["firstFrame"], take["numFrames"], take["startSeconds"]) == (15, 15, 0.5)
+    np.testing.assert_allclose(unpack(take["positions"]), motion.joint_positions[15:30], atol=HALF_STEP)
+    outcome = motionkit("view", "walk.npz", "--from", "2", "--out", "b.html")
+    assert outcome.code == 1 and "no frame from 2 s" in outcome.stderr and "1.96667 s" in outcome.stderr
+    assert not Path("b.html").exists()
+
+
+def test_lost_frames_uneven_times_and_bodies_that_are_no_humans(motionkit: Run, motion: Motion) -> None:
+    lost = motion.joint_positions.copy()
+    lost[20:26, 3] = np.nan
+    arrays = motion_arrays(motion)
+    np.savez("lost.npz", **{**arrays, "joint_positions": lost})  # type: ignore[arg-type]
+    kept = np.delete(np.arange(60), [7, 8, 31])
+    np.savez("dropped.npz", joint_positions=motion.joint_positions[kept], time_seconds=kept / 30)
+    write_bvh(
+        replace(motion, skeleton=motion.skeleton.scaled(0.01), joint_positions=motion.joint_positions * 0.01),
+        Path("mouse.bvh"),
+    )
+    text = Path("mouse.bvh").read_text("utf-8")
+    for joint in motion.skeleton.joint_names:
+        text = text.replace(f" {joint}\n", f" z{joint[::-1]}\n")
+    Path("mouse.bvh").write_text(text, encoding="utf-8")
+    takes = takes_of(motionkit("view", "lost.npz", "dropped.npz", "mouse.bvh"))
+    assert takes[0]["seen"] is not None and takes[1]["unevenSeconds"] is not None and takes[2]["numFrames"] == 60
+    assert takes[1]["numFrames"] == 57
+
+
+def test_open_hands_the_page_to_the_browser(motionkit: Run, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", lambda address: opened.append(address) or False)
+    write_npz(motion, Path("walk.npz"))
+    outcome = motionkit("view", "walk.npz", "--open")
+    assert opened == [Path("walk.view.html").absolute().as_uri()]
+    assert outcome.code == 0 and "no browser" in outcome.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        ([], 2, "name motions"),
+        (["none.bvh"], 2, "none.bvh is no file"),
+        (["walk.npz", "--from", "2", "--to", "1"], 2, "ends before it begins"),
+        (["walk.npz", "--from", "nan"], 2, "seconds"),
+        (["walk.npz", "--fps", "0"], 2, "--fps 0"),
+        (["walk.npz", "--format", "fbx"], 2, "'fbx'"),
+        (["joints.npy"], 1, "framerate"),
+        (["."], 1, "framerate"),
+        (["notes.md"], 1, "of no known format"),
+    ],
+)
+def test_what_cannot_be_shown_is_told_in_a_line(
+    motionkit: Run, motion: Motion, arguments: list[str], code: int, told: str
+) -> None:
+    if "." not in arguments:
+        write_npz(motion, Path("walk.npz"))
+    np.save("joints.npy", motion.joint_positions)
+    Path("notes.md").write_text("# no motion\n", encoding="utf-8")
+    outcome = motionkit("view", *arguments)
+    assert outcome.code == code and outcome.stdout == "" and told in outcome.stderr.splitlines()[-1]
+    assert not list(Path().glob("*.html"))
