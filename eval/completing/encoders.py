@@ -1,10 +1,11 @@
 """The rows of the completion tables: what needs no training, and the trained encoders of runs."""
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from eval.baselines.row_curves import CUBIC, LINEAR
 from motionkit.encoders import load_encoder, runs_with, trained_encoder_names
@@ -28,13 +29,19 @@ TITLES = {
 
 @dataclass(frozen=True)
 class Completer:
-    """A row: an encoder, what it is, and what its figures depend on beside the protocol."""
+    """A row: an encoder, what it is, and what its figures depend on beside the protocol.
+
+    `form` is what a trained network's answer is (`pahires.settings.Form`): rows of different forms are not compared by
+    their networks alone. It is empty where nothing says so. `facts` tell how it was trained.
+    """
 
     name: str
     encoder: MotionEncoder
     note: str
     fingerprint: str
     trained: bool = False
+    form: str = ""
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 HOLD = Completer("hold", INTERPOLATORS["hold"], "each given pose until the next one", "hold/1")
@@ -86,8 +93,31 @@ def completer_of(name: str, run: Path, title: str) -> Completer:
     encoder = load_encoder(name, run)
     model = RunFolder(run).stage(name).model_path
     digest = hashlib.sha256(model.read_bytes()).hexdigest() if model.is_file() else str(run)
-    # What a network answers depends on the code that asks it: figures of another commit are not taken for this one's.
-    return Completer(title, encoder, f"run {run.name!r}", f"{name}-{digest}-{code_version()}", trained=True)
+    stage = RunFolder(run).stage(name)
+    begun = stage.read_config() if stage.config_path.is_file() else {}  # other packages' runs may be anything
+    training = begun.get("config", {}).get("training", {})
+    return Completer(
+        title,
+        encoder,
+        _told_training(run, training),
+        # What a network answers depends on the code that asks it: another commit's figures are not this one's.
+        f"{name}-{digest}-{code_version()}",
+        trained=True,
+        form=str(training.get("form", "")),
+        facts={name: begun[name] for name in ("commit", "recipe", "seed", "config") if name in begun},
+    )
+
+
+def _told_training(run: Path, training: Mapping[str, Any]) -> str:
+    """The run with its steps and the form of the answer, where its settings say them."""
+    told = [f"run {run.name!r}"]
+    if training.get("steps") is not None:
+        told.append(f"{training['steps']:,} steps of {training.get('batch')}")
+    if training.get("form") == "plain":
+        told.append("plain")
+    elif training.get("form") is not None:
+        told.append(f"{training['form']} corrections of {training.get('base')}")
+    return ", ".join(told)
 
 
 @cache

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from eval.completing.encoders import Completer
+from eval.completing.scores import Scores, scores_of
 from eval.completing.windows import FPS, PoseWindows, global_poses
 from eval.metrics.registry import MeanStream, find_metric
 from eval.protocols.inbetweening import Question
@@ -15,7 +16,6 @@ from motionkit.motionfield import Observation, Poses
 
 METRICS = ("l2p", "l2q", "l2q_as_signed", "npss", "mpjpe_global")
 WINDOWS_AT_ONCE = 64
-Scores = dict[str, dict[str, float]]
 
 
 def measure_windows(
@@ -58,7 +58,7 @@ def measure_windows(
                 predicted.reshape(-1, *true.shape[2:]), true.reshape(-1, *true.shape[2:])
             )
         advance()
-    return {name: {label: of_label[name].value for label, of_label in streams.items()} for name in METRICS}
+    return scores_of(streams, METRICS)
 
 
 def num_batches(windows: PoseWindows) -> int:

@@ -9,6 +9,7 @@ from jaxtyping import Float32
 
 from eval.completing.encoders import Completer
 from eval.completing.scale import ClipFrames, PoseScale
+from eval.completing.scores import Scores, scores_of
 from eval.completing.takes import TrueClips, TruePoses, observations
 from eval.metrics.registry import MeanStream, find_metric
 from eval.protocols.interpolation import InterpolationProtocol, scale_label
@@ -25,7 +26,6 @@ METRICS = (
 # A body that stands still is put back exactly: a clip counts with at most so many dB, which is float32's resolution.
 CEILING_DB = 100.0
 CLIPS_AT_ONCE = 32
-Scores = dict[str, dict[str, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +66,8 @@ def measure_interpolation(
                 except (MotionkitError, ValueError) as error:
                     failed[completer.name] = f"{scale_label(scale)}: {error}"
         advance()
-    figures: dict[str, Scores] = {
-        completer.name: {
-            name: {label: of_scale[name].value for label, of_scale in streams[completer.name].items()}
-            for name in METRICS
-        }
+    figures = {
+        completer.name: scores_of(streams[completer.name], METRICS)
         for completer in completers
         if completer.name not in failed
     }

@@ -191,7 +191,8 @@ def begin_stage(
             )
         shutil.rmtree(folder.path)
     folder.path.mkdir(parents=True, exist_ok=True)
-    write_json(folder.config_path, {"stage": folder.path.name, **asked, "store": store, "versions": versions()})
+    code = {"versions": versions(), "commit": commit()}
+    write_json(folder.config_path, {"stage": folder.path.name, **asked, "store": store, **code})
 
 
 def check_same(

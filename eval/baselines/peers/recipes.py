@@ -114,7 +114,6 @@ def _on(task: TaskSettings, training: TemporalSettings) -> TemporalSettings:
         training,
         tasks=replace(training.tasks, interpolate=interpolate, gap=gap, scattered=scattered, extend=extend),
         steps=round(training.steps * kept / sum(training.tasks.shares)),
-        balanced=False,
     )
 
 

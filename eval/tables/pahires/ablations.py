@@ -1,12 +1,14 @@
 """PA-HiRes' Table 4 and Figures 5 and 6: runs of `motionkit ablate --paper pahires`, by interpolation at ×4.
 
-A variant is a cell: its entry's label says row and column. What is not trained has no number, and a note says which
-command trains it.
+A variant is a cell: its entry's label says row and column. Where it was trained from several starts (seeds) its number
+is their mean, and a block shows them one by one: what a start does by itself is no effect of a setting. What is not
+trained has no number, and a note says which command trains it.
 """
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import partial
+from statistics import fmean
 from typing import Any
 
 from eval.completing.encoders import INTERPOLATION, Completer, completer_of
@@ -15,6 +17,7 @@ from eval.metrics.registry import find_metric
 from eval.protocols.interpolation import VERSION, InterpolationProtocol, scale_label
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.samples.real import of_split_and
+from eval.tables.pahires.blocks import Scope, value, with_pools
 from eval.tables.pahires.interpolation import caption, definition
 from eval.tables.pahires.measured_interpolation import Measured, measure_data_set
 from eval.tables.registry import Table, TableRequest
@@ -29,6 +32,7 @@ from pahires.stage import STAGE
 SCALE = Fraction(4)
 METRICS = {"psnr": "PSNR (dB)", "ssim": "SSIM", "acceleration_error": "acceleration error (m/s²)"}
 REFERENCES = tuple(row for row in INTERPOLATION if row.name in ("SLERP", "cubic spline"))
+MOST_SEEDS = 100
 
 
 def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
@@ -42,14 +46,15 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     trained = _trained(ablation, request)
     store, protocol = Store.open(request.store), InterpolationProtocol()
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
-    rates = {Fraction(_settings(run)["training"]["fps"]) for run in trained.values()}
-    runs = {run.path: completer_of(STAGE.name, run.path, run.path.name) for run in trained.values()}
+    all_runs = list({run.path: run for runs in trained.values() for run in runs.values()}.values())
+    rates = {Fraction(_settings(run)["training"]["fps"]) for run in all_runs}
+    completers = [completer_of(STAGE.name, run.path, run.path.name) for run in all_runs]
     absent: dict[str, str] = {}
     measured: list[Measured] = []
     with progress() as display:
         for data_set in (each for each in data_sets_of(store) if each.fps in rates):
             try:
-                rows: list[Completer] = [*REFERENCES, *runs.values()]
+                rows: list[Completer] = [*REFERENCES, *completers]
                 measured.append(measure_data_set(store, data_set, (SCALE,), rows, protocol, request, display))
             except NoTakesError as error:
                 absent[data_set.label] = str(error)
@@ -57,7 +62,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         rates_told = ", ".join(f"{float(rate):g}" for rate in rates)
         raise nothing_at_all(absent or {"": f"no data set stands at {rates_told} fps, which the runs were trained for"})
     missing = [f"{label}: {reason}" for label, reason in absent.items()]
-    names = {label: run.path.name for label, run in trained.items()}
+    scopes = with_pools([each.scope for each in measured], "clips")
     untrained = [entry.variant for entry in ablation.entries if entry.label not in trained]
     missing += [f"{variant.name}: {_command(ablation, request, variant)}" for variant in dict.fromkeys(untrained)]
     return Result(
@@ -66,18 +71,23 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         title=f"PA-HiRes, {_place(ablation)}: {ablation.title}",
         caption=(
             f"What one setting does to interpolation at {scale_label(SCALE)}; all else is the same, "
-            f"{_told_training(list(trained.values()))}. {caption(measured, protocol, request)}"
+            f"{_told_training(all_runs)}. {caption(measured, protocol, request)}"
         ),
-        blocks=(*(block for each in measured for block in _blocks(ablation, each, names)), *_printed(ablation)),
+        blocks=(
+            *(block for scope in scopes for block in _blocks(ablation, scope, trained)),
+            *_starts(scopes, trained),
+            *_printed(ablation),
+        ),
         definition={
             **definition(protocol, request),
             "variants": {entry.label: list(entry.variant.change) for entry in ablation.entries},
         },
-        notes=(*(remark for each in measured for remark in each.remarks), *_notes(ablation)),
+        notes=(*(remark for each in measured for remark in each.remarks), *_notes(ablation, trained)),
         missing=tuple(dict.fromkeys((*missing, *(line for each in measured for line in each.missing)))),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "runs": {run.path.name: run.stage(STAGE.name).read_summary() for run in trained.values()},
+            "runs": {run.path.name: run.stage(STAGE.name).read_summary() for run in all_runs},
+            "trained": {completer.name: completer.facts for completer in completers},
             "seed": request.seed,
             "environment": environment(),
         },
@@ -90,22 +100,31 @@ TABLE_4, FIGURE_5, FIGURE_6 = (
 )
 
 
-def _trained(ablation: Ablation, request: TableRequest) -> dict[str, RunFolder]:
-    """Runs of the entries that are trained, by label."""
+# Runs of the entries that are trained, by label: one a seed, by seed.
+_Trained = Mapping[str, Mapping[int, RunFolder]]
+
+
+def _trained(ablation: Ablation, request: TableRequest) -> _Trained:
     if request.run is None:
         raise UsageError("an ablation needs the name of its runs: --run NAME for runs/NAME-VARIANT")
     runs = {
-        entry.label: RunFolder(request.run.parent / run_name(request.run.name, entry.variant, request.seed))
+        entry.label: {
+            seed: RunFolder(request.run.parent / run_name(request.run.name, entry.variant, seed))
+            for seed in range(MOST_SEEDS)
+        }
         for entry in ablation.entries
     }
-    found = {label: run for label, run in runs.items() if run.stage(STAGE.name).is_complete}
-    if not found:
-        names = ", ".join(dict.fromkeys(run.path.name for run in runs.values()))
+    found = {
+        label: {seed: run for seed, run in of_label.items() if run.stage(STAGE.name).is_complete}
+        for label, of_label in runs.items()
+    }
+    if not any(found.values()):
+        names = ", ".join(dict.fromkeys(of_label[0].path.name for of_label in runs.values()))
         raise UsageError(
             f"no run of it is trained in {str(request.run.parent)!r}: motionkit ablate {ablation.table} "
             f"--paper pahires --run {request.run.name} trains {names}"
         )
-    return found
+    return {label: of_label for label, of_label in found.items() if of_label}
 
 
 def _settings(run: RunFolder) -> dict[str, Any]:
@@ -125,31 +144,65 @@ def _told_training(runs: Sequence[RunFolder]) -> str:
     return ", ".join(f"{name} {' and '.join(values)}" for name, values in told.items())
 
 
-def _blocks(ablation: Ablation, measured: Measured, names: Mapping[str, str]) -> list[Block]:
+def _blocks(ablation: Ablation, scope: Scope, trained: _Trained) -> list[Block]:
     places = {entry.label: entry.label.partition(SEPARATOR)[::2] for entry in ablation.entries}
     columns = tuple(dict.fromkeys(column for _, column in places.values()))
     blocks = []
     for metric, title in METRICS.items():
         cells: dict[str, dict[str, Cell]] = {row: {} for row, _ in places.values()}
         for label, (row, column) in places.items():
-            scores = measured.rows.get(names.get(label, ""))
-            if scores is not None:
-                cells[row][column] = Cell(scores[metric][scale_label(SCALE)])
+            values = list(_by_seed(scope, trained.get(label, {}), metric).values())
+            if values:
+                cells[row][column] = Cell(fmean(values))
         references = tuple(
-            Row(f"{each.name}, not trained", "reference", _flat(measured, each.name, metric, columns))
+            Row(f"{each.name}, not trained", "reference", _flat(scope, each.name, metric, columns))
             for each in REFERENCES
         )
         lower = find_metric(metric).higher_is_better is False
         ours = tuple(Row(row, "ours", found) for row, found in cells.items() if found)
         blocks.append(
-            Block(f"{measured.data_set.label}: {title}", columns, (*references, *ours), lower_is_better=lower)
+            Block(f"{scope.label}: {title}", columns, (*references, *ours), lower_is_better=lower, note=scope.note)
         )
     return blocks
 
 
-def _flat(measured: Measured, name: str, metric: str, columns: Sequence[str]) -> dict[str, Cell]:
+def _starts(scopes: Sequence[Scope], trained: _Trained) -> list[Block]:
+    """Runs that differ by their seed alone, one by one."""
+    several = {label: runs for label, runs in trained.items() if len(runs) > 1}
+    if not several:
+        return []
+    seeds = sorted({seed for runs in several.values() for seed in runs})
+    return [
+        Block(
+            f"From other starts: {title}",
+            tuple(f"seed {seed}" for seed in seeds),
+            tuple(
+                Row(
+                    f"{scope.label}: {label}",
+                    "ours",
+                    {f"seed {seed}": Cell(found) for seed, found in _by_seed(scope, runs, metric).items()},
+                )
+                for scope in scopes
+                for label, runs in several.items()
+            ),
+            lower_is_better=find_metric(metric).higher_is_better is False,
+            note="Settings that differ by less than these runs do are not told apart.",
+        )
+        for metric, title in METRICS.items()
+    ]
+
+
+def _by_seed(scope: Scope, runs: Mapping[int, RunFolder], metric: str) -> dict[int, float]:
+    return {
+        seed: value(scope.rows[run.path.name], metric, scale_label(SCALE))
+        for seed, run in runs.items()
+        if run.path.name in scope.rows
+    }
+
+
+def _flat(scope: Scope, name: str, metric: str, columns: Sequence[str]) -> dict[str, Cell]:
     """One number in every column: what does not depend on the setting."""
-    return {column: Cell(measured.rows[name][metric][scale_label(SCALE)]) for column in columns}
+    return {column: Cell(value(scope.rows[name], metric, scale_label(SCALE))) for column in columns}
 
 
 def _place(ablation: Ablation) -> str:
@@ -157,10 +210,15 @@ def _place(ablation: Ablation) -> str:
     return f"Table {number}" if number == ablation.table else f"Figure {number}"
 
 
-def _notes(ablation: Ablation) -> tuple[str, ...]:
-    if _place(ablation).startswith("Table"):
-        return ()
-    return ("The paper draws this figure without numbers; it is of HumanML3D at ×4.",)
+def _notes(ablation: Ablation, trained: _Trained) -> tuple[str, ...]:
+    notes = []
+    if all(len(runs) == 1 for runs in trained.values()):
+        notes.append(
+            "One start each: how much a start does by itself is not known (motionkit ablate with --only full --seed 1)."
+        )
+    if _place(ablation).startswith("Figure"):
+        notes.append("The paper draws this figure without numbers; it is of HumanML3D at ×4.")
+    return tuple(notes)
 
 
 def _printed(ablation: Ablation) -> list[Block]:

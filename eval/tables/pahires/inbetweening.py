@@ -17,7 +17,7 @@ ROWS = tuple(
     replace(row, name=_NAMES.get(row.name, row.name), note=_NOTES.get(row.name, row.note)) for row in INTERPOLATION
 )
 METRICS = {"l2p": "L2P", "l2q": "L2Q", "npss": "NPSS"}
-DETAILS = {"l2p": {"MPJPE (cm)": "mpjpe_global"}, "l2q": {"L2Q, signs as they come": "l2q_as_signed"}}
+DETAILS = {"l2p": {"mpjpe_global": "MPJPE (cm)"}, "l2q": {"l2q_as_signed": "L2Q, signs as they come"}}
 # Why a printed row says less than it seems to.
 DOUBTS = {
     "MC-Trans": "its L2Q equals ERD-QV's digit for digit; its authors' own L2Q at 30 frames is 0.61",

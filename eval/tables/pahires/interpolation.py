@@ -1,37 +1,35 @@
 """PA-HiRes' Tables 1 and 2: frames between given ones, at integer scales and at others."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
 from typing import Any
 
 from eval.completing.encoders import INTERPOLATION, trained_completers
-from eval.completing.interpolation import Scores
 from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
-from eval.metrics.registry import find_metric
 from eval.protocols.interpolation import INTEGER_SCALES, OTHER_SCALES, VERSION, InterpolationProtocol, scale_label
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.samples.real import of_split_and
+from eval.tables.pahires.blocks import Shown, blocks_of, with_pools
 from eval.tables.pahires.measured_interpolation import Measured, measure_data_set
 from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, reported_figures
 from motionkit.console import progress
 
 TRAINED = ("pahires", "liif", "meta-sr", "a-liif", "lmf")
-# Blocks of a data set, and the further metrics that stand in the details of the third.
-SHOWN = {
+METRICS = {
     "psnr": "PSNR (dB)",
     "ssim": "SSIM",
     "mpjpe_global": "MPJPE (cm)",
     "acceleration_error": "acceleration error (m/s²)",
 }
 DETAILS = {
-    "rotation_angle_error": "rotation error (°)",
-    "velocity_error": "velocity error (m/s)",
-    "jerk_error": "jerk error (m/s³)",
+    "mpjpe_global": {
+        "rotation_angle_error": "rotation error (°)",
+        "velocity_error": "velocity error (m/s)",
+        "jerk_error": "jerk error (m/s³)",
+    }
 }
-UNITS = {"mpjpe_global": 100.0}
-SAID_WITH = "mpjpe_global"
 SMALL_TAKES = 100
 
 
@@ -61,7 +59,6 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
     if not measured:
         raise nothing_at_all(absent)
     missing += [f"{label}: {reason}" for label, reason in absent.items()]
-    notes = {completer.name: completer.note for completer in completers}
     labels = tuple(scale_label(scale) for scale in scales)
     kind = "integer" if all(scale.denominator == 1 for scale in scales) else "non-integer"
     return Result(
@@ -70,7 +67,9 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
         title=f"PA-HiRes, Table {number}: interpolation at {kind} scales",
         caption=caption(measured, protocol, request),
         blocks=(
-            *(block for each in measured for block in _blocks(each, labels, notes if each is measured[0] else {})),
+            *blocks_of(
+                with_pools([each.scope for each in measured], "clips"), completers, Shown(labels, METRICS, DETAILS)
+            ),
             *_paper_blocks(number, labels),
         ),
         definition=definition(protocol, request),
@@ -79,6 +78,7 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "encoders": {completer.name: completer.fingerprint for completer in completers},
+            "trained": {completer.name: completer.facts for completer in completers if completer.trained},
             "seed": request.seed,
             "environment": environment(),
         },
@@ -93,27 +93,6 @@ NOTES = (
     "with it, decibels may not (docs/metrics.md).",
     "Interpolators need no training and may win; then a trained row is not worth its training at that scale.",
 )
-
-
-def _blocks(measured: Measured, columns: tuple[str, ...], notes: Mapping[str, str]) -> list[Block]:
-    label = measured.data_set.label
-    blocks = []
-    for metric, title in SHOWN.items():
-        rows = tuple(
-            Row(name, "ours", _shown(scores, metric, columns), notes.get(name, "") if metric == "psnr" else "")
-            for name, scores in measured.rows.items()
-        )
-        lower = find_metric(metric).higher_is_better is False
-        blocks.append(Block(f"{label}: {title}", columns, rows, lower_is_better=lower))
-    return blocks
-
-
-def _shown(scores: Scores, metric: str, columns: tuple[str, ...]) -> dict[str, Cell]:
-    def details(column: str) -> dict[str, float]:
-        return {title: scores[name][column] for name, title in DETAILS.items()} if metric == SAID_WITH else {}
-
-    unit = UNITS.get(metric, 1.0)
-    return {column: Cell(unit * scores[metric][column], None, details(column)) for column in columns}
 
 
 def caption(measured: Sequence[Measured], protocol: InterpolationProtocol, request: TableRequest) -> str:

@@ -1,18 +1,19 @@
 """One data set's interpolation figures, row by row; what was measured before is read from RESULTS/parts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from eval.completing.encoders import Completer
-from eval.completing.interpolation import InterpolationTask, Scores, measure_interpolation, num_batches
+from eval.completing.interpolation import InterpolationTask, measure_interpolation, num_batches
 from eval.completing.scale import measure_scale
+from eval.completing.scores import Scores
 from eval.completing.split_told import told_split
 from eval.completing.takes import DataSet, NoTakesError, TrueClips, open_clips
 from eval.protocols.interpolation import VERSION, InterpolationProtocol
-from eval.report.results import Cell
-from eval.tables.parts import Part, find_part, keep_part
+from eval.tables.pahires.blocks import Scope
+from eval.tables.pahires.kept_scores import find_scores, keep_scores
 from eval.tables.registry import TableRequest
 
 if TYPE_CHECKING:
@@ -30,6 +31,11 @@ class Measured:
     rows: dict[str, Scores]
     remarks: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
+
+    @property
+    def scope(self) -> Scope:
+        """Its clips as blocks have them."""
+        return Scope(self.data_set.label, self.data_set.fps, self.rows)
 
 
 def measure_data_set(
@@ -62,11 +68,9 @@ def measure_data_set(
     }
     rows: dict[str, Scores] = {}
     for completer in completers:
-        part = find_part(request.results, "interpolation", {**terms, "encoder": completer.fingerprint})
-        if part is not None:
-            rows[completer.name] = {
-                metric: {column: cell.value for column, cell in cells.items()} for metric, cells in part.rows.items()
-            }
+        kept = find_scores(request.results, "interpolation", {**terms, "encoder": completer.fingerprint})
+        if kept is not None:
+            rows[completer.name] = kept
     wanted = [completer for completer in completers if completer.name not in rows]
     if wanted:
         task = display.add_task(data_set.label, total=num_batches(clips), note=f"{clips.num_clips} clips")
@@ -75,19 +79,14 @@ def measure_data_set(
         )
         for completer in wanted:
             if completer.name in made:
-                rows[completer.name] = made[completer.name]
-                part = Part({name: _cells(values) for name, values in made[completer.name].items()})
-                keep_part(request.results, "interpolation", {**terms, "encoder": completer.fingerprint}, part)
+                scores = rows[completer.name] = made[completer.name]
+                keep_scores(request.results, "interpolation", {**terms, "encoder": completer.fingerprint}, scores)
         missing += [f"{data_set.label}, {name}: {why}" for name, why in failed.items()]
         display.remove_task(task)
     remarks.append(_told_clips(data_set, clips))
     remarks.append(f"{data_set.label}: {told_split(store, clips, request.split)}")
     ordered = {completer.name: rows[completer.name] for completer in completers if completer.name in rows}
     return Measured(data_set, clips, ordered, tuple(remarks), tuple(missing))
-
-
-def _cells(values: Mapping[str, float]) -> dict[str, Cell]:
-    return {column: Cell(value) for column, value in values.items()}
 
 
 def _told_clips(data_set: DataSet, clips: TrueClips) -> str:

@@ -6,13 +6,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from eval.completing.encoders import Completer, trained_completers
-from eval.completing.inbetweening import Scores, measure_windows, num_batches
+from eval.completing.inbetweening import measure_windows, num_batches
+from eval.completing.scores import Scores
 from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
 from eval.completing.windows import FPS, PoseWindows, data_set_windows, lafan1_windows, num_lafan1_takes
 from eval.protocols.inbetweening import Question
-from eval.report.results import Block, Cell, Row
+from eval.report.results import Block
 from eval.samples.real import of_split_and
-from eval.tables.parts import Part, find_part, keep_part
+from eval.tables.pahires.blocks import Scope, Shown, blocks_of, with_pools
+from eval.tables.pahires.kept_scores import find_scores, keep_scores
 from eval.tables.registry import TableRequest
 from motionkit.console import progress
 from motionkit.errors import MotionkitError
@@ -22,15 +24,13 @@ if TYPE_CHECKING:
 
     from motionkit.store.reader import Store
 
-UNITS = {"mpjpe_global": 100.0}
-
 
 @dataclass(frozen=True)
 class WindowTable:
     """What a table asks of every window, its blocks and rows.
 
-    `metrics` are blocks by metric, with their titles; `details` further metrics of a block, by what they are called
-    there. `trained` are encoders that the table looks for in its run.
+    `metrics` are blocks by metric, with their titles; `details` further metrics of a block, likewise. `trained` are
+    encoders that the table looks for in its run.
     """
 
     name: str
@@ -64,24 +64,26 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
     missing: list[str] = []
     completers = [*table.rows, *trained_completers(table.trained, request.run, request.encoders, missing)]
-    blocks: list[Block] = []
+    scopes: list[Scope] = []
     absent: dict[str, str] = {}
     told: list[str] = []
     with progress() as display:
         for windows in _all_windows(store, request, absent, display):
-            scores = _rows(table, windows, completers, store.fingerprint, request, missing, display)
-            blocks += _blocks(table, windows, completers, scores, with_notes=not told)
+            rows = _rows(table, windows, completers, store.fingerprint, request, missing, display)
+            scopes.append(Scope(windows.name, FPS, rows))
             told.append(f"{windows.name}: {windows.told}")
-    if not blocks:
+    if not scopes:
         raise nothing_at_all(absent)
     missing += [f"{label}: {reason}" for label, reason in absent.items()]
+    shown = Shown(tuple(question.label for question in table.questions), table.metrics, table.details)
     return WindowBlocks(
-        tuple(blocks),
+        tuple(blocks_of(with_pools(scopes, "windows"), completers, shown)),
         tuple(told),
         tuple(dict.fromkeys(missing)),
         {
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "encoders": {completer.name: completer.fingerprint for completer in completers},
+            "trained": {completer.name: completer.facts for completer in completers if completer.trained},
             "seed": request.seed,
         },
     )
@@ -129,58 +131,14 @@ def _rows(
     for completer in completers:
         display.update(task, note=completer.name)
         of_row = {**terms, "encoder": completer.fingerprint}
-        part = find_part(request.results, table.name, of_row)
-        if part is None:
+        scores = find_scores(request.results, table.name, of_row)
+        if scores is None:
             try:
                 scores = measure_windows(windows, table.questions, completer, partial(display.advance, task))
             except (MotionkitError, ValueError) as error:
                 missing.append(f"{windows.name}, {completer.name}: {error}")
                 continue
-            part = Part({metric: {name: Cell(value) for name, value in row.items()} for metric, row in scores.items()})
-            keep_part(request.results, table.name, of_row, part)
-        rows[completer.name] = {
-            metric: {column: cell.value for column, cell in cells.items()} for metric, cells in part.rows.items()
-        }
+            keep_scores(request.results, table.name, of_row, scores)
+        rows[completer.name] = scores
     display.remove_task(task)
     return rows
-
-
-def _blocks(
-    table: WindowTable,
-    windows: PoseWindows,
-    completers: Sequence[Completer],
-    scores: Mapping[str, Scores],
-    *,
-    with_notes: bool,
-) -> list[Block]:
-    columns = tuple(question.label for question in table.questions)
-    shown = [completer for completer in completers if completer.name in scores]
-    first = next(iter(table.metrics))
-    return [
-        Block(
-            f"{windows.name}: {title}",
-            columns,
-            tuple(
-                Row(
-                    completer.name,
-                    "ours",
-                    _cells(scores[completer.name], metric, columns, table.details.get(metric, {})),
-                    completer.note if with_notes and metric == first else "",
-                )
-                for completer in shown
-            ),
-        )
-        for metric, title in table.metrics.items()
-    ]
-
-
-def _cells(scores: Scores, metric: str, columns: Sequence[str], details: Mapping[str, str]) -> dict[str, Cell]:
-    unit = UNITS.get(metric, 1.0)
-    return {
-        column: Cell(
-            unit * scores[metric][column],
-            None,
-            {name: UNITS.get(other, 1.0) * scores[other][column] for name, other in details.items()},
-        )
-        for column in columns
-    }

@@ -186,7 +186,7 @@ def test_recipes_have_published_sizes_and_say_which_width_is_fair() -> None:
             # But for rates, since one task bears another than four, and for what Δ-Interp published.
             kept = {"rate", "rate_warmup_fraction"} | ({"form", "base"} if stage is DELTA_INTERP else set())
             for key, value in to_plain(same.training).items():
-                if key not in {"tasks", "balanced", "steps", *kept}:
+                if key not in {"tasks", "steps", *kept}:
                     assert to_plain(training)[key] == value, (name, recipe, key)
             assert sum(training.tasks.shares) == 1 == max(training.tasks.shares)
             share = np.dot(training.tasks.shares, same.training.tasks.shares) / sum(same.training.tasks.shares)

@@ -1,0 +1,93 @@
+"""Blocks of the completion tables: data sets together are all their clips, and forms of answers stand apart."""
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eval.completing.encoders import HOLD, Completer
+from eval.completing.scores import Scores, pooled, scores_of
+from eval.metrics.registry import MeanStream, find_metric
+from eval.metrics.streaming import MeanSums
+from eval.tables.pahires.blocks import Scope, Shown, blocks_of, with_pools
+from eval.tables.pahires.kept_scores import find_scores, keep_scores
+
+SHOWN = Shown(("×2",), {"psnr": "PSNR (dB)", "mpjpe_global": "MPJPE (cm)"}, {"psnr": {"mpjpe_global": "joints (cm)"}})
+
+
+def scores(psnr: float, clips: float) -> Scores:
+    return {
+        "psnr": {"×2": MeanSums().added(float(psnr), float(clips))},
+        "mpjpe_global": {"×2": MeanSums().added(0.02, 9.0 * clips)},
+    }
+
+
+@given(st.lists(st.integers(1, 5), min_size=2, max_size=4), st.integers(0, 99))
+def test_pooled_scores_are_those_of_all_clips_measured_at_once(sizes: list[int], seed: int) -> None:
+    """Of a mean over clips, one over frames and one over the truth's power."""
+    rng = np.random.default_rng(seed)
+    names = ("ssim", "l2q", "npss")
+    whole = {"15": {name: MeanStream(find_metric(name)) for name in names}}
+    parts = []
+    for size in sizes:
+        true = rng.normal(size=(size, 12, 2, 4)) * rng.uniform(0.5, 3)
+        made = true + rng.normal(size=true.shape)
+        of_part = {"15": {name: MeanStream(find_metric(name)) for name in names}}
+        for streams in (whole["15"], of_part["15"]):
+            streams["l2q"].update(*(each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (made, true)))
+            for name in ("ssim", "npss"):
+                streams[name].update(made.reshape(size, 12, 8), true.reshape(size, 12, 8))
+        parts.append({"row": scores_of(of_part, names)})
+    together, at_once = pooled(parts)["row"], scores_of(whole, names)
+    for name in names:
+        assert together[name]["15"].mean == pytest.approx(at_once[name]["15"].mean, rel=1e-9)
+
+
+def test_rows_that_a_data_set_lacks_are_not_pooled() -> None:
+    both = pooled([{"a": scores(40, 1), "b": scores(1, 1)}, {"a": scores(30, 3)}])
+    assert list(both) == ["a"]
+    assert both["a"]["psnr"]["×2"].mean == 32.5
+
+
+def test_data_sets_of_a_framerate_are_pooled_before_all_others() -> None:
+    scopes = [
+        Scope("CMU, 30 fps", Fraction(30), {"hold": scores(30, 1)}),
+        Scope("CMU, 120 fps", Fraction(120), {"hold": scores(50, 9)}),
+        Scope("studio, 30 fps", Fraction(30), {"hold": scores(40, 4)}),
+    ]
+    blocks = blocks_of(with_pools(scopes, "clips"), [HOLD], SHOWN)
+    titles = [block.title for block in blocks if block.title.endswith("(dB)")]
+    assert titles == [
+        f"{name}: PSNR (dB)" for name in ("all data sets, 30 fps", "CMU, 30 fps", "CMU, 120 fps", "studio, 30 fps")
+    ]
+    first = blocks[0].rows[0].cells["×2"]
+    assert first.value == 38.0
+    assert first.details == {"joints (cm)": pytest.approx(2.0)}
+    assert "All clips of CMU, 30 fps, studio, 30 fps" in blocks[0].note
+    assert with_pools(scopes[:2], "clips") == scopes[:2]
+
+
+def test_plain_answers_stand_in_blocks_of_their_own() -> None:
+    def trained(name: str, form: str) -> Completer:
+        return replace(HOLD, name=name, trained=True, form=form, note=f"run {name}")
+
+    rows = [HOLD, trained("exact", "exact"), trained("plain", "plain"), trained("unknown", "")]
+    scope = Scope("CMU, 30 fps", Fraction(30), {each.name: scores(30, 1) for each in rows})
+    corrections, joints, plain, _ = blocks_of([scope], rows, SHOWN)
+    assert corrections.title == "CMU, 30 fps: PSNR (dB)" and plain.title == "CMU, 30 fps, plain answers: PSNR (dB)"
+    assert [row.name for row in corrections.rows] == ["hold", "exact", "unknown"]
+    assert [(row.name, row.note) for row in plain.rows] == [("hold", HOLD.note), ("plain", "run plain")]
+    assert not any(row.note for row in joints.rows)
+    assert joints.lower_is_better and not plain.lower_is_better
+    # A run of plain answers alone still stands beside interpolators, and the others' block is there without it.
+    assert [len(block.rows) for block in blocks_of([scope], rows[::2], SHOWN)] == [1, 1, 2, 2]
+
+
+def test_kept_scores_come_back_with_their_weights(tmp_path: Path) -> None:
+    keep_scores(tmp_path, "interpolation", {"row": "a"}, scores(31.5, 7))
+    assert find_scores(tmp_path, "interpolation", {"row": "a"}) == scores(31.5, 7)
+    assert find_scores(tmp_path, "interpolation", {"row": "b"}) is None
