@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,21 +24,30 @@ from motionkit.store.schema import (
 )
 from motionkit.store.thrift import Value
 
+# So much of a part goes to the disk at once, while the next bytes are being computed: at its end little is left to wait
+# for.
+FLUSHED_BYTES = 16 * 2**20
+
 
 class _File:
     """Owns a file that is being written; knows how many bytes it has and their sha256."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, flushing: files.Flushing) -> None:
         self.path = path
         self.num_bytes = 0
         self._sha256 = hashlib.sha256()
         self._file = path.open("wb")
+        self._flushing = flushing
+        self._flushed_bytes = 0
 
-    def write(self, content: bytes | memoryview) -> None:
+    def write(self, content: bytes) -> None:
         """Append bytes."""
         self._file.write(content)
         self._sha256.update(content)
         self.num_bytes += len(content)
+        if self.num_bytes - self._flushed_bytes >= FLUSHED_BYTES:
+            self._flushed_bytes = self.num_bytes
+            self._flushing.begin(partial(files.sync_file, self.path))
 
     def close(self) -> str:
         """End it; the sha256 of all that was written, hex."""
@@ -70,8 +80,7 @@ class _RowGroup:
 
 def _chunk(file: _File, page: Page, bounds: tuple[int, int] | None = None) -> Chunk:
     first_byte = file.num_bytes
-    for piece in page.pieces:
-        file.write(piece)
+    file.write(b"".join(page.pieces))
     return Chunk(first_byte, file.num_bytes - first_byte, page.num_bytes_plain, page.num_values, bounds)
 
 
@@ -79,7 +88,8 @@ class PartWriter:
     """Owns the part being written and the row group being filled; finished parts are in `finished`.
 
     A row group ends with the run that brings it to 16 segments, a part with the sequence that ends such a row group
-    when the part has `part_bytes`. So memory is bounded by one row group.
+    when the part has `part_bytes`. So memory is bounded by one row group. Parts go to the disk while the next ones are
+    written; after `settle` they are there, whole, under their names.
     """
 
     def __init__(self, store: Path, first_number: int, part_bytes: int = PART_BYTES) -> None:
@@ -91,6 +101,7 @@ class PartWriter:
         self._pending = _RowGroup()
         self._file: _File | None = None
         self._row_groups: list[Value] = []
+        self._flushing = files.Flushing()
 
     @property
     def position(self) -> tuple[int, int]:
@@ -117,15 +128,20 @@ class PartWriter:
         self._file.write(footer(self._row_groups, self._rows_written))
         sha256 = self._file.close()
         name = part_name(self._number)
-        files.replace(self._file.path, self._store / name)
+        self._flushing.begin(partial(files.replace, self._file.path, self._store / name))
         self.finished[name] = FileEntry(sha256, self._file.num_bytes, self._rows_written)
         self._file = None
         self._row_groups.clear()
         self._number += 1
         self._rows_written = 0
 
+    def settle(self) -> None:
+        """Wait until all finished parts are on the disk; raises the `OSError` of one that could not be put there."""
+        self._flushing.settle()
+
     def close(self) -> None:
         """Let go of the part being written, if there is one, as it is."""
+        self._flushing.close()
         self._pending = _RowGroup()
         if self._file is not None:
             self._file.close()
@@ -133,7 +149,7 @@ class PartWriter:
 
     def _write_row_group(self) -> None:
         if self._file is None:
-            self._file = _File(self._store / (part_name(self._number) + PENDING_SUFFIX))
+            self._file = _File(self._store / (part_name(self._number) + PENDING_SUFFIX), self._flushing)
             self._file.write(MAGIC)
         self._row_groups.append(self._pending.write_to(self._file))
         self._rows_written += self._pending.num_rows

@@ -159,6 +159,7 @@ class StoreWriter:
     def _commit(self) -> None:
         try:
             self._parts.finish()
+            self._parts.settle()
             publish(self.path, self._write_tables())
         finally:
             self._close()
