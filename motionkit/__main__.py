@@ -1,6 +1,6 @@
 """`python -m motionkit`: the command line, as torchrun and interpreters without the installed script start it."""
 
-from motionkit.cli.app import main
+from motionkit.cli.start import main
 
 if __name__ == "__main__":
     main()

@@ -36,7 +36,7 @@ from motionkit.store import Store
 
 def run(sources: list[Path], store: Path, workers: int) -> dict[str, float]:
     """One command; wall time, and processor time of it and its workers."""
-    command = [sys.executable, "-c", "from motionkit.cli.app import main; main()", "ingest", *map(str, sources)]
+    command = [sys.executable, "-m", "motionkit", "ingest", *map(str, sources)]
     command += ["--store", str(store), "--workers", str(workers), "--json"]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     begun = time.perf_counter()

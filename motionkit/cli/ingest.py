@@ -11,7 +11,6 @@ from motionkit.cli.ingest_options import Compat, OnError
 from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.errors import FormatError, MotionkitError, UsageError
 from motionkit.settings import default_path, optional_path
-from motionkit.timegrid import parse_fps
 
 if TYPE_CHECKING:
     from motionkit.formats.items import IndexOptions
@@ -94,6 +93,7 @@ def ingest(
 
 def _options(format: str, captions: Path | None, fps: str | None, unit_metres: float | None) -> "ReadOptions":
     from motionkit.formats.registry import ReadOptions
+    from motionkit.timegrid import parse_fps
 
     if unit_metres is not None and not 0 < unit_metres < float("inf"):
         raise UsageError(f"--unit-metres must be a positive number, not {unit_metres}")

@@ -32,7 +32,7 @@ OnError = Literal["skip", "stop"]
 # One process reads this much in the time that it takes to start others.
 MUCH_BYTES = 20 * 2**20
 # A worker is handed this much at once, in files of any size.
-BATCH_BYTES = 2**20
+BATCH_BYTES = 2 * 2**20
 BATCH_ITEMS = 64
 
 
@@ -301,7 +301,7 @@ def doubts(item: SourceItem, motion: EncodedMotion) -> Iterator[FormatError]:
 
 
 def batches(items: Sequence[SourceItem]) -> Iterator[list[SourceItem]]:
-    """The items in order, in batches of a megabyte or 64 items: a task for each small file costs more.
+    """The items in order, in batches of two megabytes or 64 items: a task for each small file costs more.
 
     Stretches of one file come into one batch, so that one worker reads it once.
     """

@@ -13,16 +13,16 @@ from dataclasses import dataclass
 from multiprocessing import forkserver
 from multiprocessing.connection import wait
 from multiprocessing.context import BaseContext
-from multiprocessing.sharedctypes import RawArray
+from multiprocessing.heap import BufferWrapper
 from typing import Any
 
 from motionkit.workers.parallel import BATCHES_IN_FLIGHT_PER_WORKER, WorkerDied
 from motionkit.workers.parcel import Parcel, pack, unpack
 
-# One server serves all workers of a process, whatever they compute.
-PRELOADED = ("motionkit.store.read_batch",)
+# One server serves all workers of a process, whatever they compute: what they compute with, and how they are talked to.
+PRELOADED = ("motionkit.store.read_batch", "motionkit.workers.process_engine")
 
-# What a batch of a megabyte of text becomes; one file alone may be larger.
+# Two megabytes of text become a third of that, other sources at most themselves; one file alone may be larger.
 SLOT_BYTES = 2 * 2**20
 
 # glibc's mallopt parameters, and what a worker sets them to. By default the top of the heap goes back to the system as
@@ -31,7 +31,6 @@ MALLOC_TRIM_THRESHOLD, MALLOC_MMAP_THRESHOLD = -1, -3
 KEPT_BYTES = 32 * 2**20
 
 Function = Callable[[Sequence[Any]], Sequence[Any]]
-Shared = ctypes.Array[ctypes.c_ubyte]
 
 
 def usable_cores() -> int:
@@ -97,7 +96,7 @@ class Processes:
 
     def __enter__(self) -> "Processes":
         num_slots = self.num_workers * BATCHES_IN_FLIGHT_PER_WORKER
-        self._shared = RawArray("B", num_slots * SLOT_BYTES)
+        self._shared = BufferWrapper(num_slots * SLOT_BYTES)  # of RawArray every page would be written to first
         self._free_slots = list(range(num_slots))
         return self
 
@@ -141,19 +140,19 @@ class Processes:
             self._pool = None
 
 
-def _memory_of(shared: Shared, slot: int | None) -> memoryview | None:
-    return None if slot is None else memoryview(shared).cast("B")[slot * SLOT_BYTES : (slot + 1) * SLOT_BYTES]
+def _memory_of(shared: BufferWrapper, slot: int | None) -> memoryview | None:
+    return None if slot is None else shared.create_memoryview()[slot * SLOT_BYTES : (slot + 1) * SLOT_BYTES]
 
 
 # In a worker, the memory that it shares with the process that started it: only its start can bring it there.
-_shared_with_parent: list[Shared] = []
+_shared_with_parent: list[BufferWrapper] = []
 
 
 def _compute(function: Function, batch: Sequence[Any], slot: int | None) -> Parcel:
     return pack(function(batch), _memory_of(_shared_with_parent[0], slot))
 
 
-def _start_worker(shared: Shared) -> None:
+def _start_worker(shared: BufferWrapper) -> None:
     _shared_with_parent.append(shared)
     _keep_freed_memory()
     gc.freeze()  # what was imported stays: no collection need look at it
