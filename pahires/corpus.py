@@ -22,14 +22,16 @@ from pahires.settings import TemporalSettings
 class Takes:
     """T takes: rows of native frames, of which every `keep_every`-th is one of the table's framerate.
 
-    `num_frames` counts the table's frames that a take has from any of its first `keep_every` native ones on. `skipped`
-    are sequences whose framerate is no whole multiple of the table's.
+    `source` numbers the sources that takes are of, from 0 on. `num_frames` counts the table's frames that a take has
+    from any of its first `keep_every` native ones on. `skipped` are sequences whose framerate is no whole multiple of
+    the table's.
     """
 
     fps: Fraction
     rows: RowFile
     skeleton: Skeleton
     sequence_index: Int64[np.ndarray, "takes"]
+    source: Int64[np.ndarray, "takes"]
     start_row: Int64[np.ndarray, "takes"]
     num_frames: Int64[np.ndarray, "takes"]
     keep_every: Int64[np.ndarray, "takes"]
@@ -81,11 +83,13 @@ def open_takes(store: Store, settings: TemporalSettings) -> Takes:
     size = num_numbers(skeleton.num_joints)
     rows = derived_rows(cache, "rotation-rows-1", size, lambda: _vectors(store, cache, skeleton))
     keep_every = np.maximum(keep_every, 1)
+    names = store.columns("source")["source"].loc[cache.sequence_index[chosen]].to_numpy(str)
     return Takes(
         fps=fps,
         rows=rows,
         skeleton=skeleton,
         sequence_index=cache.sequence_index[chosen].astype(np.int64),
+        source=np.unique(names, return_inverse=True)[1].astype(np.int64),
         start_row=cache.start_row[chosen],
         num_frames=np.maximum(1, cache.num_frames // keep_every)[chosen].astype(np.int64),
         keep_every=keep_every[chosen],

@@ -36,6 +36,8 @@ def nano() -> PaHiResConfig:
         network=NetworkSettings(code=96, hidden=192, decoder_layers=4),
         training=TemporalSettings(
             finer=True,
+            # Of two sources of which one has nine times the other's frames, three of four windows and not nine of ten.
+            source_evenness=0.5,
             tasks=ALL_TASKS,
             form="exact",
             base="eased",

@@ -64,7 +64,9 @@ class TemporalSettings:
 
     `fps`: the table's framerate; of a take at k·fps every k-th frame is used, from a random one of the first k on, and
     takes of other framerates are left out. With `finer` a window of such a take has one of the framerates from `fps` up
-    to its own, so that what lies between the table's frames is learnt where it was captured. `layout` is `smpl22`, or
+    to its own, so that what lies between the table's frames is learnt where it was captured. A source's share of the
+    windows grows with its frames to the power 1 − `source_evenness`: 0 takes every frame as often as another, 1 every
+    source. `layout` is `smpl22`, or
     `native` for a corpus of one skeleton. `form` and `base`: see `pahires.prediction`. Loss: MSE + `velocity_weight` ·
     MSE of differences between neighbouring frames (Eq. 8 to 10, as means), or with `distance` absolute both of absolute
     errors; `balanced` divides each window's by that of
@@ -75,6 +77,7 @@ class TemporalSettings:
     where: str = "split = 'train'"
     fps: str = "30"
     finer: bool = False
+    source_evenness: float = 0.0
     layout: Literal["smpl22", "native"] = "smpl22"
     tasks: TaskSettings = dataclasses.field(default_factory=TaskSettings)
     form: Form = "plain"
@@ -103,6 +106,8 @@ class TemporalSettings:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
         if not self.velocity_weight >= 0:
             raise ValueError(f"velocity_weight is 0 or more, not {self.velocity_weight}")
+        if not 0 <= self.source_evenness <= 1:
+            raise ValueError(f"source_evenness lies in [0, 1], not {self.source_evenness}")
         if not 0 <= self.ema_decay < 1:
             raise ValueError(f"ema_decay lies in [0, 1), not {self.ema_decay}")
         parse_fps(self.fps)

@@ -38,7 +38,10 @@ class TrainingBatch:
 
 @dataclass(frozen=True, eq=False)
 class WindowSampler:
-    """Draws windows from all places of all takes, each place as likely as another."""
+    """Draws windows from all places of all takes: those of one source are as likely as another.
+
+    Of which source a window is, `source_evenness` says (`TemporalSettings`).
+    """
 
     takes: Takes
     settings: TemporalSettings
@@ -92,18 +95,20 @@ class WindowSampler:
     def _places(
         self, rng: np.random.Generator, span: Int64[np.ndarray, "batch"]
     ) -> tuple[Int64[np.ndarray, "batch"], Int64[np.ndarray, "batch"]]:
-        """A take and the window's first frame in it, uniform over all places where `span` frames fit."""
+        """A take and the window's first frame in it, uniform over those places of a source where `span` frames fit."""
         take, first = np.empty_like(span), np.empty_like(span)
+        takes = self.takes
         for length in np.unique(span).tolist():
             rows = np.flatnonzero(span == length)
-            places = np.cumsum(np.maximum(0, self.takes.num_frames - length + 1))
-            if not places[-1]:
+            places = np.maximum(0, takes.num_frames - length + 1)
+            of_source = np.bincount(takes.source, weights=places)
+            if not of_source.any():
                 raise UsageError(
                     f"no chosen take has the {length} frames at {self.settings.fps} fps that a training window takes "
-                    f"(the longest has {int(self.takes.num_frames.max())}): shorter gaps, fewer frames or smaller "
+                    f"(the longest has {int(takes.num_frames.max())}): shorter gaps, fewer frames or smaller "
                     "factors (tasks.longest_gap, tasks.num_frames, tasks.largest_factor) need less"
                 )
-            place = rng.integers(0, places[-1], len(rows))
-            take[rows] = np.searchsorted(places, place, side="right")
-            first[rows] = place - np.concatenate(([0], places))[take[rows]]
+            weight = places / np.maximum(of_source, 1.0)[takes.source] ** self.settings.source_evenness
+            take[rows] = rng.choice(len(weight), len(rows), p=weight / weight.sum())
+            first[rows] = rng.integers(0, places[take[rows]])
         return take, first

@@ -105,6 +105,19 @@ def test_windows_end_at_the_last_frame_of_a_take(store: Store) -> None:
     }
 
 
+@pytest.mark.parametrize(("evenness", "share"), [(0.0, 0.9), (0.5, 0.75), (1.0, 0.5)])
+def test_small_sources_have_the_share_of_windows_that_is_asked_for(store: Store, evenness: float, share: float) -> None:
+    takes = open_takes(store, SETTINGS)
+    assert takes.source.tolist() == [0] * 4
+    # Places for 11 frames: 900 in two takes of one source, 100 in two of another.
+    takes = replace(takes, num_frames=np.array([610, 310, 70, 50]), source=np.array([1, 1, 0, 0]))
+    sampler = WindowSampler(takes, replace(SETTINGS, source_evenness=evenness))
+    take, _ = sampler._places(np.random.default_rng(2), np.full(20_000, 11))
+    assert np.bincount(take, minlength=4) / len(take) == pytest.approx(
+        [share * 2 / 3, share / 3, (1 - share) * 0.6, (1 - share) * 0.4], abs=0.01
+    )
+
+
 def test_windows_longer_than_every_take_are_refused(store: Store) -> None:
     settings = replace(
         SETTINGS, tasks=replace(SMALL_TASKS, interpolate=0.0, scattered=0.0, extend=0.0, longest_gap=500)
@@ -139,6 +152,13 @@ def test_settings_that_make_no_sense_are_refused() -> None:
     for wrong in ({"gap": -1.0}, {"interpolate": 0.0}, {"smallest_factor": 0.5}, {"longest_gap": 2}, {"num_frames": 1}):
         with pytest.raises(ValueError):
             TaskSettings(**wrong)  # type: ignore[arg-type]
-    for wrong in ({"epochs": 3}, {"batch": 0}, {"velocity_weight": -1.0}, {"ema_decay": 1.0}, {"fps": "fast"}):
+    for wrong in (
+        {"epochs": 3},
+        {"batch": 0},
+        {"velocity_weight": -1.0},
+        {"ema_decay": 1.0},
+        {"fps": "fast"},
+        {"source_evenness": 2.0},
+    ):
         with pytest.raises(ValueError):
             TemporalSettings(**wrong)  # type: ignore[arg-type]
