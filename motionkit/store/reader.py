@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from jaxtyping import Int, Int64
 
 from motionkit.errors import StoreError, UsageError
@@ -27,6 +26,7 @@ from motionkit.store.schema import (
     SKELETONS_FILE,
 )
 from motionkit.store.segment_reader import SegmentReader, check_still_there
+from motionkit.store.tables import read_table
 from motionkit.store.versions import upgraded
 
 if TYPE_CHECKING:
@@ -209,5 +209,5 @@ def _read_table(store: Path, manifest: Manifest, name: str) -> pa.Table | None:
     content = read_committed(store, name, manifest.files[name])
     if content is None:
         return None
-    table = pq.read_table(pa.BufferReader(content))
+    table = read_table(content)
     return (table if manifest.format_version == FORMAT_VERSION else upgraded(table, name)).combine_chunks()

@@ -20,6 +20,7 @@ from motionkit.store.schema import (
     part_name,
     part_number,
 )
+from motionkit.store.tables import read_table
 from motionkit.store.versions import table_schema
 
 
@@ -59,7 +60,7 @@ def _read_table(path: Path, manifest: Manifest, name: str) -> tuple[str, pa.Tabl
     if content is None:
         state = "its sha256 is not the manifest's" if (path / name).exists() else "it is missing"
         return f"{name}: {state}", None
-    table = pq.read_table(pa.BufferReader(content))
+    table = read_table(content)
     if not table.schema.equals(table_schema(name, manifest.format_version)):
         return f"{name}: its columns are not those of this format version", None
     if table.num_rows != manifest.files[name].num_rows:
