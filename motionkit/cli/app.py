@@ -14,6 +14,9 @@ import motionkit
 from motionkit.console import stderr, stdout
 from motionkit.errors import MotionkitError, UsageError
 
+# The exit code of what Ctrl-C has ended.
+INTERRUPTED = 130
+
 
 def build_app(only: str = "") -> typer.Typer:
     """A typer app with every registered command, in alphabetical order, or with the one of that name if there is one.
@@ -66,6 +69,8 @@ def main() -> None:
         # A folder that may not be written, a disk that is full: the system's words name the file and the reason.
         stderr.print(f"motionkit: {error}", markup=False)
         sys.exit(1)
-    except KeyboardInterrupt:
-        stderr.print("motionkit: stopped")
-        sys.exit(130)
+    except SystemExit as ended:
+        # All that typer makes of an interrupt.
+        if ended.code == INTERRUPTED:
+            stderr.print("motionkit: stopped")
+        raise

@@ -6,10 +6,14 @@ import sys
 
 def main() -> None:
     """Run the command line, then leave at once."""
-    from motionkit.cli import app
-
     try:
+        from motionkit.cli import app
+
         app.main()
+    except KeyboardInterrupt:
+        # While commands were loaded; later the app says so.
+        print("motionkit: stopped", file=sys.stderr)
+        sys.exit(130)
     finally:
         # What is left goes with the process; to look through it once more takes a tenth of a second. duckdb's library
         # would tell of leaks.

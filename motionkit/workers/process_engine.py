@@ -20,7 +20,7 @@ from motionkit.workers.parallel import BATCHES_IN_FLIGHT_PER_WORKER, WorkerDied
 from motionkit.workers.parcel import Parcel, pack, unpack
 
 # One server serves all workers of a process, whatever they compute: what they compute with, and how they are talked to.
-PRELOADED = ("motionkit.store.read_batch", "motionkit.workers.process_engine")
+PRELOADED = ("motionkit.workers.uninterrupted", "motionkit.store.read_batch", "motionkit.workers.process_engine")
 
 # Two megabytes of text become a third of that, other sources at most themselves; one file alone may be larger.
 SLOT_BYTES = 2 * 2**20
