@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
 
+from motionkit.blocks import Blocks
 from motionkit.interpolation.joints import Joints
 from motionkit.kinematics import (
     quaternion_conjugate,
@@ -13,11 +15,21 @@ from motionkit.kinematics import (
     quaternion_to_rotation_vector,
     rotation_vector_to_quaternion,
 )
-from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, check_skeleton, told_fps
+from motionkit.motionfield import (
+    MotionEncoder,
+    MotionField,
+    Observation,
+    Observed,
+    Poses,
+    check_skeleton,
+    check_times,
+    told_fps,
+)
 from motionkit.skeleton import Skeleton
 
 _NEIGHBOURS = 3
-_FRAMES_AT_ONCE = 4096
+_FRAMES_AT_ONCE = 1024
+_BLOCKS_KEPT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +49,7 @@ class Anchored:
         return f"{self.encoder.name}, anchored"
 
     def encode(
-        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "AnchoredField":
         """The encoder's field through the observed frames; raises what the encoder raises."""
         field = self.encoder.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds)
@@ -46,12 +58,10 @@ class Anchored:
 
 @dataclass(frozen=True, eq=False)
 class AnchoredField:
-    """A field and what is added to it: offsets at the observed times, as columns of numbers."""
+    """A field and what is added to it: offsets at the observed times, found where a query comes near them."""
 
     field: MotionField
-    observation: Observation
-    offsets: Float64[np.ndarray, "frames numbers"]
-    on_rotations: bool
+    observation: Observed
 
     @property
     def skeleton(self) -> Skeleton:
@@ -77,10 +87,15 @@ class AnchoredField:
         poses = self.field.query(times_seconds)
         if not len(times_seconds):
             return poses
-        offsets = self._offsets(times_seconds)
-        return _with_offsets(poses, offsets, self.skeleton) if self.on_rotations else _with_moves(poses, offsets)
+        offsets = self._offsets_at(times_seconds)
+        on_rotations = poses.local_rotations is not None and self._rotations_are_observed
+        return _with_offsets(poses, offsets, self.skeleton) if on_rotations else _with_moves(poses, offsets)
 
-    def _offsets(self, times: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times numbers"]:
+    @cached_property
+    def _rotations_are_observed(self) -> bool:
+        return self.observation.rows(slice(0, 1)).poses.local_rotations is not None
+
+    def _offsets_at(self, times: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times numbers"]:
         from scipy.interpolate import PchipInterpolator
 
         # Slopes are those of neighbours, so a few frames on both sides are all that is felt of a long motion.
@@ -88,23 +103,36 @@ class AnchoredField:
         first = max(0, int(np.searchsorted(observed, times.min())) - _NEIGHBOURS)
         last = min(len(observed), int(np.searchsorted(observed, times.max())) + _NEIGHBOURS)
         first, last = min(first, len(observed) - 1), max(last, 1)
-        near, offsets = observed[first:last], self.offsets[first:last]
+        near, offsets = observed[first:last], self._offsets(first, last)
         # The end offsets again beyond the ends: there the slope becomes zero, so velocity stays continuous.
         knots = np.concatenate(([near[0] - 1.0], near, [near[-1] + 1.0]))
         curve = PchipInterpolator(knots, np.concatenate((offsets[:1], offsets, offsets[-1:])))
         return np.asarray(curve(np.clip(times, knots[0], knots[-1])))
 
+    def _offsets(self, first: int, last: int) -> Float64[np.ndarray, "frames numbers"]:
+        found = []
+        for number in range(first // _FRAMES_AT_ONCE, (last - 1) // _FRAMES_AT_ONCE + 1):
+            start = number * _FRAMES_AT_ONCE
+            found.append(self._blocks[number][max(first - start, 0) : last - start])
+        return np.concatenate(found)
 
-def anchored(field: MotionField, observation: Observation) -> AnchoredField:
+    @cached_property
+    def _blocks(self) -> Blocks[Float64[np.ndarray, "frames numbers"]]:
+        def missed(number: int) -> Float64[np.ndarray, "frames numbers"]:
+            start = number * _FRAMES_AT_ONCE
+            some = self.observation.rows(slice(start, start + _FRAMES_AT_ONCE))
+            made = self.field.query(some.times_seconds)
+            on_rotations = made.local_rotations is not None and self._rotations_are_observed
+            return _missed(made, some, self.skeleton) if on_rotations else _missed_positions(made, some)
+
+        return Blocks(missed, _BLOCKS_KEPT)
+
+
+def anchored(field: MotionField, observation: Observed) -> AnchoredField:
     """A field led through observed frames; raises `ValueError` for those outside its domain and for other joints."""
     check_skeleton(field, observation)
-    blocks, on_rotations = [], False
-    for start in range(0, len(observation), _FRAMES_AT_ONCE):
-        some = observation.rows(slice(start, start + _FRAMES_AT_ONCE))
-        made = field.query(some.times_seconds)
-        on_rotations = made.local_rotations is not None and some.poses.local_rotations is not None
-        blocks.append(_missed(made, some, field.skeleton) if on_rotations else _missed_positions(made, some))
-    return AnchoredField(field, observation, np.concatenate(blocks), on_rotations)
+    check_times(field, observation.times_seconds)
+    return AnchoredField(field, observation)
 
 
 def _missed_positions(made: Poses, given: Observation) -> Float64[np.ndarray, "frames numbers"]:

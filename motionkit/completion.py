@@ -14,6 +14,7 @@ from motionkit.motionfield import (
     MotionEncoder,
     MotionField,
     Observation,
+    Observed,
     Poses,
     check_observed_alike,
     check_skeleton,
@@ -92,16 +93,21 @@ def complete(
 class Completion:
     """A motion that is encoded and can be sampled, whole or in pieces: memory is bounded by the piece.
 
-    `known_frames` are the observed frames of the motion given. Frame `given_rows[i]` of `grid` is its frame
-    `given_frames[i]`; all ascend.
+    `known_frames` are the frame numbers of the observed poses. Frame `given_rows[i]` of `grid` is the observed pose
+    `given_poses[i]`; all ascend.
     """
 
-    motion_given: Motion
+    observation: Observed
     known_frames: Int[np.ndarray, "known"]
     field: MotionField
     grid: TimeGrid
     given_rows: Int[np.ndarray, "given"]
-    given_frames: Int[np.ndarray, "given"]
+    given_poses: Int[np.ndarray, "given"]
+
+    def given(self, start: int, stop: int) -> tuple[Int[np.ndarray, "given"], Int[np.ndarray, "given"]]:
+        """Which frames of [start, stop) of the grid, counted from `start`, are observed poses, and their numbers."""
+        here = slice(*np.searchsorted(self.given_rows, (start, stop)).tolist())
+        return self.given_rows[here] - start, self.given_poses[here]
 
     def seconds(self, start: int, stop: int) -> Float64[np.ndarray, "frames"]:
         """Times of frames [start, stop) of the grid."""
@@ -114,10 +120,10 @@ class Completion:
             raise ValueError(f"frames [{start}, {stop}) do not lie inside the completed {self.grid.num_frames}")
         times = self.seconds(start, stop)
         poses = self.field.query(np.clip(times, self.field.start_seconds, self.field.end_seconds))
-        here = slice(*np.searchsorted(self.given_rows, (start, stop)).tolist())
-        given = Poses.of(self.motion_given).rows(self.given_frames[here])
-        grid = TimeGrid(self.grid.fps, stop - start, float(times[0]))
-        return _with_given(poses, self.given_rows[here] - start, given).at(grid, self.motion_given.skeleton)
+        rows, given = self.given(start, stop)
+        if len(rows):
+            poses = _with_given(poses, rows, self.observation.rows(given).poses)
+        return poses.at(TimeGrid(self.grid.fps, stop - start, float(times[0])), self.observation.skeleton)
 
 
 def begin(
@@ -130,48 +136,61 @@ def begin(
     after_seconds: float = 0.0,
 ) -> Completion:
     """What `complete` samples, for motions that are written while they are made; raises what `complete` raises."""
-    fps = motion.fps if fps is None else fps
-    grid = _grid(motion.timegrid.start_seconds, motion.timegrid.span_seconds, fps, before_seconds, after_seconds)
-    new, given = _shared_frames(motion, grid, before_seconds)
-    if observed is not None:
-        new, given = new[observed[given]], given[observed[given]]
     known = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
-    return _completion(motion, Observation.of(motion, observed), encoder, grid, known, new, given)
+    return begin_observed(
+        *(Observation.of(motion, observed), known, motion.timegrid, encoder, motion.fps if fps is None else fps),
+        before_seconds=before_seconds,
+        after_seconds=after_seconds,
+    )
 
 
-def begin_uneven(
-    motion: Motion,
-    times_seconds: Float64[np.ndarray, "frames"],
+def begin_observed(
+    observation: Observed,
+    known_frames: Int[np.ndarray, "known"],
+    source: TimeGrid,
     encoder: MotionEncoder,
-    *,
     fps: Fraction,
-    observed: Bool[np.ndarray, "frames"] | None = None,
+    *,
     before_seconds: float = 0.0,
     after_seconds: float = 0.0,
 ) -> Completion:
-    """`begin` for frames that were at `times_seconds`, which ascend, whatever the motion's own time grid says.
+    """`begin` for what is observed of a motion: its frames `known_frames` on the grid `source`, in memory or not."""
+    grid = _grid(source.start_seconds, source.span_seconds, fps, before_seconds, after_seconds)
+    rows, frames = _shared_frames(source, grid, before_seconds)
+    poses = np.minimum(np.searchsorted(known_frames, frames), len(known_frames) - 1)
+    known = known_frames[poses] == frames
+    return _completion(observation, known_frames, encoder, grid, rows[known], poses[known])
+
+
+def begin_uneven(
+    observation: Observed,
+    known_frames: Int[np.ndarray, "known"],
+    span: tuple[float, float],
+    encoder: MotionEncoder,
+    fps: Fraction,
+    *,
+    before_seconds: float = 0.0,
+    after_seconds: float = 0.0,
+) -> Completion:
+    """`begin_observed` for frames that lie on no grid, `span` being the times of the first and the last of them.
 
     The new grid is that of the first frame. A given frame lies on it where it is nearer to it than a microsecond.
-    Raises what `begin` raises, and `ValueError` for times that do not ascend.
     """
-    known = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
-    observation = Observation(times_seconds[known], Poses.of(motion).rows(known), motion.skeleton)
-    first, last = float(times_seconds[0]), float(times_seconds[-1])
-    grid = _grid(first, last - first, fps, before_seconds, after_seconds)
-    rows = np.rint((observation.times_seconds - grid.start_seconds) * float(fps)).astype(np.int64)
+    grid = _grid(span[0], span[1] - span[0], fps, before_seconds, after_seconds)
+    seconds = observation.times_seconds
+    rows = np.rint((seconds - grid.start_seconds) * float(fps)).astype(np.int64)
     rows = np.clip(rows, 0, grid.num_frames - 1)
-    near = np.flatnonzero(np.abs(grid.seconds()[rows] - observation.times_seconds) < _SAME_SECONDS)
-    return _completion(motion, observation, encoder, grid, known, rows[near], known[near])
+    near = np.flatnonzero(np.abs(grid.seconds()[rows] - seconds) < _SAME_SECONDS)
+    return _completion(observation, known_frames, encoder, grid, rows[near], near)
 
 
 def _completion(
-    motion: Motion,
-    observation: Observation,
+    observation: Observed,
+    known: Int[np.ndarray, "known"],
     encoder: MotionEncoder,
     grid: TimeGrid,
-    known: Int[np.ndarray, "known"],
-    new: Int[np.ndarray, "given"],
-    given: Int[np.ndarray, "given"],
+    rows: Int[np.ndarray, "given"],
+    poses: Int[np.ndarray, "given"],
 ) -> Completion:
     last_second = grid.start_seconds + grid.span_seconds
     field = encoder.encode(
@@ -179,7 +198,7 @@ def _completion(
         before_seconds=max(0.0, observation.start_seconds - grid.start_seconds),
         after_seconds=max(0.0, last_second - observation.end_seconds),
     )
-    return Completion(motion, known, told_fps(field, grid.fps), grid, new, given)
+    return Completion(observation, known, told_fps(field, grid.fps), grid, rows, poses)
 
 
 def query_many(
@@ -223,14 +242,15 @@ def _grid(
 
 
 def _shared_frames(
-    motion: Motion, grid: TimeGrid, before_seconds: float
+    source: TimeGrid, grid: TimeGrid, before_seconds: float
 ) -> tuple[Int[np.ndarray, "shared"], Int[np.ndarray, "shared"]]:
-    """Frames of the new grid that are frames of the motion, and which; framerates are fractions, so this is exact."""
+    """Frames of the new grid that are frames of the source, and which; framerates are fractions, so this is exact."""
     before = int(np.floor(before_seconds * float(grid.fps) + _TOLERANCE_FRAMES))
-    ratio = motion.fps / grid.fps
-    given, remainder = np.divmod((np.arange(grid.num_frames) - before) * ratio.numerator, ratio.denominator)
-    shared = (remainder == 0) & (given >= 0) & (given < motion.num_frames)
-    return np.flatnonzero(shared), given[shared]
+    ratio = source.fps / grid.fps
+    # Frame k·numerator of the source is frame before + k·denominator of the grid, and no others are the same.
+    count = min((source.num_frames - 1) // ratio.numerator, (grid.num_frames - 1 - before) // ratio.denominator) + 1
+    shared = np.arange(count)
+    return before + shared * ratio.denominator, shared * ratio.numerator
 
 
 def _with_given(poses: Poses, rows: Int[np.ndarray, "given"], given: Poses) -> Poses:

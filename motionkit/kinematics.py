@@ -278,26 +278,37 @@ def inverse_kinematics(
     least-squares rotation of all its bones; a leaf keeps its parent's. Forward kinematics with the observed bone
     lengths restores the positions of every joint whose parent has one child. Source: Kabsch 1976 for the least squares.
     """
-    return _pointed(joint_positions, skeleton, quaternion_between)
+    return _pointed(joint_positions, skeleton, lambda _, rest, observed: quaternion_between(rest, observed))
 
 
 def inverse_kinematics_in_time(
-    joint_positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton
+    joint_positions: Float[np.ndarray, "frames joints 3"],
+    skeleton: Skeleton,
+    first_rotations: Float[np.ndarray, "joints 4"] | None = None,
 ) -> Float[np.ndarray, "frames joints 4"]:
     """`inverse_kinematics` for what is done along time: from frame to frame no bone turns about itself.
 
     The shortest rotation from rest has a pole: near the opposite of the rest direction (an arm overhead) its twist
     spins, and a curve through such rotations swings what hangs on the bone by decimetres. Here a joint with one child
-    goes from frame to frame by the shortest rotation of its bone. Over a long motion that twist drifts from the
-    anatomical one, so this is no pose to show or to export.
+    goes from frame to frame by the shortest rotation of its bone, from `first_rotations` where those of frame 0 are
+    known. Over a long motion that twist drifts from the anatomical one, so this is no pose to show or to export.
     """
-    return _pointed(joint_positions, skeleton, _carried_along)
+
+    def point(
+        joint: int, rest: Float[np.ndarray, "3"], observed: Float[np.ndarray, "frames 3"]
+    ) -> Float[np.ndarray, "frames 4"]:
+        if first_rotations is None:
+            return _carried_along(rest, observed, quaternion_between(rest, observed[:1]))
+        first = first_rotations[joint].astype(np.float64)
+        return _carried_along(rest, observed, first[None] / np.linalg.norm(first))
+
+    return _pointed(joint_positions, skeleton, point)
 
 
 def _pointed(
     joint_positions: Float[np.ndarray, "frames joints 3"],
     skeleton: Skeleton,
-    point: Callable[[Float[np.ndarray, "3"], Float[np.ndarray, "frames 3"]], Float[np.ndarray, "frames 4"]],
+    point: Callable[[int, Float[np.ndarray, "3"], Float[np.ndarray, "frames 3"]], Float[np.ndarray, "frames 4"]],
 ) -> Float[np.ndarray, "frames joints 4"]:
     positions = joint_positions.astype(np.float64)
     num_frames, num_joints = positions.shape[:2]
@@ -314,7 +325,7 @@ def _pointed(
             continue
         bones = quaternion_rotate(quaternion_conjugate(above)[:, None], positions[:, children] - positions[:, [joint]])
         if len(children) == 1:
-            local[:, joint] = point(rest[children[0]], bones[:, 0])
+            local[:, joint] = point(joint, rest[children[0]], bones[:, 0])
         else:
             local[:, joint] = _fit_rotation(rest[children], bones)
         world[:, joint] = quaternion_multiply(above, local[:, joint])
@@ -322,9 +333,9 @@ def _pointed(
 
 
 def _carried_along(
-    rest: Float[np.ndarray, "3"], observed: Float[np.ndarray, "frames 3"]
+    rest: Float[np.ndarray, "3"], observed: Float[np.ndarray, "frames 3"], first: Float[np.ndarray, "1 4"]
 ) -> Float[np.ndarray, "frames 4"]:
-    q = np.concatenate((quaternion_between(rest, observed[:1]), quaternion_between(observed[:-1], observed[1:])))
+    q = np.concatenate((first, quaternion_between(observed[:-1], observed[1:])))
     reach = 1
     while reach < len(q):  # products of all steps so far, in log₂ frames passes
         q[reach:] = quaternion_multiply(q[reach:], q[:-reach])

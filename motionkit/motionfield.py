@@ -4,7 +4,7 @@ Splines, NeRM's latents and PA-HiRes are `MotionEncoder`s that make `MotionField
 and export are written once against the two.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Protocol, runtime_checkable
@@ -64,13 +64,24 @@ class Poses:
             None if self.root_translation is None else np.empty((count, 3), np.float32),
         )
 
-    def put(self, rows: np.ndarray, poses: "Poses") -> None:
+    def put(self, rows: np.ndarray | slice, poses: "Poses") -> None:
         """Write poses of the same kind into some rows of these, in place."""
         self.joint_positions[rows] = poses.joint_positions
         if self.local_rotations is not None:
             self.local_rotations[rows] = poses.local_rotations
         if self.root_translation is not None:
             self.root_translation[rows] = poses.root_translation
+
+    def joined(self, others: "Sequence[Poses]") -> "Poses":
+        """These poses and then those of others of the same kind, as a copy."""
+        each = (self, *others)
+        made = self.room_for(sum(len(poses.joint_positions) for poses in each))
+        start = 0
+        for poses in each:
+            stop = start + len(poses.joint_positions)
+            made.put(slice(start, stop), poses)
+            start = stop
+        return made
 
     def at(self, grid: TimeGrid, skeleton: Skeleton, provenance: Provenance | None = None) -> Motion:
         """The poses as a motion on a time grid."""
@@ -87,6 +98,48 @@ class Poses:
         times, joints = self.joint_positions.shape[:2]
         has = [name for name in ("local_rotations", "root_translation") if getattr(self, name) is not None]
         return f"Poses({times} of {joints} joints, {', '.join(has) or 'positions only'})"
+
+
+# Poses made anew of a stretch of an observation; the second is the last pose made before it, None at the beginning.
+RemakePoses = Callable[["Observation", Poses | None], Poses]
+
+
+@runtime_checkable
+class Observed(Protocol):
+    """What is known of a motion: an `Observation`, or a `motionkit.long_observation.LongObservation` of one in a file.
+
+    What asks for some `rows` needs no more memory than they do.
+    """
+
+    @property
+    def times_seconds(self) -> Float64[np.ndarray, "frames"]:
+        """When the poses were, ascending."""
+        ...
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """Whose poses they are."""
+        ...
+
+    @property
+    def start_seconds(self) -> float:
+        """Time of the first pose."""
+        ...
+
+    @property
+    def end_seconds(self) -> float:
+        """Time of the last pose."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def rows(self, rows: np.ndarray | slice) -> "Observation":
+        """Some of the poses with their times, by index, slice or mask, in memory."""
+        ...
+
+    def remade(self, remake: RemakePoses, skeleton: Skeleton) -> "Observed":
+        """Other poses at the same times, made of these from the first to the last."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,12 +200,9 @@ class Observation:
         """Some of the poses with their times, by index, slice or mask."""
         return Observation(self.times_seconds[rows], self.poses.rows(rows), self.skeleton)
 
-    def with_continuous_rotations(self) -> "Observation":
-        """The same rotations, if there are any, as quaternions whose signs do not jump in time."""
-        if self.poses.local_rotations is None:
-            return self
-        rotations = continuous_quaternions(self.poses.local_rotations)
-        return replace(self, poses=replace(self.poses, local_rotations=rotations))
+    def remade(self, remake: RemakePoses, skeleton: Skeleton) -> "Observation":
+        """Other poses at the same times, made of these at once."""
+        return Observation(self.times_seconds, remake(self, None), skeleton)
 
     @property
     def start_seconds(self) -> float:
@@ -169,6 +219,20 @@ class Observation:
 
     def __repr__(self) -> str:
         return f"Observation([{self.start_seconds:.4f}, {self.end_seconds:.4f}] s, {self.poses!r}, {self.skeleton!r})"
+
+
+def continuous_rotations(observation: Observation, before: Poses | None) -> Poses:
+    """The same poses, their rotations, if there are any, as quaternions whose signs do not jump in time.
+
+    It is a `RemakePoses`, for `observation.remade`.
+    """
+    poses = observation.poses
+    if poses.local_rotations is None:
+        return poses
+    if before is None or before.local_rotations is None:
+        return replace(poses, local_rotations=continuous_quaternions(poses.local_rotations))
+    on = continuous_quaternions(np.concatenate((before.local_rotations, poses.local_rotations)))
+    return replace(poses, local_rotations=on[1:])
 
 
 @runtime_checkable
@@ -204,10 +268,10 @@ class MotionEncoder(Protocol):
         """Name for tables and operation logs."""
         ...
 
-    def encode(
-        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
-    ) -> MotionField:
+    def encode(self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0) -> MotionField:
         """The motion field of an observation, its domain the observed span and as much beyond it as is asked for.
+
+        A field that takes `rows` when it is queried needs no more memory for a long motion than for a short one.
 
         Raises `ValueError` where the encoder cannot go that far.
         """
@@ -260,7 +324,7 @@ def check_observed_alike(observations: Sequence[Observation]) -> None:
         raise ValueError("no motion is observed")
 
 
-def check_skeleton(field: MotionField, observation: Observation) -> None:
+def check_skeleton(field: MotionField, observation: Observed) -> None:
     """Raise `ValueError` where a field and an observation do not have the same joints."""
     if field.skeleton.joint_names != observation.skeleton.joint_names:
         raise ValueError(

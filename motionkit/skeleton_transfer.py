@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from motionkit.interpolation.fields import INTERPOLATORS
-from motionkit.interpolation.joints import Joints, with_rotations
+from motionkit.interpolation.joints import Joints, rotations_in_time, with_rotations
 from motionkit.kinematics import global_rotations, quaternion_conjugate, quaternion_multiply
 from motionkit.motion import Motion
-from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses, told_fps
+from motionkit.motionfield import MotionEncoder, MotionField, Observation, Observed, Poses, told_fps
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_map import joint_map, map_joints
 from motionkit.timegrid import TimeGrid
@@ -48,7 +48,7 @@ class Transferred:
         return self.encoder.name
 
     def encode(
-        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "TransferredField":
         """The own skeleton's field; raises `SkeletonMapError` for an unknown skeleton and what the encoder raises."""
         skeleton = observation.skeleton
@@ -62,7 +62,7 @@ class Transferred:
             base=self.interpolator.encode(canonical, **reach),
             counterparts=counterparts,
             moved_joint=_moved_joint(own, counterparts[_PELVIS]),
-            like=observation.poses.rows(slice(0, 0)),
+            like=observation.rows(slice(0, 1)).poses.rows(slice(0, 0)),
         )
 
 
@@ -174,26 +174,30 @@ def _counterparts(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
     return tuple(sorted({**found, _PELVIS: pelvis}.items()))
 
 
-def canonical_observation(observation: Observation) -> Observation:
+def canonical_observation(observation: Observed) -> Observed:
     """An observation of any known skeleton in the 22-joint layout, with rotations, bones as long as its own.
 
     Rotations are its own where its joints are the layout's; else those of inverse kinematics in time, from the layout's
     rest pose. Raises `SkeletonMapError`.
     """
-    skeleton, poses = observation.skeleton, observation.poses
-    if skeleton.joint_names == SMPL22.joint_names and poses.local_rotations is not None:
+    has_rotations = observation.rows(slice(0, 1)).poses.local_rotations is not None
+    if observation.skeleton.joint_names == SMPL22.joint_names and has_rotations:
         return observation
+    return observation.remade(_canonical_poses, SMPL22)
+
+
+def _canonical_poses(observation: Observation, before: Poses | None) -> Poses:
+    poses = observation.poses
     grid = TimeGrid(Fraction(1), len(observation))  # its times don't matter to a map
-    positions = map_joints(Motion(poses.joint_positions, skeleton, grid, poses.local_rotations), SMPL22.name)
-    rotations = Joints.of(Poses(positions), SMPL22).rotations.astype(np.float32)
-    canonical = Poses(positions.astype(np.float32), rotations, positions[:, 0].astype(np.float32))
-    return Observation(observation.times_seconds, canonical, SMPL22)
+    positions = map_joints(Motion(poses.joint_positions, observation.skeleton, grid, poses.local_rotations), "smpl22")
+    positions = positions.astype(np.float32)
+    return rotations_in_time(Poses(positions, None, positions[:, 0]), SMPL22, before)
 
 
-def _moved_joint(observation: Observation, pelvis: int) -> int:
+def _moved_joint(observation: Observed, pelvis: int) -> int:
     """The joint that carries the body's path: the one nearest the pelvis whose bone is not rigid, else the root."""
     # Some hundred frames tell as much as all of them.
-    poses = observation.poses.rows(slice(None, None, max(1, len(observation) // _FRAMES_TO_SEE)))
+    poses = observation.rows(slice(None, None, max(1, len(observation) // _FRAMES_TO_SEE))).poses
     bones = Joints.of(poses, observation.skeleton).bones
     for joint in _and_above(observation.skeleton, pelvis):
         if joint and np.ptp(bones[:, joint], axis=0).max() > _RIGID_METRES:

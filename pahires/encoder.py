@@ -7,15 +7,25 @@ beyond its own rows, and a pose depends on what is observed and on its time alon
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float32, Float64, Int64
 
-from motionkit.features.rotation_rows import PoseRows, poses_of, rows_of_poses
-from motionkit.motionfield import Observation, Poses, check_observed_alike, check_times
-from motionkit.skeleton import Skeleton
+from motionkit.blocks import Blocks
+from motionkit.features.rotation_rows import PoseRows, num_numbers, poses_of, rows_of_poses
+from motionkit.interpolation.joints import with_rotations
+from motionkit.motionfield import (
+    Observation,
+    Observed,
+    Poses,
+    check_observed_alike,
+    check_times,
+    continuous_rotations,
+)
+from motionkit.skeleton import SMPL22, Skeleton
 from pahires.network import ObservedWindow
 from pahires.scaling import WindowFrames
 from pahires.trained import TrainedNetwork
@@ -28,6 +38,8 @@ WINDOWS_AT_ONCE = 32
 MOTIONS_AT_ONCE = 64
 QUERIES_AT_ONCE = 256
 TIMES_AT_ONCE = 8192
+FRAMES_AT_ONCE = 1024
+BLOCKS_KEPT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +70,7 @@ class NetworkEncoder:
         return self.trained.reach_seconds
 
     def encode(
-        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "NetworkField":
         """The field of an observation.
 
@@ -80,8 +92,14 @@ class NetworkEncoder:
                 f"{max(before_seconds, after_seconds):.2f} s: ask for less, or let it stand still there "
                 "(extrapolation='clamp')"
             )
-        observation = observation.with_continuous_rotations()
-        return self._field(observation, before_seconds, after_seconds)
+        observation = observation.remade(continuous_rotations, observation.skeleton)
+        return NetworkField(
+            self,
+            observation,
+            _window_starts(len(observation), self.window_frames),
+            observation.start_seconds - before_seconds,
+            observation.end_seconds + after_seconds,
+        )
 
     def query_many(
         self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
@@ -106,7 +124,7 @@ class NetworkEncoder:
         made: list[Poses] = []
         for start in range(0, len(fields), MOTIONS_AT_ONCE):
             some = fields[start : start + MOTIONS_AT_ONCE]
-            rows = np.stack([field.rows.vectors for field in some])
+            rows = np.stack([field.rows(0, len(first)).vectors for field in some])
             vectors = self.answers(rows, np.tile(first.times_seconds, (len(some), 1)), np.tile(asked, (len(some), 1)))
             made += [field.poses_of(times_seconds, answer) for field, answer in zip(some, vectors, strict=True)]
         return made
@@ -132,24 +150,13 @@ class NetworkEncoder:
         )
         return placed.leave(scaling.invert(trained.predictor.smooth(asked)).cpu().numpy())
 
-    def _field(self, observation: Observation, before_seconds: float, after_seconds: float) -> "NetworkField":
-        return NetworkField(
-            self,
-            observation,
-            rows_of_poses(observation.poses, observation.skeleton),
-            _window_starts(len(observation), self.window_frames),
-            observation.start_seconds - before_seconds,
-            observation.end_seconds + after_seconds,
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class NetworkField:
-    """A `MotionField`: an observation's rows, and the network that is asked between them."""
+    """A `MotionField`: what is observed, and the network that is asked between it."""
 
     encoder: NetworkEncoder
-    observation: Observation
-    rows: PoseRows
+    observation: Observed
     window_starts: Int64[np.ndarray, "windows"]
     start_seconds: float
     end_seconds: float
@@ -158,6 +165,33 @@ class NetworkField:
     def skeleton(self) -> Skeleton:
         """The observation's skeleton."""
         return self.observation.skeleton
+
+    def rows(self, start: int, stop: int) -> PoseRows:
+        """The rotation rows of observed poses [start, stop)."""
+        numbers = range(start // FRAMES_AT_ONCE, (stop - 1) // FRAMES_AT_ONCE + 1)
+        blocks = [self._blocks[number] for number in numbers]
+        here = slice(start - numbers[0] * FRAMES_AT_ONCE, stop - numbers[0] * FRAMES_AT_ONCE)
+        vectors = np.concatenate([block.vectors for block in blocks])[here]
+        bones = np.concatenate([block.bones for block in blocks])[here]
+        return PoseRows(vectors, bones, blocks[0].skeleton)
+
+    @cached_property
+    def _blocks(self) -> Blocks[PoseRows]:
+        # In the 22-joint layout rotations are found from that layout's own rest pose, so that rows mean the same.
+        observed = self.observation
+        if not self._has_rotations and observed.skeleton.joint_names == SMPL22.joint_names:
+            observed = observed.remade(lambda some, _: some.poses, SMPL22)
+        turned = with_rotations(observed)
+
+        def block(number: int) -> PoseRows:
+            start = number * FRAMES_AT_ONCE
+            return rows_of_poses(turned.rows(slice(start, start + FRAMES_AT_ONCE)).poses, turned.skeleton)
+
+        return Blocks(block, BLOCKS_KEPT)
+
+    @cached_property
+    def _has_rotations(self) -> bool:
+        return self.observation.rows(slice(0, 1)).poses.local_rotations is not None
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
@@ -214,7 +248,7 @@ class NetworkField:
         """Rows at times, each in a window of its own; windows in batches, so that memory is bounded."""
         order = np.lexsort((times, window))
         window, times = window[order], times[order]
-        result = np.empty((len(times), self.rows.vectors.shape[1]), np.float32)
+        result = np.empty((len(times), num_numbers(self.skeleton.num_joints)), np.float32)
         # Runs of one window, of QUERIES_AT_ONCE at most; many runs make a batch, its shorter ones filled up.
         first_of_window = np.searchsorted(window, window)
         place = np.arange(len(window)) - first_of_window
@@ -233,16 +267,20 @@ class NetworkField:
     ) -> Float32[np.ndarray, "batch queries numbers"]:
         count = min(len(self.observation), self.encoder.window_frames)
         frames = self.window_starts[windows][:, None] + np.arange(count)
-        return self.encoder.answers(self.rows.vectors[frames], self.observation.times_seconds[frames], times)
+        first = int(frames.min())
+        rows = self.rows(first, int(frames.max()) + 1).vectors
+        return self.encoder.answers(rows[frames - first], self.observation.times_seconds[frames], times)
 
     def poses_of(self, times: Float64[np.ndarray, "times"], vectors: Float32[np.ndarray, "times numbers"]) -> Poses:
         """World rows at these times as poses of the observed body."""
-        given, skeleton = self.observation.poses, self.rows.skeleton
         before, weight = self._between(times)
-        bones = self.rows.bones[before]
-        after = np.minimum(before + 1, len(self.observation) - 1)
-        bones = bones + weight[:, None, None] * (self.rows.bones[after] - bones)
-        poses = poses_of(vectors, bones, skeleton)
+        first = int(before.min(initial=len(self.observation) - 1))
+        last = min(int(before.max(initial=first)) + 1, len(self.observation) - 1)
+        rows, given = self.rows(first, last + 1), self.observation.rows(slice(first, last + 1)).poses
+        before, after = before - first, np.minimum(before + 1, last) - first
+        bones = rows.bones[before]
+        bones = bones + weight[:, None, None] * (rows.bones[after] - bones)
+        poses = poses_of(vectors, bones, rows.skeleton)
         if given.local_rotations is None or poses.local_rotations is None:
             return Poses(poses.joint_positions)
         near = given.local_rotations[before]

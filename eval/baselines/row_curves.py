@@ -10,7 +10,7 @@ from motionkit.features.rotation_rows import closest_rotations, two_columns
 from motionkit.interpolation.joints import JointsOfMany
 from motionkit.interpolation.values import CurveKind, curve
 from motionkit.kinematics import matrix_to_quaternion
-from motionkit.motionfield import Observation, Poses, check_observed_alike, check_times
+from motionkit.motionfield import Observation, Observed, Poses, check_observed_alike, check_times
 from motionkit.skeleton import Skeleton
 
 
@@ -26,13 +26,13 @@ class RowCurves:
     kind: CurveKind
 
     def encode(
-        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "RowCurveField":
         """The field through all observed frames; raises `ValueError` for a negative reach."""
         if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
             raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
         reach = (observation.start_seconds - before_seconds, observation.end_seconds + after_seconds)
-        return RowCurveField(self, observation, *reach)
+        return RowCurveField(self, observation.rows(slice(None)), *reach)
 
     def query_many(
         self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]

@@ -1,4 +1,7 @@
-"""Clips as they come: found in files, folders and stores, read whole, and written again in their own form."""
+"""Clips as they come: found in files, folders and stores, and written again in their own form.
+
+BVH files are read and written piece by piece; clips of other forms are held in memory, they and their results.
+"""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -8,22 +11,25 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from motionkit.completing import vectors_npy
-from motionkit.completing.holes import read_with_holes
+from motionkit.completing.holes import ReadClip, read_with_holes
 from motionkit.completion import Completion
 from motionkit.errors import FormatError, StoreError, UsageError
 from motionkit.formats import registry
 from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.arrays.npz import write_npz
-from motionkit.formats.bvh.document import BvhDocument, ChannelLines, read_document
+from motionkit.formats.bvh.channel_lines import ChannelLines
+from motionkit.formats.bvh.document import BvhDocument, read_document
 from motionkit.formats.bvh.motion import write_bvh
 from motionkit.formats.items import ReadOptions, SourceItem
 from motionkit.formats.pose_folders.humanml3d import VECTORS_FOLDER
-from motionkit.motion import Motion
-from motionkit.motionfield import Poses
-from motionkit.skeleton import STANDARD_SKELETONS
+from motionkit.long_observation import LongObservation
+from motionkit.motion import Caption, Motion
+from motionkit.motionfield import Observation, Observed, Poses
+from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.timegrid import TimeGrid
 
 FRAMES_AT_ONCE = 2048
 MADE = ".completed"
@@ -33,14 +39,20 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """One clip to complete: its motion, which of its frames are whole, and its form.
+    """One clip to complete: its frames, which of them are whole, and its form.
 
-    `write` writes a completed motion of it to a path; what cannot be written as it came goes to another `suffix`.
-    `uneven_seconds` are the times of its frames where they are not those of the motion's grid.
+    `poses` are those of frames by number, `observe` makes an observation of those that a mask marks, `label` gives a
+    motion the clip's name, captions and origin. `write` writes a completed motion of it to a path; what cannot be
+    written as it came goes to another `suffix`. `uneven_seconds` are the times of its frames where they are not those
+    of its grid.
     """
 
-    motion: Motion
+    timegrid: TimeGrid
+    skeleton: Skeleton
     seen: Bool[np.ndarray, "frames"]
+    poses: Callable[[Int64[np.ndarray, "rows"]], Poses]
+    observe: Callable[[Bool[np.ndarray, "frames"]], Observed]
+    label: Callable[[Motion], Motion]
     suffix: str
     write: Callable[[Completion, Path, Progress], None]
     note: str = ""
@@ -49,7 +61,7 @@ class Clip:
     @property
     def seconds(self) -> Float64[np.ndarray, "frames"]:
         """When its frames were."""
-        return self.motion.timegrid.seconds() if self.uneven_seconds is None else self.uneven_seconds
+        return self.timegrid.seconds() if self.uneven_seconds is None else self.uneven_seconds
 
 
 @dataclass(frozen=True)
@@ -101,24 +113,69 @@ def _read(item: SourceItem, options: ReadOptions) -> Clip:
     if options.fps is None and item.fps is not None:
         options = replace(options, fps=item.fps)
     if item.path.suffix.lower() == ".bvh" or item.format == "bvh":
-        document = read_document(item.path, options)
-        document = replace(document, motion=replace(document.motion, captions=item.captions))
-        return Clip(document.motion, document.seen, ".bvh", lambda *told: write_document(document, *told))
+        return clip_of_document(read_document(item.path, options), item.captions)
     read = read_with_holes(item, options)
     if item.path.parent.name == VECTORS_FOLDER:
-        return Clip(read.motion, read.seen, ".npy", _writing(vectors_npy.write_vectors))
-    clip = as_clip(read.motion, read.seen, item.path.suffix.lower(), f"{item.format} cannot be written")
-    return replace(clip, uneven_seconds=read.uneven_seconds)
+        return _in_memory(read, ".npy", vectors_npy.write_vectors)
+    return _as_it_came(read, item.path.suffix.lower(), f"{item.format} cannot be written")
 
 
-def as_clip(motion: Motion, seen: Bool[np.ndarray, "frames"], suffix: str, why_not: str) -> Clip:
+def _as_it_came(read: ReadClip, suffix: str, why_not: str) -> Clip:
     """A motion with the writer of its file's suffix; else as .bvh where it has rotations, as .npz where it has none."""
-    if suffix == ".npy" and motion.skeleton in STANDARD_SKELETONS.values():
-        return Clip(motion, seen, ".npy", _writing(write_joints_npy))
+    if suffix == ".npy" and read.motion.skeleton in STANDARD_SKELETONS.values():
+        return _in_memory(read, ".npy", write_joints_npy)
     if suffix == ".npz":
-        return Clip(motion, seen, ".npz", _writing(write_npz))
-    other = ".npz" if motion.local_rotations is None else ".bvh"
-    return Clip(motion, seen, other, _writing(WRITERS[other]), f"{why_not}: its result is a {other[1:]} file")
+        return _in_memory(read, ".npz", write_npz)
+    other = ".npz" if read.motion.local_rotations is None else ".bvh"
+    return _in_memory(read, other, WRITERS[other], f"{why_not}: its result is a {other[1:]} file")
+
+
+def clip_of_document(document: BvhDocument, captions: tuple[Caption, ...] = ()) -> Clip:
+    """A BVH file as a clip: its frames are read when they are asked for."""
+
+    def observe(observed: Bool[np.ndarray, "frames"]) -> Observed:
+        frames = np.flatnonzero(observed)
+        return LongObservation(
+            document.timegrid.seconds()[frames], lambda rows: document.poses(frames[rows]), document.skeleton
+        )
+
+    def label(made: Motion) -> Motion:
+        return replace(made, sequence_id=document.path.stem, captions=captions, provenance=document.provenance)
+
+    return Clip(
+        document.timegrid,
+        document.skeleton,
+        document.seen,
+        document.poses,
+        observe,
+        label,
+        ".bvh",
+        lambda completion, path, progress: write_document(document, completion, path, progress),
+    )
+
+
+def _in_memory(read: ReadClip, suffix: str, write: Callable[[Motion, Path], None], note: str = "") -> Clip:
+    motion, uneven = read.motion, read.uneven_seconds
+
+    def observe(observed: Bool[np.ndarray, "frames"]) -> Observed:
+        known = Observation.of(motion, observed)
+        return known if uneven is None else replace(known, times_seconds=uneven[observed])
+
+    def label(made: Motion) -> Motion:
+        return made.annotated_like(motion)
+
+    return Clip(
+        motion.timegrid,
+        motion.skeleton,
+        read.seen,
+        Poses.of(motion).rows,
+        observe,
+        label,
+        suffix,
+        _writing(write, motion.timegrid, label),
+        note,
+        uneven,
+    )
 
 
 WRITERS: Mapping[str, Callable[[Motion, Path], None]] = {".npz": write_npz, ".bvh": write_bvh}
@@ -130,12 +187,12 @@ def as_format(clip: Clip, suffix: str) -> Clip:
         return clip
     if suffix not in WRITERS:
         raise UsageError(f"clips are written as {', '.join(WRITERS)} or as they came, not as {suffix}")
-    return replace(clip, suffix=suffix, write=_writing(WRITERS[suffix]), note="")
+    return replace(clip, suffix=suffix, write=_writing(WRITERS[suffix], clip.timegrid, clip.label), note="")
 
 
 def _vectors(path: Path, options: ReadOptions) -> Clip:
     motion, seen = vectors_npy.read_vectors(path, options)
-    return Clip(motion, seen, ".npy", _writing(vectors_npy.write_vectors))
+    return _in_memory(ReadClip(motion, seen), ".npy", vectors_npy.write_vectors)
 
 
 def _stored(sequence_id: str, store: Path) -> ClipSource:
@@ -143,7 +200,7 @@ def _stored(sequence_id: str, store: Path) -> ClipSource:
 
     def read() -> Clip:
         motion = opened.read(sequence_id)
-        return Clip(motion, np.ones(motion.num_frames, bool), ".npz", _writing(write_npz))
+        return _in_memory(ReadClip(motion, np.ones(motion.num_frames, bool)), ".npz", write_npz)
 
     try:
         opened = Store.open(store)
@@ -153,42 +210,42 @@ def _stored(sequence_id: str, store: Path) -> ClipSource:
     return ClipSource(sequence_id, Path(sequence_id.replace("/", "_").lstrip(".") or "clip"), read)
 
 
-def _writing(write: Callable[[Motion, Path], None]) -> Callable[[Completion, Path, Progress], None]:
+def _writing(
+    write: Callable[[Motion, Path], None], source: TimeGrid, label: Callable[[Motion], Motion]
+) -> Callable[[Completion, Path, Progress], None]:
     """A writer that needs the whole motion at once."""
 
     def whole(completion: Completion, path: Path, progress: Progress) -> None:
-        made = completion.motion(0, completion.grid.num_frames).annotated_like(completion.motion_given)
+        made = completion.motion(0, completion.grid.num_frames)
         progress(made.num_frames)
-        write(made.logged(completed_line(completion)), path)
+        write(label(made).logged(completed_line(completion, source)), path)
 
     return whole
 
 
-def completed_line(completion: Completion) -> str:
-    """The operation log's line of a completed motion."""
-    given, fps = completion.motion_given, completion.grid.fps
-    made = completion.grid.num_frames - len(completion.given_rows)
-    return (
-        f"complete {given.num_frames} frames at {given.fps} fps -> {completion.grid.num_frames} at {fps}, {made} made"
-    )
+def completed_line(completion: Completion, source: TimeGrid) -> str:
+    """The operation log's line of a motion that was completed from frames on the grid `source`."""
+    grid, made = completion.grid, completion.grid.num_frames - len(completion.given_rows)
+    return f"complete {source.num_frames} frames at {source.fps} fps -> {grid.num_frames} at {grid.fps}, {made} made"
 
 
 def write_document(document: BvhDocument, completion: Completion, path: Path, progress: Progress) -> None:
     """Write a completed BVH file piece by piece, given frames as the lines that they were."""
     num_frames, known = completion.grid.num_frames, completion.known_frames
-    lines = ChannelLines(document, known)
+    observation = completion.observation
+    lines = ChannelLines(document, known, observation.times_seconds)
     # What comes before the first known frame goes backwards from it, so it has to be in the first piece.
-    first_known = int(np.searchsorted(completion.grid.seconds(), document.motion.timegrid.seconds()[known[0]] - 1e-9))
-    numbers = dict(zip(completion.given_rows.tolist(), completion.given_frames.tolist(), strict=True))
+    reach_seconds = observation.start_seconds - completion.grid.start_seconds
+    first_known = max(0, int(np.ceil((reach_seconds - 1e-9) * float(completion.grid.fps))))
     with path.open("wb") as file:
         file.write(document.heading(num_frames, Fraction(completion.grid.fps)))
         start = 0
         while start < num_frames:
             stop = min(num_frames, max(start + FRAMES_AT_ONCE, first_known + 1 if start == 0 else 0))
             made = completion.motion(start, stop)
-            given = [numbers.get(row) for row in range(start, stop)]
-            for line in lines.lines(completion.seconds(start, stop), Poses.of(made), given):
-                file.write(line + b"\n")
+            rows, given = completion.given(start, stop)
+            written = lines.lines(completion.seconds(start, stop), Poses.of(made), rows, known[given])
+            file.write(b"\n".join((*written, b"")))
             progress(stop - start)
             start = stop
 

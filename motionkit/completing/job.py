@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from motionkit.completing.clips import Clip, ClipSource, Progress, as_format, write_whole
 from motionkit.completing.encoder_choice import ChosenEncoder
 from motionkit.completing.page import write_comparison
 from motionkit.completing.request import ClipRequest, CompletionRequest
-from motionkit.completion import Completion, begin, begin_uneven
+from motionkit.completion import Completion, begin_observed, begin_uneven
 from motionkit.errors import MotionkitError
 from motionkit.motionfield import MotionEncoder
 from motionkit.timegrid import format_fps
@@ -71,7 +73,7 @@ class Job:
         clip = source.read()
         if self.suffix is not None:
             clip = as_format(clip, self.suffix)
-        wanted = self.request.for_clip(clip.motion, clip.seen, clip.uneven_seconds)
+        wanted = self.request.for_clip(clip.timegrid, clip.seen, clip.uneven_seconds)
         path = path_of(source, clip.suffix, format_fps(wanted.fps))
         page = path.with_suffix(".html") if self.compared else None
         for each in (path, page):
@@ -92,9 +94,9 @@ class Job:
             source=source.name,
             path=path,
             encoder=name,
-            fps=format_fps(clip.motion.fps),
+            fps=format_fps(clip.timegrid.fps),
             completed_fps=format_fps(wanted.fps),
-            num_frames=clip.motion.num_frames,
+            num_frames=clip.timegrid.num_frames,
             num_completed=made.grid.num_frames,
             num_given=len(made.given_rows),
             longest_gap_seconds=wanted.longest_gap_seconds,
@@ -103,7 +105,7 @@ class Job:
         )
 
     def _begin(self, clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> tuple[Completion, str, list[str]]:
-        encoder, warning = chosen.for_skeleton(clip.motion.skeleton)
+        encoder, warning = chosen.for_skeleton(clip.skeleton)
         name = encoder.name if warning else chosen.name
         warnings = [warning] if warning else _warnings(clip, wanted, chosen)
         try:
@@ -114,16 +116,12 @@ class Job:
 
 
 def _encoded(clip: Clip, wanted: ClipRequest, encoder: MotionEncoder) -> Completion:
-    fps, observed, before, after = wanted.fps, wanted.observed, wanted.before_seconds, wanted.after_seconds
+    observation, known = clip.observe(wanted.observed), np.flatnonzero(wanted.observed)
+    reach = {"before_seconds": wanted.before_seconds, "after_seconds": wanted.after_seconds}
     if clip.uneven_seconds is None:
-        return begin(clip.motion, encoder, fps=fps, observed=observed, before_seconds=before, after_seconds=after)
-    return begin_uneven(
-        *(clip.motion, clip.uneven_seconds, encoder),
-        fps=fps,
-        observed=observed,
-        before_seconds=before,
-        after_seconds=after,
-    )
+        return begin_observed(observation, known, clip.timegrid, encoder, wanted.fps, **reach)
+    span = (float(clip.uneven_seconds[0]), float(clip.uneven_seconds[-1]))
+    return begin_uneven(observation, known, span, encoder, wanted.fps, **reach)
 
 
 def _warnings(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> list[str]:

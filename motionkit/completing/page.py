@@ -12,7 +12,7 @@ from motionkit.completion import Completion
 from motionkit.player.packing import packed_bytes
 from motionkit.player.page import write_page
 from motionkit.player.take import Take, take_of
-from motionkit.timegrid import format_fps, num_frames_within
+from motionkit.timegrid import TimeGrid, format_fps, num_frames_within
 
 # What is looked at; and a page of some megabytes opens at once, whatever the framerate.
 PAGE_SECONDS, PAGE_BYTES = 60.0, 24_000_000
@@ -31,7 +31,7 @@ def write_comparison(
     `MotionkitError`.
     """
     grid = ways[0][1].grid
-    frame_bytes = packed_bytes(1, clip.motion.skeleton.num_joints) * len(ways)
+    frame_bytes = packed_bytes(1, clip.skeleton.num_joints) * len(ways)
     num_shown = min(grid.num_frames, num_frames_within(PAGE_SECONDS, grid.fps), max(1, PAGE_BYTES // frame_bytes))
     shown_seconds = float(num_shown / grid.fps)
     takes = [_as_it_was(clip, observed, grid.start_seconds + shown_seconds), *(_made(*way, num_shown) for way in ways)]
@@ -42,16 +42,16 @@ def write_comparison(
 
 
 def _as_it_was(clip: Clip, observed: Bool[np.ndarray, "frames"], until_seconds: float) -> Take:
-    motion = clip.motion
-    take = replace(
+    count = max(1, int(np.searchsorted(clip.seconds, until_seconds - 1e-6)))
+    grid = TimeGrid(clip.timegrid.fps, count, float(clip.seconds[0]))
+    motion = clip.label(clip.poses(np.arange(count)).at(grid, clip.skeleton))
+    return replace(
         take_of(motion, "the clip"),
-        start_seconds=float(clip.seconds[0]),
-        uneven_seconds=clip.uneven_seconds,
-        seen=None if observed.all() else observed,
+        uneven_seconds=None if clip.uneven_seconds is None else clip.uneven_seconds[:count],
+        seen=None if observed[:count].all() else observed[:count],
         unseen="left out",
         colours="plain",
     )
-    return take.frames(0, max(1, int(np.searchsorted(clip.seconds, until_seconds - 1e-6))))
 
 
 def _made(name: str, completion: Completion, num_shown: int) -> Take:

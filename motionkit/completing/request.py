@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from motionkit.errors import MotionkitError, UsageError
-from motionkit.motion import Motion
-from motionkit.timegrid import format_fps, parse_fps
+from motionkit.timegrid import TimeGrid, format_fps, parse_fps
 
 # A minute of a body that nobody observed is a slip of the pen.
 LONGEST_REACH_SECONDS = 60.0
@@ -57,34 +56,34 @@ class CompletionRequest:
 
     def for_clip(
         self,
-        motion: Motion,
+        timegrid: TimeGrid,
         seen: Bool[np.ndarray, "frames"],
         uneven_seconds: Float64[np.ndarray, "frames"] | None = None,
     ) -> "ClipRequest":
-        """What is asked of one clip, of whose frames those that are `seen` are whole.
+        """What is asked of one clip, its frames those of `timegrid`, of which those that are `seen` are whole.
 
         Raises `MotionkitError` where that cannot be had: a lower framerate, frames that the clip has not.
         """
-        fps = motion.fps if self.fps is None else self.fps
+        fps = timegrid.fps if self.fps is None else self.fps
         if uneven_seconds is not None and self.fps is None:
             raise MotionkitError(
                 f"its frames are uneven in time, about {float(fps):.4g} a second: say with --fps how many to write"
             )
-        if fps < motion.fps:
+        if fps < timegrid.fps:
             raise MotionkitError(
-                f"{format_fps(fps)} fps is less than its {format_fps(motion.fps)}: frames would be dropped, not made; "
-                f"filter it down instead (motionkit ingest, then motionkit export --fps {format_fps(fps)})"
+                f"{format_fps(fps)} fps is less than its {format_fps(timegrid.fps)}: frames would be dropped, not "
+                f"made; filter it down instead (motionkit ingest, then motionkit export --fps {format_fps(fps)})"
             )
-        observed = seen & kept_frames(self.keep, motion.num_frames)
+        observed = seen & kept_frames(self.keep, timegrid.num_frames)
         if not observed.any():
             raise MotionkitError("none of the frames to keep is whole: their numbers are nan")
-        before, after = self.before.seconds(motion.fps), self.after.seconds(motion.fps)
-        if motion.num_frames == 1 and not (before or after):
+        before, after = self.before.seconds(timegrid.fps), self.after.seconds(timegrid.fps)
+        if timegrid.num_frames == 1 and not (before or after):
             raise MotionkitError("it has one frame, and nothing lies between; only --extend makes more of it")
         for reach in (before, after):
             if reach > LONGEST_REACH_SECONDS:
                 raise MotionkitError(f"--extend by {reach:g} s: at most {LONGEST_REACH_SECONDS:g} s beyond an end")
-        seconds = motion.timegrid.seconds() if uneven_seconds is None else uneven_seconds
+        seconds = timegrid.seconds() if uneven_seconds is None else uneven_seconds
         known = seconds[observed]
         gap = float(np.diff(known).max()) if len(known) > 1 else 0.0
         return ClipRequest(fps, observed, before, after, gap)

@@ -56,18 +56,30 @@ def infer_unit(skeleton: Skeleton) -> Unit | None:
 
 def is_z_up(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> bool:
     """Whether both the rest skeleton and the poses, on average, stand along +z rather than along +y."""
+    return rests_along_z(skeleton) and stands_along_z(skeleton, joint_positions.mean(axis=0))
+
+
+def rests_along_z(skeleton: Skeleton) -> bool:
+    """Whether the rest pose of a skeleton whose joints are known stands along +z rather than along +y."""
     try:
-        weights = joint_map(skeleton, SMPL22.name).weights
+        _, y, z = _upward(skeleton) @ rest_positions(skeleton)
     except SkeletonMapError:
         return False
-    upward = weights[SMPL22.index("head")] - 0.5 * (
-        weights[SMPL22.index("left_ankle")] + weights[SMPL22.index("right_ankle")]
-    )
-    _, rest_y, rest_z = upward @ rest_positions(skeleton)
-    if rest_z <= 2.0 * abs(rest_y):
-        return False
-    _, posed_y, posed_z = upward @ joint_positions.mean(axis=0)
-    return bool(posed_z > abs(posed_y))
+    return bool(z > 2.0 * abs(y))
+
+
+def stands_along_z(skeleton: Skeleton, mean_positions: Float32[np.ndarray, "joints 3"]) -> bool:
+    """Whether joints, their places averaged over time, stand along +z; raises `SkeletonMapError` for unknown ones."""
+    _, y, z = _upward(skeleton) @ mean_positions
+    return bool(z > abs(y))
+
+
+def _upward(skeleton: Skeleton) -> Float32[np.ndarray, " joints"]:
+    # Weights of the joints whose sum is the way from the ankles to the head.
+    weights = joint_map(skeleton, SMPL22.name).weights
+    ankles = weights[SMPL22.index("left_ankle")] + weights[SMPL22.index("right_ankle")]
+    upward: Float32[np.ndarray, " joints"] = weights[SMPL22.index("head")] - np.float32(0.5) * ankles
+    return upward
 
 
 def upright(
@@ -108,14 +120,18 @@ def z_up_to_y_up(
     Float32[np.ndarray, "frames 3"],
 ]:
     """Change of basis (x, y, z) → (x, z, −y) of a whole motion, its rest pose included."""
-    turned = replace(
+    rotations = local_rotations.copy()
+    rotations[..., 1:] = turn_to_y_up(local_rotations[..., 1:])
+    return skeleton_to_y_up(skeleton), turn_to_y_up(joint_positions), rotations, turn_to_y_up(root_translation)
+
+
+def skeleton_to_y_up(skeleton: Skeleton) -> Skeleton:
+    """Change of basis (x, y, z) → (x, z, −y) of a rest pose."""
+    return replace(
         skeleton,
         offsets=turn_to_y_up(skeleton.offsets),
         end_sites=tuple((joint, (x, z, -y)) for joint, (x, y, z) in skeleton.end_sites),
     )
-    rotations = local_rotations.copy()
-    rotations[..., 1:] = turn_to_y_up(local_rotations[..., 1:])
-    return turned, turn_to_y_up(joint_positions), rotations, turn_to_y_up(root_translation)
 
 
 def turn_to_y_up(vectors: Float32[np.ndarray, "*shape 3"]) -> Float32[np.ndarray, "*shape 3"]:

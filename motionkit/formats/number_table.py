@@ -116,6 +116,42 @@ def parse_table(
     return _parse_slowly(text, num_rows, num_columns, path, first_line)
 
 
+@dataclass(frozen=True, eq=False)
+class RowsFound:
+    """The rows of a text, and the byte of it at which the line of each one begins."""
+
+    table: Float64[np.ndarray, "rows columns"]
+    starts: Int64[np.ndarray, "rows"]
+
+
+@dataclass(frozen=True)
+class TablePart:
+    """Where a block of whole lines lies: its first line in the file, its first row of the table's declared `num_rows`.
+
+    `is_end` says that the text ends with it.
+    """
+
+    first_line: int
+    first_row: int
+    num_rows: int
+    is_end: bool
+
+
+def find_rows(text: bytes, num_columns: int, path: Path, part: TablePart) -> RowsFound:
+    """The rows of one block of a table too long for memory; raises what `parse_table` raises for them.
+
+    That rows are missing at the end is for the caller to see (`too_few_rows`).
+    """
+    found = _rows_of_block(text, num_columns)
+    if found is not None and part.first_row + len(found.table) <= part.num_rows:
+        return found
+    lines = text.splitlines(keepends=True)
+    starts = np.cumsum([0, *map(len, lines)])[:-1]
+    there = np.array([bool(line.strip()) for line in lines], bool)
+    table = _parse_lines(text, num_columns, path, part)
+    return RowsFound(table, starts[there])
+
+
 def format_table(table: Float64[np.ndarray, "rows columns"]) -> bytes:
     """One line of numbers a row, separated by spaces, each with as many digits as it needs."""
     import pyarrow as pa
@@ -139,42 +175,62 @@ def blocks(text: bytes) -> Iterator[bytes]:
 def _parse_quickly(text: bytes, num_rows: int, num_columns: int) -> Float64[np.ndarray, "rows columns"] | None:
     table = np.empty((num_rows, num_columns))
     row = 0
+    for block in blocks(text):
+        found = _rows_of_block(block, num_columns)
+        if found is None or row + len(found.table) > num_rows:
+            return None
+        table[row : row + len(found.table)] = found.table
+        row += len(found.table)
+    return table if row == num_rows else None
+
+
+def _rows_of_block(block: bytes, num_columns: int) -> "RowsFound | None":
+    words = find_words(block)
+    rows, rest = divmod(len(words.starts), num_columns)
     opens_row = np.zeros(num_columns, bool)
     opens_row[0] = True
-    for block in blocks(text):
-        words = find_words(block)
-        rows, rest = divmod(len(words.starts), num_columns)
-        if rest or row + rows > num_rows or (words.opens_line.reshape(rows, num_columns) != opens_row).any():
-            return None
-        numbers = to_numbers(words)
-        if numbers is None:
-            return None
-        table[row : row + rows] = numbers.reshape(rows, num_columns)
-        row += rows
-    return table if row == num_rows else None
+    if rest or (words.opens_line.reshape(rows, num_columns) != opens_row).any():
+        return None
+    numbers = to_numbers(words)
+    if numbers is None:
+        return None
+    return RowsFound(numbers.reshape(rows, num_columns), words.starts[::num_columns] - LENGTH_BYTES)
 
 
 def _parse_slowly(
     text: bytes, num_rows: int, num_columns: int, path: Path, first_line: int
 ) -> Float64[np.ndarray, "rows columns"]:
+    table = _parse_lines(text, num_columns, path, TablePart(first_line, 0, num_rows, is_end=True))
+    if len(table) < num_rows:
+        raise too_few_rows(len(table), num_rows, path, first_line + len(text.rstrip().splitlines()) - 1)
+    return table
+
+
+def too_few_rows(found: int, num_rows: int, path: Path, last_line: int) -> FormatError:
+    """The error (`truncated`) of a table that ends too soon."""
+    message = f"the file ends after {found} frames, expected {num_rows}"
+    return FormatError(message, path=path, reason="truncated", line=last_line, frame=found)
+
+
+def _parse_lines(text: bytes, num_columns: int, path: Path, part: TablePart) -> Float64[np.ndarray, "rows columns"]:
     rows: list[list[float]] = []
     lines = text.rstrip().splitlines()
-    last_line = first_line + len(lines) - 1
-    for line_number, line in enumerate(lines, start=first_line):
+    last_line = part.first_line + len(lines) - 1 if part.is_end else None
+    for line_number, line in enumerate(lines, start=part.first_line):
         words = line.split()
         if not words:
             continue
-        frame = len(rows)
-        if frame == num_rows:
+        frame = part.first_row + len(rows)
+        if frame == part.num_rows:
             raise FormatError(
-                f"a line of numbers after the {num_rows} declared frames; expected the end of the file",
+                f"a line of numbers after the {part.num_rows} declared frames; expected the end of the file",
                 path=path,
                 reason="frame-count",
                 line=line_number,
             )
         if len(words) < num_columns and line_number == last_line:
             raise FormatError(
-                f"the file ends after {len(words)} of {num_columns} numbers, expected {num_rows} whole frames",
+                f"the file ends after {len(words)} of {num_columns} numbers, expected {part.num_rows} whole frames",
                 path=path,
                 reason="truncated",
                 line=line_number,
@@ -189,15 +245,7 @@ def _parse_slowly(
                 frame=frame,
             )
         rows.append([parse_number(word, path, line_number, frame) for word in words])
-    if len(rows) < num_rows:
-        raise FormatError(
-            f"the file ends after {len(rows)} frames, expected {num_rows}",
-            path=path,
-            reason="truncated",
-            line=last_line,
-            frame=len(rows),
-        )
-    return np.array(rows, dtype=np.float64).reshape(num_rows, num_columns)
+    return np.array(rows, dtype=np.float64).reshape(len(rows), num_columns)
 
 
 def parse_number(word: bytes | str, path: Path, line: int, frame: int | None = None) -> float:

@@ -1,6 +1,7 @@
 """Reading a file once: its bytes, its hash, its text; and telling what a mislabelled file is."""
 
 import hashlib
+import os
 import re
 import stat
 from pathlib import Path
@@ -10,28 +11,38 @@ from motionkit.formats.folders import dangling
 
 MAX_BYTES = 4 << 30
 HEADER_BYTES = 1 << 20
+BLANK = b" \t\r\n\0"
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 def read_bytes(path: Path) -> bytes:
     """All bytes of a file; raises `FormatError` (`unreadable`, `empty`, `too-large`)."""
+    size = check_file(path).st_size
+    if size > MAX_BYTES:
+        raise FormatError(f"{size} bytes, expected at most {MAX_BYTES}; split the file", path=path, reason="too-large")
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise FormatError("a folder, a pipe or a device, expected a file", path=path, reason="unreadable")
-        size = status.st_size
-        if size > MAX_BYTES:
-            raise FormatError(
-                f"{size} bytes, expected at most {MAX_BYTES}; split the file", path=path, reason="too-large"
-            )
         data = path.read_bytes()
     except OSError as error:
-        raise dangling(path) or FormatError(
-            f"cannot be read ({error.strerror or error})", path=path, reason="unreadable"
-        ) from None
-    if not data.strip(b" \t\r\n\0"):
+        raise unreadable(path, error) from None
+    if not data.strip(BLANK):
         raise FormatError("the file is empty", path=path, reason="empty")
     return data
+
+
+def check_file(path: Path) -> os.stat_result:
+    """What the system knows of a file; raises `FormatError` (`unreadable`) for what is none."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise unreadable(path, error) from None
+    if not stat.S_ISREG(status.st_mode):
+        raise FormatError("a folder, a pipe or a device, expected a file", path=path, reason="unreadable")
+    return status
+
+
+def unreadable(path: Path, error: OSError) -> FormatError:
+    """The error of a file that the system does not give out."""
+    return dangling(path) or FormatError(f"cannot be read ({error.strerror or error})", path=path, reason="unreadable")
 
 
 def sha256(data: bytes) -> str:

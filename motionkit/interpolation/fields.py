@@ -6,19 +6,27 @@ span `hold` stands still; all others go on at their end velocity: joints on stra
 straight line while every joint turns at a constant rate and bones keep their length (rotations).
 """
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64
 
+from motionkit.blocks import Blocks
 from motionkit.interpolation.joints import JointsOfMany
 from motionkit.interpolation.rotations import RotationKind, rotation_curve
 from motionkit.interpolation.values import CurveKind, curve
 from motionkit.motion import Motion
-from motionkit.motionfield import Observation, Poses, check_observed_alike, check_times
+from motionkit.motionfield import (
+    Observation,
+    Observed,
+    Poses,
+    check_observed_alike,
+    check_times,
+    continuous_rotations,
+)
 from motionkit.skeleton import Skeleton
 
 Method = Literal["hold", "linear", "catmull-rom", "cubic", "slerp", "rotation-catmull-rom", "squad", "rotation-cubic"]
@@ -28,7 +36,7 @@ PosesAt = Callable[[Float64[np.ndarray, "times"]], list[Poses]]
 TIMES_AT_ONCE = 4096
 # An instant this close to an observed one is that one: time stamps are rounded to float64, frames are not.
 SNAP_SECONDS = 1e-8
-FRAMES_AT_ONCE = 2048
+FRAMES_AT_ONCE = 1024
 BLOCKS_KEPT = 2
 # A cubic spline feels a frame k frames away by less than 2⁻ᵏ: beyond 48 it is lost in float64.
 _SPLINE_MARGIN = 48
@@ -39,15 +47,14 @@ _TRAVELLING_METRES = 0.1
 class InterpolatedField:
     """A `MotionField` through all frames of an observation, on its span and what was asked for beyond it.
 
-    Curves are made where they are asked for: of 2,048 frames and so many on both sides as can be felt there. So memory
+    Curves are made where they are asked for: of 1,024 frames and so many on both sides as can be felt there. So memory
     doesn't grow with the motion beyond the observation itself, and a pose depends on its time alone.
     """
 
-    observation: Observation
+    observation: Observed
     interpolator: "Interpolator"
     start_seconds: float
     end_seconds: float
-    _blocks: "OrderedDict[int, PosesAt]" = field(default_factory=OrderedDict, repr=False)
 
     @property
     def skeleton(self) -> Skeleton:
@@ -65,7 +72,7 @@ class InterpolatedField:
         block = np.clip(segment, 0, max(0, len(self.observation) - 2)) // FRAMES_AT_ONCE
         result: Poses | None = None
         for number in np.unique(block).tolist() or [0]:
-            rows, poses_at = np.flatnonzero(block == number), self._block(number)
+            rows, poses_at = np.flatnonzero(block == number), self._blocks[number]
             for start in range(0, max(1, len(rows)), TIMES_AT_ONCE):
                 some = rows[start : start + TIMES_AT_ONCE]
                 (poses,) = poses_at(times[some])
@@ -74,15 +81,16 @@ class InterpolatedField:
         assert result is not None
         return result
 
-    def _block(self, number: int) -> PosesAt:
-        if number not in self._blocks:
-            margin, first = self.interpolator.margin_frames, number * FRAMES_AT_ONCE
+    @cached_property
+    def _blocks(self) -> Blocks[PosesAt]:
+        margin = self.interpolator.margin_frames
+
+        def curves(number: int) -> PosesAt:
+            first = number * FRAMES_AT_ONCE
             frames = slice(max(0, first - margin), first + FRAMES_AT_ONCE + 1 + margin)
-            self._blocks[number] = self.interpolator.make([self.observation.rows(frames)])
-            while len(self._blocks) > BLOCKS_KEPT:
-                self._blocks.popitem(last=False)
-        self._blocks.move_to_end(number)
-        return self._blocks[number]
+            return self.interpolator.make([self.observation.rows(frames)])
+
+        return Blocks(curves, BLOCKS_KEPT)
 
 
 @dataclass(frozen=True)
@@ -97,13 +105,13 @@ class Interpolator:
     margin_frames: int
 
     def encode(
-        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> InterpolatedField:
         """The field through all observed frames; raises `ValueError` for a negative reach."""
         if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
             raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
         return InterpolatedField(
-            observation.with_continuous_rotations(),
+            observation.remade(continuous_rotations, observation.skeleton),
             self,
             observation.start_seconds - before_seconds,
             observation.end_seconds + after_seconds,
@@ -118,7 +126,8 @@ class Interpolator:
         """
         check_observed_alike(observations)
         times = _snapped(times_seconds, observations[0].times_seconds)
-        return self.make([observation.with_continuous_rotations() for observation in observations])(times)
+        continuous = [observation.remade(continuous_rotations, observation.skeleton) for observation in observations]
+        return self.make(continuous)(times)
 
 
 def interpolate(motion: Motion, method: Method = "slerp") -> InterpolatedField:

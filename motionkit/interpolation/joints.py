@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from motionkit import kinematics
-from motionkit.motionfield import Observation, Poses
+from motionkit.motionfield import Observation, Observed, Poses
 from motionkit.skeleton import Skeleton
 
 
@@ -72,11 +72,19 @@ class JointsOfMany:
         return flat.positions(skeleton).reshape(frames, motions, joints, 3)
 
 
-def with_rotations(observation: Observation) -> Observation:
+def with_rotations(observation: Observed) -> Observed:
     """The observation itself if its poses have rotations, else with those of inverse kinematics in time."""
-    poses = observation.poses
-    if poses.local_rotations is not None:
+    if observation.rows(slice(0, 1)).poses.local_rotations is not None:
         return observation
-    rotations = Joints.of(poses, observation.skeleton).rotations.astype(np.float32)
-    turned = Poses(poses.joint_positions, rotations, poses.root_translation)
-    return Observation(observation.times_seconds, turned, observation.skeleton)
+    skeleton = observation.skeleton
+    return observation.remade(lambda some, before: rotations_in_time(some.poses, skeleton, before), skeleton)
+
+
+def rotations_in_time(poses: Poses, skeleton: Skeleton, before: Poses | None) -> Poses:
+    """Poses in order of time with the rotations of inverse kinematics, going on from those of the pose `before`."""
+    if before is None or before.local_rotations is None:
+        rotations = kinematics.inverse_kinematics_in_time(poses.joint_positions, skeleton)
+    else:
+        both = np.concatenate((before.joint_positions, poses.joint_positions))
+        rotations = kinematics.inverse_kinematics_in_time(both, skeleton, before.local_rotations[0])[1:]
+    return Poses(poses.joint_positions, rotations.astype(np.float32), poses.root_translation)

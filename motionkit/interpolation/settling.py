@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from motionkit.interpolation.fields import InterpolatedField, Interpolator
 from motionkit.interpolation.joints import Joints, with_rotations
-from motionkit.motionfield import Observation, Poses, check_times
+from motionkit.motionfield import Observed, Poses, check_times
 from motionkit.skeleton import Skeleton
 
 JOINTS_SECONDS, ROOT_SECONDS = 0.2, 1.0
@@ -33,7 +33,7 @@ class Settling:
         return self.interpolator.name
 
     def encode(
-        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "SettlingField | InterpolatedField":
         """The field through all observed frames; raises `ValueError` for a negative reach."""
         between = self.interpolator.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds)

@@ -75,7 +75,7 @@ def _read(item: SourceItem, options: ReadOptions) -> ReadClip:
         if error.reason not in READABLE_ALL_THE_SAME or item.path.suffix.lower() != ".bvh":
             raise
     document = read_document(item.path, options)
-    return ReadClip(replace(document.motion, captions=item.captions), document.seen)
+    return ReadClip(replace(document.motion(), captions=item.captions), document.seen)
 
 
 def _vectors(path: Path, options: ReadOptions) -> ReadClip:

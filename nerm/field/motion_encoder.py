@@ -14,7 +14,7 @@ from jaxtyping import Float64, Int
 from motionkit.assembly import AssembledField, Piece, assemble, even_starts
 from motionkit.clips.poses import PoseBatch
 from motionkit.features import field as field_vectors
-from motionkit.motionfield import Observation
+from motionkit.motionfield import Observation, Observed
 from motionkit.skeleton import SMPL22
 from motionkit.timegrid import normalise_seconds
 from nerm.field.encoding import encode_by_optimisation
@@ -41,7 +41,7 @@ class NermEncoder:
         return "NeRM"
 
     def encode(
-        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> AssembledField:
         """The motion as a field in the world's frame.
 
@@ -57,10 +57,11 @@ class NermEncoder:
         start = observation.start_seconds - before_seconds
         span = observation.end_seconds + after_seconds - start
         length = min(span, self.trained.max_duration_seconds)
+        known = observation.rows(slice(None))
         starts = start + even_starts(span, self.trained.max_duration_seconds, self.overlap_seconds)
         pieces: list[Piece] = []
         for first in range(0, len(starts), WINDOWS_AT_ONCE):
-            pieces += self._pieces(observation, starts[first : first + WINDOWS_AT_ONCE], length)
+            pieces += self._pieces(known, starts[first : first + WINDOWS_AT_ONCE], length)
         return assemble(pieces)
 
     def _pieces(self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float) -> list[Piece]:

@@ -26,6 +26,7 @@ from motionkit.player.packing import unpack
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
 from tests.motionkit.formats.samples import NUM_BVH_CHANNELS, bvh_text
+from tests.motionkit.formats.whole_documents import lines_of, poses_of
 
 Run = Callable[..., Outcome]
 PAGE = Path(__file__).parents[2] / "docs" / "complete.md"
@@ -52,8 +53,8 @@ def test_bvh_at_four_times_the_framerate(motionkit: Run, walk: Path) -> None:
     assert outcome.stdout.split() == [str(made)]
     assert "rotation-cubic" in outcome.stderr and "train --stage pahires" in outcome.stderr
     before, after = read_document(walk), read_document(made)
-    assert after.lines[::4] == before.lines and after.motion.fps == 120
-    assert len(after.lines) == 4 * (len(before.lines) - 1) + 1
+    assert lines_of(after)[::4] == lines_of(before) and after.timegrid.fps == 120
+    assert len(lines_of(after)) == 4 * (len(lines_of(before)) - 1) + 1
     again = motionkit("complete", walk, "--fps", "120")
     assert again.code == 1 and "--overwrite" in again.stderr and again.stdout == ""
     assert motionkit("complete", walk, "--fps", "90", "--overwrite").code == 0
@@ -209,10 +210,10 @@ def test_trained_encoders_complete_own_skeletons(motionkit: Run, tmp_path: Path,
     gap, reach = clip["warnings"]
     assert "0.30 s is longer than the 0.20 s" in gap and "0.2 s beyond" in reach
     before, after = read_document(walk), read_document(Path(clip["file"]))
-    assert after.lines[:8] == before.lines[:8] and after.lines[16:20] == before.lines[16:]
+    assert lines_of(after)[:8] == lines_of(before)[:8] and lines_of(after)[16:20] == lines_of(before)[16:]
     # It stands still where it knows nothing, led from one given frame to the other: no interpolator does that.
     plain = read_bvh(Path(motionkit("complete", walk, *asked[:6], "--overwrite").stdout.strip()))
-    assert np.abs(plain.joint_positions[8:16] - after.motion.joint_positions[8:16]).max() > 0.01
+    assert np.abs(plain.joint_positions[8:16] - poses_of(after).joint_positions[8:16]).max() > 0.01
     dog = tmp_path / "dog.bvh"
     dog.write_text(re.sub(r"\b(Left|Right|Hips|Spine|Neck|Head)", r"dog\1", walk.read_text("utf-8")), "utf-8")
     outcome = motionkit("complete", dog, *asked)

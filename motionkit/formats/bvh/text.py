@@ -11,10 +11,15 @@ from motionkit.formats import sourcefile
 from motionkit.formats.bvh.hierarchy import BvhHierarchy, parse_hierarchy
 from motionkit.timegrid import parse_fps
 
+_MOTION = re.compile(rb"(?m)^[ \t]*MOTION[ \t]*\r?$")
+
 
 @dataclass(frozen=True)
 class BvhText:
-    """The parts of a file: `head` ends with the word MOTION, `body` is the lines of numbers; lines count from 1."""
+    """The parts of a file: `head` ends with the word MOTION, `body` is the lines of numbers; lines count from 1.
+
+    The body begins with byte `body_start` of the file.
+    """
 
     head: bytes
     hierarchy: BvhHierarchy
@@ -22,6 +27,7 @@ class BvhText:
     frame_time: str
     frame_time_line: int
     body: bytes
+    body_start: int
     body_line: int
 
 
@@ -37,7 +43,7 @@ def split_text(data: bytes, path: Path) -> BvhText:
             reason="not-what-it-says",
             line=1,
         )
-    motion = re.search(rb"(?m)^[ \t]*MOTION[ \t]*\r?$", data)
+    motion = _MOTION.search(data)
     if motion is None:
         hierarchy = parse_hierarchy(sourcefile.decode(data, path), path)
         raise FormatError(
@@ -86,8 +92,19 @@ def split_text(data: bytes, path: Path) -> BvhText:
         frame_time=frame_time,
         frame_time_line=frame_time_line,
         body=data[position:],
+        body_start=position,
         body_line=body_line,
     )
+
+
+def holds_head(data: bytes) -> bool:
+    """Whether the beginning of a file that this is goes at least as far as its lines of numbers, or is no BVH file."""
+    start = data.removeprefix(b"\xef\xbb\xbf").lstrip()[:9].upper()
+    if not b"HIERARCHY".startswith(start):
+        return True
+    motion = _MOTION.search(data)
+    whole_lines = data[motion.end() :].split(b"\n")[1:-1] if motion else []
+    return len([line for line in whole_lines if line.strip()]) >= 2
 
 
 def _num_frames(stated: str, path: Path, body_line: int) -> int:

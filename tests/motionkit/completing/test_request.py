@@ -68,26 +68,26 @@ def test_framerates_that_are_none(text: str) -> None:
 
 def test_what_is_asked_of_one_clip() -> None:
     motion, whole = random_motion(0), np.ones(20, bool)
-    wanted = CompletionRequest(keep=parse_keep("0:5,12:")).for_clip(motion, whole)
+    wanted = CompletionRequest(keep=parse_keep("0:5,12:")).for_clip(motion.timegrid, whole)
     assert wanted.fps == 30 and wanted.longest_gap_seconds == pytest.approx(8 / 30)
     with pytest.raises(UsageError, match="nothing to make"):
         CompletionRequest()
     with pytest.raises(MotionkitError, match=r"24 fps is less than its 30.*export --fps 24"):
-        CompletionRequest(fps=Fraction(24)).for_clip(motion, whole)
+        CompletionRequest(fps=Fraction(24)).for_clip(motion.timegrid, whole)
     with pytest.raises(MotionkitError, match="one frame"):
-        CompletionRequest(fps=Fraction(60)).for_clip(motion.frames(0, 1), whole[:1])
+        CompletionRequest(fps=Fraction(60)).for_clip(motion.frames(0, 1).timegrid, whole[:1])
     with pytest.raises(MotionkitError, match="61 s"):
-        CompletionRequest(after=Reach(61.0)).for_clip(motion, whole)
+        CompletionRequest(after=Reach(61.0)).for_clip(motion.timegrid, whole)
     lost = np.arange(20) > 4
     with pytest.raises(MotionkitError, match="nan"):
-        CompletionRequest(keep=parse_keep(":5")).for_clip(motion, lost)
-    assert CompletionRequest(fps=Fraction(60)).for_clip(motion, lost).observed.sum() == 15
+        CompletionRequest(keep=parse_keep(":5")).for_clip(motion.timegrid, lost)
+    assert CompletionRequest(fps=Fraction(60)).for_clip(motion.timegrid, lost).observed.sum() == 15
 
 
 def test_uneven_times_need_a_framerate_and_have_their_own_gaps() -> None:
     motion, whole = random_motion(0), np.ones(20, bool)
     seconds = np.concatenate((np.arange(10) / 30, 0.5 + np.arange(10) / 30))
     with pytest.raises(MotionkitError, match="uneven in time"):
-        CompletionRequest(after=Reach(1.0)).for_clip(motion, whole, seconds)
-    wanted = CompletionRequest(fps=Fraction(60)).for_clip(motion, whole, seconds)
+        CompletionRequest(after=Reach(1.0)).for_clip(motion.timegrid, whole, seconds)
+    wanted = CompletionRequest(fps=Fraction(60)).for_clip(motion.timegrid, whole, seconds)
     assert wanted.longest_gap_seconds == pytest.approx(0.5 - 9 / 30)

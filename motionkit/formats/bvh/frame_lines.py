@@ -1,0 +1,142 @@
+"""The lines of numbers of a BVH file: all found and checked once, then read again where they are needed.
+
+Memory holds eight bytes a frame, the place of its line, and the few blocks of lines that were asked for last.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from motionkit.blocks import Blocks
+from motionkit.errors import FormatError
+from motionkit.formats import number_table
+from motionkit.formats.bvh.text import BvhText
+from motionkit.formats.file_parts import FileParts
+from motionkit.formats.number_table import TablePart
+
+FRAMES_AT_ONCE = 512
+BLOCKS_KEPT = 6
+_NAN = re.compile(rb"(?i)(?<![^\s])[-+]?nan(?![^\s])")
+
+
+@dataclass(frozen=True, eq=False)
+class FrameLines:
+    """Lines of a file by frame. `starts[k]` is the byte where the line of frame k begins; the last is where they end.
+
+    `seen` marks the frames whose numbers are all finite: in the numbers the others repeat the one before, or the first.
+    """
+
+    file: FileParts
+    starts: Int64[np.ndarray, " frames_and_end"]
+    num_columns: int
+    seen: Bool[np.ndarray, "frames"]
+
+    def __len__(self) -> int:
+        return len(self.seen)
+
+    def without_first(self) -> "FrameLines":
+        """All frames but the first."""
+        return replace(self, starts=self.starts[1:], seen=self.seen[1:])
+
+    def line(self, frame: int) -> bytes:
+        """The line of a frame as written, without the white space around it."""
+        number, place = divmod(frame, FRAMES_AT_ONCE)
+        return self._blocks[number].lines[place]
+
+    def table(self, frames: Int64[np.ndarray, "rows"]) -> Float64[np.ndarray, "rows channels"]:
+        """The numbers of frames, in any order (file units, degrees)."""
+        result = np.empty((len(frames), self.num_columns))
+        numbers = frames // FRAMES_AT_ONCE
+        for number in np.unique(numbers).tolist():
+            here = np.flatnonzero(numbers == number)
+            result[here] = self._blocks[number].table[frames[here] - number * FRAMES_AT_ONCE]
+        return result
+
+    def tables(self) -> Iterator[Float64[np.ndarray, "some channels"]]:
+        """The numbers of all frames, block after block."""
+        for start in range(0, len(self), FRAMES_AT_ONCE):
+            yield self.table(np.arange(start, min(start + FRAMES_AT_ONCE, len(self))))
+
+    @cached_property
+    def _blocks(self) -> Blocks["_Block"]:
+        return Blocks(self._block, BLOCKS_KEPT)
+
+    def _block(self, number: int) -> "_Block":
+        first, stop = number * FRAMES_AT_ONCE, min(len(self), (number + 1) * FRAMES_AT_ONCE)
+        lines = self._lines(first, stop)
+        whole = list(lines)
+        for place in np.flatnonzero(~self.seen[first:stop]).tolist():
+            source = int(self._sources[first + place])
+            whole[place] = lines[source - first] if source >= first else self._lines(source, source + 1)[0]
+        table = number_table.parse_table(
+            b"\n".join(whole), num_rows=stop - first, num_columns=self.num_columns, path=self.file.path, first_line=1
+        )
+        return _Block(lines, table)
+
+    def _lines(self, first: int, stop: int) -> tuple[bytes, ...]:
+        starts = self.starts[first : stop + 1]
+        data = self.file.read(int(starts[0]), int(starts[-1]))
+        places = (starts - starts[0]).tolist()
+        return tuple(data[start:end].strip() for start, end in pairwise(places))
+
+    @cached_property
+    def _sources(self) -> Int64[np.ndarray, "frames"]:
+        whole = np.where(self.seen, np.arange(len(self)), int(np.argmax(self.seen)))
+        return np.asarray(np.maximum.accumulate(whole))
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    lines: tuple[bytes, ...]
+    table: Float64[np.ndarray, "rows channels"]
+
+
+def find_frame_lines(file: FileParts, head: BvhText) -> FrameLines:
+    """Find and check all lines of numbers; raises `FormatError` as `number_table.parse_table` does.
+
+    Lines that hold `nan` are frames that are not seen; where all do, that is an error.
+    """
+    path, columns = file.path, head.hierarchy.num_channels
+    end, line, found = file.end_of_text(), head.body_line, 0
+    starts, seen = [], []
+    for place, block in file.line_blocks(head.body_start, end, number_table.BLOCK_BYTES):
+        is_end = place + len(block) == end
+        here, whole = _rows(block, columns, path, TablePart(line, found, head.num_frames, is_end))
+        starts.append(here + place)
+        seen.append(whole)
+        found += len(here)
+        line += block.count(b"\n")
+    if found < head.num_frames:
+        raise number_table.too_few_rows(found, head.num_frames, path, line)
+    return FrameLines(file, np.concatenate((*starts, [end])), columns, checked_seen(np.concatenate(seen), path))
+
+
+def checked_seen(seen: Bool[np.ndarray, "frames"], path: Path) -> Bool[np.ndarray, "frames"]:
+    """The mask; raises `FormatError` (`nan`) where no frame is seen."""
+    if not seen.any():
+        raise FormatError("every frame holds nan: nothing is observed", path=path, reason="nan")
+    return seen
+
+
+def _rows(
+    block: bytes, num_columns: int, path: Path, part: TablePart
+) -> tuple[Int64[np.ndarray, "rows"], Bool[np.ndarray, "rows"]]:
+    """Where the rows of a block begin in it, and which hold no nan: the others need not be numbers at all."""
+    if b"nan" not in block.lower() or _NAN.search(block) is None:
+        rows = number_table.find_rows(block, num_columns, path, part)
+        return rows.starts, np.ones(len(rows.starts), bool)
+    lines = block.splitlines(keepends=True)
+    there = np.array([bool(line.strip()) for line in lines], bool)
+    starts = np.cumsum([0, *map(len, lines)])[:-1][there]
+    seen = np.array([_NAN.search(line) is None for line in lines], bool)[there]
+    # What has nan becomes zeros, so that lines and frames are counted as they are.
+    zeros = b" ".join([b"0"] * num_columns) + b"\n"
+    clean = b"".join(zeros if _NAN.search(line) else line for line in lines)
+    number_table.find_rows(clean, num_columns, path, part)
+    return starts, seen
