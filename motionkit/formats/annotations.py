@@ -14,7 +14,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
@@ -126,9 +126,9 @@ def _first_line(path: Path) -> Iterator[str]:
 
 def _inside(name: str | None, folder: Path, path: Path, line: int) -> Path:
     # A path from a file's content is used only where it stays inside the folder; links in there are the user's own.
-    relative = PurePosixPath((name or "").replace("\\", "/"))
-    target = Path(os.path.normpath(folder / relative))
-    if not name or "\0" in name or relative.is_absolute() or not target.is_relative_to(folder):
+    relative = (name or "").replace("\\", "/")
+    target = Path(os.path.normpath(f"{str(folder).rstrip('/')}/{relative}"))
+    if not name or "\0" in name or relative.startswith("/") or not target.is_relative_to(folder):
         raise FormatError(
             f"file {name!r} is empty or leaves the folder; expected a path inside it",
             path=path,

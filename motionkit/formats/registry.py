@@ -176,14 +176,15 @@ def _recognise(path: Path, licence: str, options: ReadOptions) -> ScanResult:
 
 
 def _file_item(kind: Format, path: Path, root: Path, licence: str) -> SourceItem:
-    relative = path.relative_to(root)
+    relative = path.relative_to(root).as_posix()
+    folder, slash, _ = relative.partition("/")
     return SourceItem(
         format=kind.name,
         path=path,
         root=root,
-        sequence_id=f"{root.name}/{relative.with_suffix('').as_posix()}",
+        sequence_id=f"{root.name}/{relative.removesuffix(path.suffix)}",
         source=root.name,
-        subset=relative.parts[0] if len(relative.parts) > 1 else "",
+        subset=folder if slash else "",
         licence=licence,
     )
 
