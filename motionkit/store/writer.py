@@ -159,13 +159,13 @@ class StoreWriter:
     def _commit(self) -> None:
         try:
             self._parts.finish()
+            self._flush_rows()
             self._parts.settle()
             publish(self.path, self._write_tables())
         finally:
             self._close()
 
     def _write_tables(self) -> Manifest:
-        self._flush_rows()
         assert self._table is not None
         self._table.close()
         self._table = None

@@ -101,7 +101,10 @@ class Processes:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._end()
+        if self._pool is not None:
+            # Nothing is awaited: while the workers leave, the writer completes its store.
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
         del self._shared
 
     def submit(self, function: Function, batch: Sequence[Any]) -> _Ticket:
@@ -123,8 +126,9 @@ class Processes:
         try:
             outputs: Sequence[Any] = unpack(ticket.future.result(), _memory_of(self._shared, ticket.slot))
         except BrokenProcessPool:
-            if ticket.pool is self._pool:
-                self._end()
+            if self._pool is not None and ticket.pool is self._pool:
+                self._pool.shutdown(cancel_futures=True)
+                self._pool = None
             self.release(ticket)  # nobody writes there any more: its pool has ended
             raise WorkerDied from None
         return outputs
@@ -133,11 +137,6 @@ class Processes:
         """Let another batch have the memory in which the outputs of this one are."""
         if ticket.slot is not None:
             self._free_slots.append(ticket.slot)
-
-    def _end(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None
 
 
 def _memory_of(shared: BufferWrapper, slot: int | None) -> memoryview | None:
