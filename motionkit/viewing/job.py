@@ -52,7 +52,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Viewed:
-    """A page: its file, its size in bytes, the takes that it shows, and name and message of those that it does not."""
+    """A page that was written: its file, its size in bytes, the takes that it shows."""
 
     path: Path
     num_bytes: int

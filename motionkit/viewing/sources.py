@@ -10,8 +10,11 @@ import numpy as np
 from motionkit.completing import vectors_npy
 from motionkit.completing.holes import NAN, ReadClip, read_with_holes
 from motionkit.errors import FormatError, StoreError, UsageError
+from motionkit.formats.arrays import npy
 from motionkit.formats.bvh.document import read_document
 from motionkit.formats.items import ReadOptions, SourceItem
+from motionkit.formats.pose_folders.humanml3d import HUMANML3D, JOINTS_FOLDER, VECTORS_FOLDER
+from motionkit.formats.pose_folders.kit import KIT
 from motionkit.formats.registry import scan, with_tables_above
 from motionkit.store import Store
 
@@ -40,6 +43,8 @@ def find_sources(names: Sequence[str], options: ReadOptions, store: Path) -> tup
         path = Path(name)
         if not path.exists():
             found.append(_stored(name, store))
+        elif (published := _of_pose_folder(path)) is not None:
+            found.append(ViewSource(name, path.name, path.stem, partial(_read, published, options)))
         elif path.is_file() and vectors_npy.accepts(path):
             found.append(ViewSource(name, path.name, path.stem, partial(_vectors, path, options)))
         else:
@@ -58,6 +63,18 @@ def stored_where(store: Path, where: str) -> list[str]:
     rows = opened.rows_of(opened.select(where))
     ids: list[str] = opened.sequences_table["sequence_id"].take(rows).to_pylist()
     return ids
+
+
+def _of_pose_folder(path: Path) -> SourceItem | None:
+    """A file in a folder of HumanML3D's form: what its place says, the framerate and the captions, belongs to it."""
+    if path.suffix.lower() != ".npy" or path.parent.name not in (JOINTS_FOLDER, VECTORS_FOLDER):
+        return None
+    shape = npy.peek_shape(path)
+    for layout in (HUMANML3D, KIT):
+        if shape is not None and shape[1:] in ((layout.skeleton.num_joints, 3), (layout.num_values,)):
+            path = path.resolve()
+            return SourceItem(layout.name, path, path.parents[1], sequence_id=path.stem, key=path.stem)
+    return None
 
 
 def _of_item(item: SourceItem, path: Path, options: ReadOptions) -> ViewSource:

@@ -17,12 +17,15 @@ from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import process
 from motionkit.formats.arrays.npz import motion_arrays, write_npz
 from motionkit.formats.bvh.motion import read_bvh, write_bvh
+from motionkit.formats.items import ReadOptions
 from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
+from motionkit.formats.registry import read, scan
 from motionkit.motion import Caption, Motion
 from motionkit.motionfield import to_motion
 from motionkit.player.packing import unpack
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
+from tests.motionkit.formats.every_format import SOURCES
 
 Run = Callable[..., Outcome]
 HALF_STEP = 5.1e-5
@@ -87,6 +90,20 @@ def test_many_kinds_side_by_side_each_on_its_own_frames(motionkit: Run, motion: 
         np.testing.assert_allclose(unpack(take["positions"]), motion.joint_positions, atol=HALF_STEP)
         assert take["captions"] == [["a person walks", 0.0, 1.0], ["on", 0.0, None]] and "walk" in take["labels"]
     np.testing.assert_allclose(unpack(of_vectors["positions"]), humanml3d.positions(vectors, "smpl22"), atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+def test_every_format(motionkit: Run, kind: str, here: Path) -> None:
+    (here / "source").mkdir()
+    path = SOURCES[kind](here / "source")
+    states_none = kind in ("asfamc", "joints-npy")
+    (take,) = takes_of(motionkit("view", path, *(["--fps", "60"] if states_none else [])))
+    (item,) = scan([path.parent.parent if kind in ("humanml3d", "kit") else path], ReadOptions()).items
+    motion = read(item, ReadOptions(fps=Fraction(60) if states_none else None))
+    np.testing.assert_allclose(unpack(take["positions"]), motion.joint_positions, atol=HALF_STEP)
+    assert Fraction(*take["fps"]) == motion.fps and [each[0] for each in take["captions"]] == [
+        each.text for each in motion.captions
+    ]
 
 
 def test_a_condition_and_a_limit(motionkit: Run, motion: Motion) -> None:

@@ -33,8 +33,8 @@ function controlView(canvas, changed) {
     view.right += dx / unit; view.up -= dy / unit;
   };
   canvas.addEventListener("pointerdown", (event) => {
-    canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    canvas.setPointerCapture(event.pointerId);
   });
   canvas.addEventListener("pointermove", (event) => {
     const last = pointers.get(event.pointerId);

@@ -5,7 +5,12 @@ const TRAIL_SECONDS = 1, FOLLOW_SECONDS = 0.5, SAMPLED_FRAMES = 200;
 const CURVES = ["#7d8796", "#3a9d5d", "#a05195", "#c9a227", "#d0527a", "#2f9c95"];
 
 const css = getComputedStyle(document.documentElement);
-const colour = (name) => css.getPropertyValue(name).trim();
+const inks = new Map();
+// Read from the style once for each drawing: day may have turned into night.
+const colour = (name) => {
+  if (!inks.has(name)) inks.set(name, css.getPropertyValue(name).trim());
+  return inks.get(name);
+};
 
 function element(tag, className, text) {
   const made = document.createElement(tag);

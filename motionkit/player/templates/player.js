@@ -21,6 +21,7 @@ panels.forEach(({ take }, number) => {
 
 function show() {
   waiting = false;
+  inks.clear();
   const settings = { linear: find("between").value === "linear", follow: find("follow").checked, trails: find("trails").checked,
     leader: find("shared").checked ? panels[marked].take : null };
   for (const panel of panels) drawPanel(panel, seconds, settings, commonSize);
@@ -37,7 +38,7 @@ function refresh() {
   if (!waiting) { waiting = true; requestAnimationFrame(show); }
 }
 
-function seek(to) { seconds = Math.max(page.start, Math.min(page.end - SAME_SECONDS, to)); refresh(); }
+function seek(to) { seconds = Math.max(page.start, Math.min(page.end - 2 * SAME_SECONDS, to)); refresh(); }
 
 function setPlaying(yes) {
   playing = yes; last = null;
@@ -102,7 +103,7 @@ const scrub = (event) => {
   setPlaying(false);
   seek(instantAt(event.clientX - box.left, box.width));
 };
-timeline.canvas.onpointerdown = (event) => { timeline.canvas.setPointerCapture(event.pointerId); scrub(event); };
+timeline.canvas.onpointerdown = (event) => { scrub(event); timeline.canvas.setPointerCapture(event.pointerId); };
 timeline.canvas.onpointermove = (event) => { if (event.buttons) scrub(event); };
 
 const toggle = (id) => { find(id).checked = !find(id).checked; refresh(); };
@@ -121,9 +122,8 @@ const KEYS = {
   r: () => find("reset").onclick(),
 };
 document.addEventListener("keydown", (event) => {
-  const own = event.target.closest("input[type=number], select"), act = KEYS[event.key] || KEYS[event.key.toLowerCase()];
+  const own = event.target.closest(event.key === " " ? "button, input, select, summary" : "input[type=number], select"), act = KEYS[event.key] || KEYS[event.key.toLowerCase()];
   if (!act || own || event.ctrlKey || event.metaKey || event.altKey) return;
-  // A button that has the focus would be pressed by space, too.
   event.preventDefault();
   act(event);
 });
@@ -134,6 +134,11 @@ function arrange() {
   find("panels").style.setProperty("--columns", Math.ceil(panels.length / rows));
   refresh();
 }
+// What a pointer has pressed gives the focus back, so that space plays again.
+document.addEventListener("click", (event) => {
+  const pressed = event.detail ? event.target.closest("button, summary, input[type=checkbox]") : null;
+  if (pressed) pressed.blur();
+});
 new ResizeObserver(arrange).observe(find("panels"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", refresh);
 

@@ -83,8 +83,32 @@ def test_a_body_that_is_nowhere_is_told_by_name(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_browser_shows_the_frame_of_the_address(tmp_path: Path) -> None:
-    """Two motions at 120 and 30 fps at 0.5 s: the frames 60 and 15 of their own."""
+# What a person does, one thing after the other, and what the page says then.
+ACTS = """
+<script>
+const press = (key, more) =>
+  document.body.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true, ...more }));
+const canvas = document.querySelector(".stage canvas"), line = document.getElementById("timeline");
+const point = (target, type, id, x, y) =>
+  target.dispatchEvent(new PointerEvent(type, { pointerId: id, clientX: x, clientY: y, buttons: 1, bubbles: true }));
+const told = {}, say = (name) => { show(); told[name] = [find("frame").value, seconds, { ...view }]; };
+say("opened");
+press("ArrowRight"); say("on"); press("ArrowLeft", { shiftKey: true }); say("ten back"); press("End"); say("end");
+mark(1); press("Home"); press("ArrowRight"); say("slow on");
+press("c"); press("t"); press("i"); press("f"); say("switched");
+const box = line.getBoundingClientRect();
+point(line, "pointerdown", 1, box.left + box.width / 2, box.top + 5); say("scrubbed");
+point(canvas, "pointerdown", 1, 50, 50); point(canvas, "pointermove", 1, 80, 50); say("turned");
+point(canvas, "pointerdown", 2, 180, 50); point(canvas, "pointermove", 2, 280, 50); say("pinched");
+point(canvas, "pointerup", 1, 80, 50); point(canvas, "pointerup", 2, 280, 50);
+press("r"); say("reset");
+document.body.append(Object.assign(document.createElement("pre"), { textContent: JSON.stringify(told) }));
+</script>
+"""
+
+
+def test_a_browser_shows_the_frame_of_the_address_and_does_what_it_is_told(tmp_path: Path) -> None:
+    """Motions at 120 and 30 fps at 0.5 s: the frames 60 and 15 of their own; then keys, mouse and two fingers."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
         pytest.skip("needs Chromium, to open the page")
@@ -92,14 +116,19 @@ def test_a_browser_shows_the_frame_of_the_address(tmp_path: Path) -> None:
     write_page(
         page, "two", [standing("fast", 120, 120), standing("slow", 40, 30, first_frame=7), standing("short", 3, 30)]
     )
+    page.write_text(page.read_text("utf-8").replace("</body>", f"{ACTS}</body>"), encoding="utf-8")
     flags = ("--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}")
     command = [browser, *flags, "--virtual-time-budget=1000", "--dump-dom", f"{page.as_uri()}#t=0.5"]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     if ran.returncode:
         pytest.skip(f"this browser does not start here: {ran.stderr[-200:]}")
+    told = json.loads(re.findall(r"<pre>(.*?)</pre>", ran.stdout, re.DOTALL)[0])
+    frames = {name: int(each[0]) for name, each in told.items()}
+    assert [frames[name] for name in ("opened", "on", "ten back", "end", "slow on")] == [60, 61, 51, 119, 8]
+    assert told["scrubbed"][1] == pytest.approx(2 / 3, abs=1e-3) and frames["scrubbed"] == 7 + 20
+    assert told["turned"][2]["yaw"] == pytest.approx(told["opened"][2]["yaw"] - 0.3)
+    assert told["pinched"][2]["zoom"] == pytest.approx(2.0) and told["pinched"][2]["right"] > 0
+    assert told["reset"][2] == told["opened"][2]
     assert re.findall(r'<span class="state[^"]*">([^<]*)</span>', ran.stdout) == [
-        "frame 60",
-        "frame 22",
-        "is over · frame 2",
+        *("frame 80", "frame 27", "is over · frame 2"),
     ]
-    assert "0.500 s of 1.33" in ran.stdout
