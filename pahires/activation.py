@@ -11,6 +11,9 @@ from pahires.table_lookup import apply_by_table
 
 # E σ′² of SIREN's sin(√2 …) layers under unit variance (spec: the value that keeps gradients over layers).
 SLOPE_SQUARE = 1.3
+# Most draws reach that slope with slow sines of amplitudes up to 1e5 that cancel each other almost wholly: then every
+# step of an optimiser throws the function about. Of unit variance, those up to this are a fourth of all draws.
+LARGEST_AMPLITUDE = 3.0
 _POINTS_PER_RADIAN = 4.0
 _MOST_POINTS = 1 << 15
 _FEWEST_NUMBERS = 4096
@@ -65,24 +68,38 @@ _Start = tuple[Float64[torch.Tensor, "sines"], Float64[torch.Tensor, "sines"], F
 
 
 def _calibrated(num_sines: int) -> _Start:
-    """Ω = c·geomspace(¼, 8), Ψ = ± Rayleigh(1) / Ω, Φ ~ U(−π, π); unit variance, and c by bisection for the slope."""
+    """Ω = c·geomspace(¼, 8), Ψ = ± Rayleigh(1) / Ω, Φ ~ U(−π, π); unit variance, and c by bisection for the slope.
+
+    Draws whose amplitudes nearly cancel are drawn again (`LARGEST_AMPLITUDE`).
+    """
     spread = torch.logspace(-2.0, 3.0, num_sines, base=2.0, dtype=torch.float64)
-    signs = torch.randint(0, 2, (num_sines,)).double() * 2 - 1
-    heights = signs * torch.sqrt(-2 * torch.log1p(-torch.rand(num_sines, dtype=torch.float64)))
-    phases = math.pi * (2 * torch.rand(num_sines, dtype=torch.float64) - 1)
+    while True:
+        signs = torch.randint(0, 2, (num_sines,)).double() * 2 - 1
+        heights = signs * torch.sqrt(-2 * torch.log1p(-torch.rand(num_sines, dtype=torch.float64)))
+        phases = math.pi * (2 * torch.rand(num_sines, dtype=torch.float64) - 1)
+        frequencies = _slope_factor(heights, spread, phases) * spread
+        moments = gaussian_moments(heights / frequencies, frequencies, phases)
+        amplitudes = heights / frequencies / math.sqrt(moments.variance)
+        if float(amplitudes.abs().max()) <= LARGEST_AMPLITUDE:
+            return amplitudes, frequencies, phases, moments.mean / math.sqrt(moments.variance)
+
+
+def _slope_factor(
+    heights: Float64[torch.Tensor, "sines"],
+    spread: Float64[torch.Tensor, "sines"],
+    phases: Float64[torch.Tensor, "sines"],
+) -> float:
+    """c of Ω = c · `spread`, at which E σ′² is `SLOPE_SQUARE` times the variance."""
 
     def slope_square(factor: float) -> float:
         found = gaussian_moments(heights / (factor * spread), factor * spread, phases)
         return found.slope_square / found.variance
 
     low, high = 1e-3, 1e3
-    for _ in range(100):
+    for _ in range(50):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if slope_square(middle) < SLOPE_SQUARE else (low, middle)
-    frequencies = low * spread
-    moments = gaussian_moments(heights / frequencies, frequencies, phases)
-    amplitudes = heights / frequencies / math.sqrt(moments.variance)
-    return amplitudes, frequencies, phases, moments.mean / math.sqrt(moments.variance)
+    return low
 
 
 def _staf(num_sines: int) -> _Start:

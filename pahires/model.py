@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int64
 
 from pahires.activation import FourierActivation, linear
-from pahires.base_curves import located
+from pahires.base_curves import located, seconds_beyond
 from pahires.network import ObservedWindow
 from pahires.network_settings import NetworkSettings
 
@@ -21,27 +21,29 @@ _TINY = 1e-3
 
 
 class PaHiRes(torch.nn.Module):
-    """The network of Eq. 2 to 7: a `pahires.network.TemporalNetwork`."""
+    """The network of Eq. 2 to 7: a `pahires.network.TemporalNetwork`; `num_answers` numbers a query, or a row's."""
 
     time_frequencies: torch.Tensor
 
-    def __init__(self, settings: NetworkSettings, num_numbers: int) -> None:
+    def __init__(self, settings: NetworkSettings, num_numbers: int, num_answers: int | None = None) -> None:
         super().__init__()
         self.settings = settings
         activations = _Activations(settings)
         bands = settings.time_band * torch.rand(settings.time_features)
         self.register_buffer("time_frequencies", bands)
-        num_times = 2 * settings.time_features + 1
+        num_times = 2 * settings.time_features + 2
         self.scales = torch.nn.ModuleList(
-            ScaleEncoder(count, num_numbers, num_times, settings, activations) for count in settings.frames_per_scale
+            ScaleEncoder(count, num_numbers, settings, activations) for count in settings.frames_per_scale
         )
         self.attentions = torch.nn.ModuleList(
             CrossScaleAttention(settings.code, settings.attention_tokens) for _ in settings.frames_per_scale[1:]
         )
-        widths = [settings.code * len(settings.frames_per_scale) + num_times]
-        widths += [settings.hidden] * settings.decoder_layers
-        self.decoder = torch.nn.Sequential(*_layers(widths, settings, activations))
-        self.answer = torch.nn.Linear(settings.hidden, num_numbers)
+        # The decoder's first layer in two parts, of which what frames give is the same for a whole segment.
+        self.context = linear(settings.code * len(settings.frames_per_scale), settings.hidden, settings.initialisation)
+        self.when = linear(num_times, settings.hidden, settings.initialisation)
+        widths = [settings.hidden] * settings.decoder_layers
+        self.decoder = torch.nn.Sequential(activations.next(), *_layers(widths, settings, activations))
+        self.answer = torch.nn.Linear(settings.hidden, num_answers or num_numbers)
         # A start from no answer: the mean pose, or the interpolation as it is.
         torch.nn.init.zeros_(self.answer.weight)
         torch.nn.init.zeros_(self.answer.bias)
@@ -49,11 +51,17 @@ class PaHiRes(torch.nn.Module):
     def forward(self, window: ObservedWindow) -> Float[torch.Tensor, "batch queries numbers"]:
         """Standardised rows at the queries."""
         segment, times = self._time_features(window)
-        codes = [scale(window, segment, times) for scale in self.scales]
+        num_frames = window.frames.shape[1]
+        rows = torch.arange(len(segment), device=segment.device)[:, None]
+        asked, place = torch.unique(rows * num_frames + segment, return_inverse=True)
+        row, segments = asked // num_frames, asked % num_frames
+        codes = [scale(window, row, segments) for scale in self.scales]
         fused = codes[:1]
         for attention, finer, coarser in zip(self.attentions, codes, codes[1:], strict=False):
             fused.append(attention(finer, coarser))
-        answer: torch.Tensor = self.answer(self.decoder(torch.cat((*fused, times), dim=-1)))
+        context = self.context(torch.cat(fused, dim=-1))
+        hidden = (context[place] + self.when(times)) / math.sqrt(2)
+        answer: torch.Tensor = self.answer(self.decoder(hidden))
         return answer
 
     def _time_features(
@@ -63,49 +71,46 @@ class PaHiRes(torch.nn.Module):
         segment, fraction = located(window)
         angle = (2 * fraction - 1)[..., None] * self.time_frequencies
         last = window.times_seconds.shape[1] - 1
-        length = window.times_seconds.gather(1, (segment + 1).clamp(max=last)) - window.times_seconds.gather(1, segment)
-        octaves = _octaves(length)[..., None]
-        return segment, math.sqrt(2) * torch.cat((torch.sin(angle), torch.cos(angle), octaves), dim=-1)
+        before, after = (
+            window.times_seconds.gather(1, segment),
+            window.times_seconds.gather(1, (segment + 1).clamp(max=last)),
+        )
+        apart = torch.stack((after - before, seconds_beyond(window)), dim=-1)
+        return segment, math.sqrt(2) * torch.cat((torch.sin(angle), torch.cos(angle), _octaves(apart)), dim=-1)
 
 
 class ScaleEncoder(torch.nn.Module):
-    """E_s and F_s: the N_s observed frames around a query with their signed times, as one latent code (Eq. 2, 3)."""
+    """E_s and F_s: the N_s observed frames around a segment with their signed times, as one latent code (Eq. 2, 3)."""
 
-    def __init__(
-        self, count: int, num_numbers: int, num_times: int, settings: NetworkSettings, activations: "_Activations"
-    ) -> None:
+    def __init__(self, count: int, num_numbers: int, settings: NetworkSettings, activations: "_Activations") -> None:
         super().__init__()
         self.count = count
-        # One linear map of all pairs (frame, Δt), in parts: what the frames give is the same for a whole segment.
+        # One linear map of all pairs (frame, Δt), in parts.
         initialisation = settings.initialisation
         self.pose = linear(num_numbers + 1, settings.code, initialisation)
         self.embed = linear(num_numbers, settings.embedding, initialisation)
         self.changes = linear(count * settings.embedding, settings.code, initialisation)
-        self.times = linear(count + num_times, settings.code, initialisation)
+        self.times = linear(count, settings.code, initialisation)
         layers = _layers([settings.code] * settings.encoder_layers, settings, activations)
         self.layers = torch.nn.Sequential(activations.next(), *layers)
 
     def forward(
-        self,
-        window: ObservedWindow,
-        segment: Int64[torch.Tensor, "batch queries"],
-        times: Float[torch.Tensor, "batch queries times"],
-    ) -> Float[torch.Tensor, "batch queries code"]:
-        """z_s of every query."""
-        first, slots = _slots(segment, window.frames.shape[1], self.count)
-        rows = torch.arange(len(segment), device=segment.device)[:, None]
-        around = window.frames[rows[..., None], slots]
-        inner = self.count // 2
-        middle = around[:, :, inner - 1 : inner + 1].mean(dim=2)
-        changes = around - middle[:, :, None]
-        scale = changes.square().mean(dim=(2, 3)).sqrt()[..., None]
+        self, window: ObservedWindow, row: Int64[torch.Tensor, "segments"], segment: Int64[torch.Tensor, "segments"]
+    ) -> Float[torch.Tensor, "segments code"]:
+        """z_s of segments, each of a window (`row`) between two of its frames."""
+        half = self.count // 2
+        around = torch.arange(1 - half, 1 + half, device=segment.device)
+        slots = (segment[:, None] + around).clamp(0, window.frames.shape[1] - 1)
+        row = row[:, None]
+        frames = window.frames[row, slots]
+        middle = frames[:, half - 1 : half + 1].mean(dim=1)
+        scale = (frames - middle[:, None]).square().mean(dim=(1, 2)).sqrt()[:, None]
         pose = torch.cat((middle, torch.log(scale + _TINY)), dim=-1)
-        embedded = self.embed(window.frames)[rows[..., None], slots] - self.embed(middle)[:, :, None]
-        from_frames = self.pose(pose) + self.changes((embedded / (scale[..., None] + _TINY)).flatten(2))
-        own = segment - first[:, None]
-        apart = window.queries_seconds[..., None] - window.times_seconds[rows[..., None], slots[rows, own]]
-        from_times = self.times(torch.cat((_octaves(apart), times), dim=-1))
-        code: torch.Tensor = self.layers((from_frames[rows, own] + from_times) / math.sqrt(3))
+        embedded = self.embed(window.frames)[row, slots] - self.embed(middle)[:, None]
+        times = window.times_seconds[row, slots]
+        apart = times - times[:, half - 1 : half + 1].mean(dim=1, keepdim=True)
+        pairs = self.pose(pose) + self.changes(embedded.flatten(1) / (scale + _TINY)) + self.times(_octaves(apart))
+        code: torch.Tensor = self.layers(pairs / math.sqrt(3))
         return code
 
 
@@ -124,8 +129,8 @@ class CrossScaleAttention(torch.nn.Module):
         self.mix = torch.nn.Linear(code, code, bias=False)
 
     def forward(
-        self, finer: Float[torch.Tensor, "batch queries code"], coarser: Float[torch.Tensor, "batch queries code"]
-    ) -> Float[torch.Tensor, "batch queries code"]:
+        self, finer: Float[torch.Tensor, "segments code"], coarser: Float[torch.Tensor, "segments code"]
+    ) -> Float[torch.Tensor, "segments code"]:
         """z̃_{s+1}."""
         asking, asked = (
             each.reshape(*each.shape[:-1], self.tokens, each.shape[-1] // self.tokens) for each in (finer, coarser)
@@ -156,20 +161,6 @@ def _layers(widths: list[int], settings: NetworkSettings, activations: _Activati
     for inputs, outputs in pairwise(widths):
         layers += [linear(inputs, outputs, settings.initialisation), activations.next()]
     return layers
-
-
-def _slots(
-    segment: Int64[torch.Tensor, "batch queries"], num_frames: int, count: int
-) -> tuple[Int64[torch.Tensor, "batch"], Int64[torch.Tensor, "batch segments slots"]]:
-    """The first segment that each window is asked in, and the frames around it and around as many more as are asked.
-
-    Half of the frames lie before a segment and half after it; near the ends the outermost come again.
-    """
-    first = segment.amin(dim=1)
-    most = int((segment.amax(dim=1) - first).max()) + 1
-    segments = first[:, None] + torch.arange(most, device=segment.device)
-    around = torch.arange(1 - count // 2, 1 + count // 2, device=segment.device)
-    return first, (segments[..., None] + around).clamp(0, num_frames - 1)
 
 
 def _octaves(seconds: torch.Tensor) -> torch.Tensor:

@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Float32
 
-from pahires.base_curves import interpolated, located, seconds_beyond
+from pahires.base_curves import interpolated
+from pahires.correction_size import gate, size
 from pahires.network import ObservedWindow, TemporalNetwork
 from pahires.scaling import Scaling
-from pahires.settings import Base, Form
-
-HALF_SIZE_SECONDS = 0.35
+from pahires.settings import Base, Form, Sizing, TemporalSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +17,11 @@ class Predictor:
     """A network with the form of its answer.
 
     `plain`: the network's rows. `residual`: interpolation + scale · size · network. `exact`: interpolation + scale ·
-    size · gate · network; the gate is 0 at observed frames, so that they are kept. `size` and `gate`: below.
+    size · gate · network; the gate is 0 at observed frames, so that they are kept. For `size` (by `sizing`) and `gate`
+    see `pahires.correction_size`.
+
+    With `blended` curves the network answers one more weight w for each of them and each number, which adds
+    w · (that curve − the base): captures differ in which interpolation suits them, and in which joints.
     """
 
     network: TemporalNetwork
@@ -26,6 +29,8 @@ class Predictor:
     form: Form
     base: Base
     correction_scale: float
+    sizing: Sizing = "gap"
+    blended: tuple[Base, ...] = ()
 
     def __call__(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
         """Standardised rows at the queries, as training compares them with what was there."""
@@ -50,8 +55,15 @@ class Predictor:
         return interpolated(window, self.base, self.scaling) + averaged
 
     def _correction(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
-        correction = self.correction_scale * size(window) * self.network(window).float()
-        return correction if self.form == "residual" else gate(window) * correction
+        added, *weights = self.network(window).float().chunk(1 + len(self.blended), dim=-1)
+        correction = self.correction_scale * size(window, self.sizing) * added
+        if self.form == "exact":
+            correction = gate(window) * correction
+        if weights:
+            base = interpolated(window, self.base, self.scaling)
+            for curve, weight in zip(self.blended, weights, strict=True):
+                correction = correction + weight * (interpolated(window, curve, self.scaling) - base)
+        return correction
 
     def _averaged(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
         apart = window.times_seconds.diff(dim=1).median(dim=1, keepdim=True).values / 4.0
@@ -61,26 +73,19 @@ class Predictor:
         return 0.25 * before + 0.5 * middle + 0.25 * after
 
 
-def size(window: ObservedWindow) -> Float32[torch.Tensor, "batch queries 1"]:
-    """How much an interpolation may miss, 0 to 1, by the time h between the observed frames: 1 / (1 + (0.35 s / h)²).
-
-    Errors of interpolation grow with the square of h until nothing is known. So a network's answers are of one size
-    for short and for long gaps, and those for frames closer than any that training saw stay small. Beyond the ends h is
-    twice the time from the end, as if the same stretch followed there.
-    """
-    segment, _ = located(window)
-    length = 2.0 * seconds_beyond(window).abs()
-    if window.times_seconds.shape[1] > 1:
-        length = torch.where(length > 0, length, window.times_seconds.diff(dim=1).gather(1, segment))
-    square = length.square()
-    return (square / (square + HALF_SIZE_SECONDS**2))[..., None]
+def predictor_of(network: TemporalNetwork, scaling: Scaling, settings: TemporalSettings) -> Predictor:
+    """A network with the form of answer that its training has."""
+    return Predictor(
+        network,
+        scaling,
+        settings.form,
+        settings.base,
+        settings.correction_scale,
+        settings.sizing,
+        settings.blended,
+    )
 
 
-def gate(window: ObservedWindow) -> Float32[torch.Tensor, "batch queries 1"]:
-    """4u(1 − u), u the fraction between two observed frames: 0 at them, 1 half-way; 1 beyond the ends.
-
-    Its slope at a frame is not 0: the velocity there may be corrected too.
-    """
-    _, fraction = located(window)
-    inside = 4.0 * fraction * (1.0 - fraction)
-    return torch.where(seconds_beyond(window) == 0, inside, 1.0)[..., None]
+def num_answers(settings: TemporalSettings, num_numbers: int) -> int:
+    """Numbers that a network answers for each query: a row, and a row of weights for each blended curve."""
+    return num_numbers * (1 + len(settings.blended))

@@ -12,6 +12,8 @@ Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic", "eased"]
 # What becomes of a network's answer: the poses themselves; a correction of the interpolation; a correction that
 # vanishes at observed frames, which then stay as they are.
 Form = Literal["plain", "residual", "exact"]
+# Corrections are sized by the time between observed frames, or also by how much the motion bends there.
+Sizing = Literal["gap", "motion"]
 # Errors are averaged as squares (the paper), or as absolute values (L1, as LIIF and its kin published).
 Distance = Literal["squared", "absolute"]
 
@@ -66,12 +68,13 @@ class TemporalSettings:
     takes of other framerates are left out. With `finer` a window of such a take has one of the framerates from `fps` up
     to its own, so that what lies between the table's frames is learnt where it was captured. A source's share of the
     windows grows with its frames to the power 1 − `source_evenness`: 0 takes every frame as often as another, 1 every
-    source. `layout` is `smpl22`, or
-    `native` for a corpus of one skeleton. `form` and `base`: see `pahires.prediction`. Loss: MSE + `velocity_weight` ·
-    MSE of differences between neighbouring frames (Eq. 8 to 10, as means), or with `distance` absolute both of absolute
-    errors; `balanced` divides each window's by that of
-    the interpolation (`pahires.training`), so that gaps and dashes do not drown the rest. Schedule `steps` multiplies
-    the rate by `rate_drop` every `drop_every` share of the steps.
+    source. `layout` is `smpl22`, or `native` for a corpus of one skeleton.
+
+    `form`, `base`, `sizing` and `blended`: see `pahires.prediction`. Loss: MSE + `velocity_weight` · MSE of differences
+    between neighbouring frames (Eq. 8 to 10, as means), or with `distance` absolute both of absolute errors. `balanced`
+    divides each window's by that of the interpolation, so that gaps and dashes do not drown the rest, plus
+    `balance_floor` of its mean over the batch, so that windows in which hardly anything moves do not count without
+    bound. Schedule `steps` multiplies the rate by `rate_drop` every `drop_every` share of the steps.
     """
 
     where: str = "split = 'train'"
@@ -82,10 +85,13 @@ class TemporalSettings:
     tasks: TaskSettings = dataclasses.field(default_factory=TaskSettings)
     form: Form = "plain"
     base: Base = "slerp"
+    blended: tuple[Base, ...] = ()
+    sizing: Sizing = "gap"
     correction_scale: float = 1.0
     distance: Distance = "squared"
     velocity_weight: float = 0.5
     balanced: bool = False
+    balance_floor: float = 1.0
     mirrored: bool = True
     steps: int | None = 2000
     epochs: int | None = None
@@ -104,12 +110,15 @@ class TemporalSettings:
         for name in ("steps", "epochs", "batch", "rate", "correction_scale", "drop_every"):
             if (value := getattr(self, name)) is not None and not value > 0:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
-        if not self.velocity_weight >= 0:
-            raise ValueError(f"velocity_weight is 0 or more, not {self.velocity_weight}")
+        for name in ("velocity_weight", "balance_floor"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} is 0 or more, not {getattr(self, name)}")
         if not 0 <= self.source_evenness <= 1:
             raise ValueError(f"source_evenness lies in [0, 1], not {self.source_evenness}")
         if not 0 <= self.ema_decay < 1:
             raise ValueError(f"ema_decay lies in [0, 1), not {self.ema_decay}")
+        if self.blended and self.form == "plain":
+            raise ValueError("blended curves are a part of corrections: form=residual or form=exact, not plain")
         parse_fps(self.fps)
 
     @property

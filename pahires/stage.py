@@ -8,18 +8,16 @@ from pahires.recipes import RECIPES, PaHiResConfig
 
 if TYPE_CHECKING:
     from pahires.encoder import NetworkEncoder
+    from pahires.model import PaHiRes
 
 STAGE_NAME = "pahires"
 NAME = "PA-HiRes"
 
 
 def _train(context: StageContext, config: PaHiResConfig) -> None:
-    from pahires.model import PaHiRes
     from pahires.trained import train_network
 
-    train_network(
-        context, STAGE_NAME, config, config.training, lambda num_numbers: PaHiRes(config.network, num_numbers)
-    )
+    train_network(context, STAGE_NAME, config, config.training, lambda num_numbers: _network(config, num_numbers))
 
 
 def _check(context: StageContext, config: PaHiResConfig) -> None:
@@ -28,17 +26,23 @@ def _check(context: StageContext, config: PaHiResConfig) -> None:
     check_corpus(context, config.training)
 
 
+def _network(config: PaHiResConfig, num_numbers: int) -> "PaHiRes":
+    from pahires.model import PaHiRes
+    from pahires.prediction import num_answers
+
+    return PaHiRes(config.network, num_numbers, num_answers(config.training, num_numbers))
+
+
 def load(run: Path) -> "NetworkEncoder":
     """A run's trained PA-HiRes; raises `RunError` or `CheckpointError` where there is none."""
     from pahires.encoder import NetworkEncoder
-    from pahires.model import PaHiRes
     from pahires.trained import load_network
 
     trained = load_network(
         run,
         STAGE_NAME,
         PaHiResConfig,
-        lambda config, num_numbers: PaHiRes(config.network, num_numbers),
+        _network,
         lambda config: config.training,
         name=NAME,
     )

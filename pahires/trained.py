@@ -21,7 +21,7 @@ from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
 from pahires.corpus import open_takes
-from pahires.prediction import Predictor
+from pahires.prediction import Predictor, predictor_of
 from pahires.scaling import Scaling
 from pahires.settings import TemporalSettings
 from pahires.training import TemporalTraining
@@ -143,7 +143,7 @@ def load_network(
     network = network.to(where).eval().requires_grad_(False)
     return TrainedNetwork(
         name=name or stage,
-        predictor=Predictor(network, scaling.to(where), settings.form, settings.base, settings.correction_scale),
+        predictor=predictor_of(network, scaling.to(where), settings),
         settings=settings,
         skeleton=skeleton,
         store_fingerprint=str(description["store_fingerprint"]),

@@ -11,12 +11,9 @@ from motionkit.training.randomness import dropout_from
 from motionkit.training.schedule import WeightAverage, rate_factor, scale_rates
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from pahires.base_curves import interpolated
-from pahires.prediction import Predictor
+from pahires.prediction import predictor_of
 from pahires.settings import Distance, TemporalSettings
 from pahires.windows import TrainingBatch, WindowSampler
-
-# Of the batch's mean, so that windows in which hardly anything moves do not count without bound.
-BALANCE_FLOOR = 1.0
 
 _Rows = Float32[torch.Tensor, "batch queries numbers"]
 
@@ -38,9 +35,7 @@ class TemporalTraining:
         self.scaling = sampler.measure(rng)
         settings = self.settings
         # What a network meets when it is made is standardised rows of the corpus; see `pahires.scaling`.
-        self.predictor = Predictor(
-            network, self.scaling.to(device), settings.form, settings.base, settings.correction_scale
-        )
+        self.predictor = predictor_of(network, self.scaling.to(device), settings)
         self.optimizer = torch.optim.Adam([{"params": list(network.parameters()), "base_lr": settings.rate}])
         self.average = WeightAverage(network, settings.ema_decay) if settings.ema_decay else None
         self.steps = num_steps(settings, sampler)
@@ -97,7 +92,7 @@ class TemporalTraining:
             return torch.ones(len(batch.targets))
         curve = interpolated(batch.window, self.settings.base, self.scaling)
         missed = self._loss(curve, batch.targets)
-        return 1.0 / (missed + BALANCE_FLOOR * missed.mean() + 1e-9)
+        return 1.0 / (missed + self.settings.balance_floor * missed.mean() + 1e-9)
 
     def _loss(self, predicted: _Rows, targets: _Rows) -> Float32[torch.Tensor, "batch"]:
         rows, differences = losses(predicted, targets, self.settings.distance)

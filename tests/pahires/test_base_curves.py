@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from motionkit.features.rotation_rows import poses_of, rows_of_poses
 from motionkit.interpolation.rotations import rotation_curve
@@ -10,10 +12,11 @@ from motionkit.interpolation.values import curve
 from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22
 from pahires.base_curves import interpolated, located, seconds_beyond
+from pahires.correction_size import gate, size
 from pahires.network import ObservedWindow
-from pahires.prediction import Predictor, gate, size
+from pahires.prediction import Predictor, num_answers
 from pahires.scaling import Scaling
-from pahires.settings import Base, Form
+from pahires.settings import Base, Form, TemporalSettings
 from tests.nerm.corpus import analytic_positions
 
 TIMES = np.array([0.0, 0.1, 0.15, 0.4, 0.45, 0.7])
@@ -100,7 +103,7 @@ def test_queries_find_their_segment_and_what_lies_beyond(scaling: Scaling) -> No
     assert gate(window)[0, [1, 3, 4], 0].abs().max() < 1e-5 and gate(window)[0, 2, 0] == pytest.approx(1.0)
     # How much an interpolation may miss grows with the square of the gap, and beyond the ends from nothing.
     expected = [h**2 / (h**2 + 0.35**2) for h in (0.4, 0.1, 0.1, 0.25, 0.25, 0.2)]
-    assert size(window)[0, :, 0].tolist() == pytest.approx(expected, rel=1e-4)
+    assert size(window, "gap")[0, :, 0].tolist() == pytest.approx(expected, rel=1e-4)
 
 
 def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
@@ -112,8 +115,55 @@ def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
 
     curve_alone = interpolated(window, "slerp", scaling)
     torch.testing.assert_close(made("plain"), answer)
-    torch.testing.assert_close(made("residual"), curve_alone + 0.5 * size(window))
-    torch.testing.assert_close(made("exact"), curve_alone + 0.5 * size(window) * gate(window))
+    torch.testing.assert_close(made("residual"), curve_alone + 0.5 * size(window, "gap"))
+    torch.testing.assert_close(made("exact"), curve_alone + 0.5 * size(window, "gap") * gate(window))
+
+
+@given(seed=st.integers(0, 2**31), factor=st.floats(0.1, 30.0), count=st.integers(2, 7))
+def test_corrections_sized_by_motion_grow_with_it(seed: int, factor: float, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = torch.from_numpy(np.cumsum(rng.uniform(0.03, 0.8, count))).float()[None]
+    queries = torch.linspace(float(times[0, 0]) - 0.3, float(times[0, -1]) + 0.3, 30)[None]
+    frames = torch.from_numpy(rng.normal(size=(1, count, 135))).float()
+    small, large = (
+        size(ObservedWindow(scale * frames, times, queries, torch.ones(1)), "motion")[0, :, 0]
+        for scale in (1.0, factor)
+    )
+    assert (small > 0).all() and torch.isfinite(small).all()
+    # In proportion, but for what is added so that rest is no division by nothing.
+    torch.testing.assert_close(large / factor, small, rtol=2e-3 * max(1.0, factor**-2), atol=0.02 / factor)
+    # It does not depend on where the window lies.
+    moved = size(ObservedWindow(frames + 5.0, times, queries, torch.ones(1)), "motion")[0, :, 0]
+    torch.testing.assert_close(moved, small, rtol=1e-3, atol=1e-4)
+
+
+def test_sizes_by_motion_of_a_known_bend() -> None:
+    times = torch.arange(5)[None] * 0.1
+    frames = torch.zeros(1, 5, 135)
+    frames[0, 3:] = torch.tensor([0.1, 0.2])[:, None]
+    queries = torch.tensor([[0.05, 0.25, 0.35, 0.6]])
+    found = size(ObservedWindow(frames, times, queries, torch.ones(1)), "motion")[0, :, 0]
+    near = 0.1**2 / (0.1**2 + 0.04**2)
+    # Velocity changes by 1 at the middle frame alone; after it frames go on at speed 1, as they do at the end.
+    inside = [0.3 * 0.1 * near * rate for rate in (0.01, (0.5 + 0.01 + 1e-4) ** 0.5, (0.01 + 1e-4) ** 0.5)]
+    assert found.tolist() == pytest.approx([*inside, 0.3 * 0.4 * 1.01**0.5], rel=1e-4)
+
+
+def test_blended_curves_are_what_the_weights_say(scaling: Scaling) -> None:
+    window = asked(TIMES, QUERIES, scaling)
+    blended: tuple[Base, ...] = ("catmull-rom", "linear")
+
+    def made(weights: tuple[float, float]) -> torch.Tensor:
+        rows = torch.tensor([0.0, *weights]).repeat_interleave(135)
+        answer = rows.expand(1, len(QUERIES), -1)
+        return Predictor(lambda _: answer, scaling, "exact", "cubic", 1.0, blended=blended)(window)
+
+    for weights, name in (((0.0, 0.0), "cubic"), ((1.0, 0.0), "catmull-rom"), ((0.0, 1.0), "linear")):
+        wanted = interpolated(window, name, scaling)  # type: ignore[arg-type]
+        torch.testing.assert_close(made(weights), wanted, atol=1e-5, rtol=1e-5)
+    assert num_answers(TemporalSettings(form="exact", blended=blended), 135) == 405
+    with pytest.raises(ValueError, match="not plain"):
+        TemporalSettings(blended=blended)
 
 
 def test_smooth_corrections_have_half_the_kink_and_leave_frames_alone(scaling: Scaling) -> None:

@@ -22,13 +22,19 @@ from eval.baselines.peers.recipes import (
     TsFormerConfig,
 )
 from eval.baselines.peers.ts_former import TsFormer
+from motionkit.errors import UsageError
 from motionkit.motionfield import MotionEncoder
 from pahires.encoder import NetworkEncoder
 from pahires.trained import load_network
 
 
 def network_of(config: PeerConfig, numbers: int) -> nn.Module:
-    """The network of a peer's settings for rows of so many numbers, its weights drawn from torch's generator."""
+    """The network of a peer's settings for rows of so many numbers, its weights drawn from torch's generator.
+
+    Raises `UsageError` for blended curves, whose weights no peer answers.
+    """
+    if config.training.blended:
+        raise UsageError("peers answer rows alone, not weights of curves: leave training.blended empty")
     match config:
         case LiifConfig():
             return Liif(config.network, numbers)

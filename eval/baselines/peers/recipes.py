@@ -1,7 +1,8 @@
 """Settings of the peers and their recipes; imports nothing heavy.
 
 `nano` and `base` train as PA-HiRes' recipes of these names do (windows, batch, form of the answer), each on its
-own task alone, and as many steps as PA-HiRes spends on it. `paper` has each peer's published sizes, schedule and form.
+own task alone; `base` as many steps as PA-HiRes spends on it, `nano` two thirds of them. Weights of curves, and
+corrections sized by the motion, are PA-HiRes's alone. `paper` has each peer's published sizes, schedule and form.
 `base` has the published sizes too, but for widths of 16, which both make 64 (docs/pahires.md), and in-betweening for
 half the width. Networks of `nano` are small.
 """
@@ -105,8 +106,12 @@ INTERPOLATION = TaskSettings(interpolate=1.0, gap=0.0, scattered=0.0, extend=0.0
 IN_BETWEENING = TaskSettings(interpolate=0.0, gap=1.0, scattered=0.0, extend=0.0)
 
 
+# Steps of all four tasks, of which `nano` has its own task's share.
+NANO_STEPS = 8000
+
+
 def _on(task: TaskSettings, training: TemporalSettings) -> TemporalSettings:
-    """Those steps of a training that are of one task."""
+    """Those steps of a training that are of one task, with corrections as they were before PA-HiRes had its own."""
     assert training.steps is not None
     kept = sum(share for share, wanted in zip(training.tasks.shares, task.shares, strict=True) if wanted)
     interpolate, gap, scattered, extend = task.shares
@@ -114,12 +119,14 @@ def _on(task: TaskSettings, training: TemporalSettings) -> TemporalSettings:
         training,
         tasks=replace(training.tasks, interpolate=interpolate, gap=gap, scattered=scattered, extend=extend),
         steps=round(training.steps * kept / sum(training.tasks.shares)),
+        sizing="gap",
+        blended=(),
+        balance_floor=1.0,
     )
 
 
 def _nano(task: TaskSettings) -> TemporalSettings:
-    # PA-HiRes's rate is lower because its tasks are mixed.
-    return replace(_on(task, pahires_nano().training), rate=1e-3, rate_warmup_fraction=0.02)
+    return _on(task, replace(pahires_nano().training, steps=NANO_STEPS))
 
 
 def _base(task: TaskSettings) -> TemporalSettings:

@@ -20,7 +20,9 @@ from eval.baselines.peers.config import (
     MetaSrNetworkConfig,
     TsFormerNetworkConfig,
 )
+from eval.baselines.peers.networks import network_of
 from eval.baselines.peers.recipes import (
+    NANO_STEPS,
     ALiifConfig,
     DeltaInterpConfig,
     LiifConfig,
@@ -166,6 +168,12 @@ def test_grid_peers_refuse_to_be_trained_on_gaps(name: str) -> None:
         apply_overrides(stage.recipe("nano"), ["training.tasks.gap=1"])
 
 
+def test_weights_of_curves_are_pa_hires_alone() -> None:
+    config = LIIF.recipe("nano")
+    with pytest.raises(UsageError, match=r"leave training\.blended empty"):
+        network_of(replace(config, training=replace(config.training, blended=("linear",))), 135)
+
+
 def test_recipes_have_published_sizes_and_say_which_width_is_fair() -> None:
     for name, (stage, _, _) in TINY.items():
         assert (stage.name, stage.in_all) == (name, False)
@@ -183,14 +191,17 @@ def test_recipes_have_published_sizes_and_say_which_width_is_fair() -> None:
                 assert stage.recipe(recipe).network.encoder == EdsrConfig(16, 64)
         for recipe, same in (("nano", pahires_nano()), ("base", pahires_base())):
             training = stage.recipe(recipe).training
-            # But for rates, since one task bears another than four, and for what Δ-Interp published.
-            kept = {"rate", "rate_warmup_fraction"} | ({"form", "base"} if stage is DELTA_INTERP else set())
+            # But for rates, for what PA-HiRes alone has, and for what Δ-Interp published.
+            kept = {"rate", "rate_warmup_fraction", "sizing", "blended", "balance_floor"}
+            kept |= {"form", "base"} if stage is DELTA_INTERP else set()
+            assert (training.sizing, training.blended, training.balance_floor) == ("gap", (), 1.0)
             for key, value in to_plain(same.training).items():
                 if key not in {"tasks", "steps", *kept}:
                     assert to_plain(training)[key] == value, (name, recipe, key)
             assert sum(training.tasks.shares) == 1 == max(training.tasks.shares)
             share = np.dot(training.tasks.shares, same.training.tasks.shares) / sum(same.training.tasks.shares)
-            assert training.steps == round(same.training.steps * share)
+            steps = NANO_STEPS if recipe == "nano" else same.training.steps
+            assert training.steps == round(steps * share)
             assert (training.tasks.num_frames, training.tasks.num_queries) == (
                 same.training.tasks.num_frames,
                 same.training.tasks.num_queries,
