@@ -71,6 +71,7 @@ function mark(number) {
   panels.forEach((panel, each) => panel.figure.classList.toggle("marked", each === marked && panels.length > 1));
   const { take } = panels[marked], input = find("frame");
   input.min = take.firstFrame; input.max = take.firstFrame + take.numFrames - 1;
+  timeline.canvas.style.setProperty("--below", `${heightBelow(take)}px`);
   input.title = `of ${take.name}: ${input.min} … ${input.max}`;
   refresh();
 }

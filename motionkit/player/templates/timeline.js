@@ -1,6 +1,6 @@
 // The line of time below: speeds of all takes, captions and observed frames of the marked one, the instant that is shown.
 
-const EDGE = 8, LANE = 15, MOST_LANES = 3;
+const EDGE = 8, LANE = 15, MASK = 12, MOST_LANES = 3;
 const timeline = { canvas: document.getElementById("timeline"), picture: document.createElement("canvas"), key: "" };
 
 function instantX(seconds, width) { return EDGE + (width - 2 * EDGE) * (seconds - page.start) / Math.max(page.end - page.start, 1e-9); }
@@ -21,9 +21,11 @@ function drawTimeline(panels, marked, seconds) {
   pen.fillRect(instantX(seconds, width) - 1, 0, 2, height);
 }
 
+// How much room what is below the curves takes, in pixels.
+function heightBelow(take) { return LANE * captionLanes(take).length + (take.seen && take.seen.includes(0) ? MASK : 0); }
+
 function drawStill(pen, width, height, panels, marked) {
-  const lanes = captionLanes(marked), masks = marked.seen && marked.seen.includes(0) ? 12 : 0;
-  const bottom = height - 3 - masks - LANE * lanes.length, top = 16;
+  const lanes = captionLanes(marked), bottom = height - 3 - heightBelow(marked), top = 16;
   let fastest = 1e-6;
   for (const { take } of panels) for (const speed of take.speeds) fastest = Math.max(fastest, speed);
   pen.strokeStyle = colour("--line"); pen.beginPath(); pen.moveTo(EDGE, bottom); pen.lineTo(width - EDGE, bottom); pen.stroke();
@@ -49,7 +51,7 @@ function drawStill(pen, width, height, panels, marked) {
     pen.save(); pen.beginPath(); pen.rect(x + 3, y, Math.max(0, wide - 6), LANE); pen.clip();
     pen.fillStyle = colour("--ink"); pen.fillText(text, x + 4, y + LANE / 2 - 1); pen.restore();
   }));
-  if (masks) for (let frame = 0; frame < marked.numFrames; frame++) {
+  if (marked.seen && marked.seen.includes(0)) for (let frame = 0; frame < marked.numFrames; frame++) {
     const x = instantX(secondsOf(marked, frame), width), wide = Math.max(1, instantX(secondsOf(marked, frame) + marked.fps[1] / marked.fps[0], width) - x);
     if (marked.seen[frame]) { pen.fillStyle = colour("--ink"); pen.fillRect(x, height - 13, Math.min(1.5, wide), 11); }
     else { pen.fillStyle = colour("--made"); pen.globalAlpha = 0.3; pen.fillRect(x, height - 11, wide, 7); pen.globalAlpha = 1; }
