@@ -9,8 +9,9 @@ from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeleton_map import SkeletonMapError
 from motionkit.skeleton_transfer import counterpart_joints
 
-# A joint that travels so far relative to its parent (hips above a reference on the floor) hangs on no bone.
-TRAVELLING_METRES = 0.1
+# A joint whose distance from its parent changes by so much hangs on no bone: from the root (hips above a reference on
+# the floor), and from any other joint, where a generated limb's length may well change by a decimetre.
+TRAVELLING_FROM_ROOT_METRES, TRAVELLING_METRES = 0.1, 0.5
 # Of feet without toes the ankles.
 ENDS = (("left_foot", "left_ankle"), ("right_foot", "right_ankle"), ("left_wrist",), ("right_wrist",))
 # Where no table knows a skeleton, the ends of its limbs are traced, of a few.
@@ -49,7 +50,8 @@ def drawing_of(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints
 def _bones(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints 3"]) -> tuple[int, ...]:
     parents = list(skeleton.parents)
     lengths = np.linalg.norm(positions - positions[:, [max(parent, 0) for parent in parents]], axis=-1)
-    travels = np.ptp(lengths, axis=0) > TRAVELLING_METRES
+    limits = [TRAVELLING_FROM_ROOT_METRES if parent == 0 else TRAVELLING_METRES for parent in parents]
+    travels = np.ptp(lengths, axis=0) > limits
     bones = [-1 if far else parent for parent, far in zip(parents, travels.tolist(), strict=True)]
     # Markers have the first of them for their parent, and no rest pose.
     loose = not skeleton.offsets.any() and skeleton.num_joints > 1 and all(parent <= 0 for parent in parents)
