@@ -1,10 +1,10 @@
-"""`motionkit complete` from file to file: seconds and memory of a clip of a minute and of half an hour.
+"""`motionkit complete` from file to file: seconds and memory of clips of a minute to three hours.
 
-    python benchmarks/complete/file_to_file.py [--minutes 1 30] [--fps 120] [--arguments "--run runs/nano"] [--json]
+    python benchmarks/complete/file_to_file.py [--minutes 1 10 60 180] [--fps 120] [--arguments "--run RUN"] [--json]
 
 The clip is a synthetic motion of the 22 joints at 30 fps, as BVH. Each figure is of a process of its own: wall seconds,
 CPU seconds (user and system), peak resident memory. The floor is a process that reads the clip's numbers and writes as
-many as the result has, repeated, with the same parser and writer: what is left is completing.
+many as the result has, repeated, piece by piece with the same parser and writer: what is left is completing.
 """
 
 import argparse
@@ -26,14 +26,15 @@ import sys
 from pathlib import Path
 from motionkit.formats import number_table
 from motionkit.formats.bvh.text import split_text
+from motionkit.formats.file_parts import PART_BYTES, FileParts
 path, repeats = Path(sys.argv[1]), int(sys.argv[2])
-file = split_text(path.read_bytes(), path)
-table = number_table.parse_table(
-    file.body, num_rows=file.num_frames, num_columns=file.hierarchy.num_channels, path=path, first_line=1
-)
+file = FileParts.of(path)
+head = split_text(file.read(0, PART_BYTES), path)
+part = number_table.TablePart(first_line=1, first_row=0, num_rows=sys.maxsize, is_end=False)
 with open(sys.argv[3], "wb") as out:
-    for start in range(0, len(table), 1024):
-        out.write(number_table.format_table(table[start : start + 1024].repeat(repeats, axis=0)))
+    for _, block in file.line_blocks(head.body_start, file.end_of_text(), number_table.BLOCK_BYTES):
+        rows = number_table.find_rows(block, head.hierarchy.num_channels, path, part)
+        out.write(number_table.format_table(rows.table.repeat(repeats, axis=0)))
 """
 COMPLETE = "from motionkit.cli.app import main; main()"
 
@@ -70,7 +71,7 @@ def measure(command: list[str]) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, nargs="+", default=[1.0, 30.0])
+    parser.add_argument("--minutes", type=float, nargs="+", default=[1.0, 10.0, 60.0, 180.0])
     parser.add_argument("--fps", type=int, default=120)
     parser.add_argument("--arguments", default="", help="Further arguments of motionkit complete.")
     parser.add_argument("--json", action="store_true")

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float32, Int, Int32, Int64
 
 from motionkit.console import progress
@@ -24,6 +24,9 @@ from motionkit.store import files
 from motionkit.store.reader import Store
 from motionkit.store.row_file import RowFile
 from motionkit.store.schema import CACHE_FOLDER
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CACHE_VERSION = 1
 NATIVE = "native"
@@ -236,7 +239,7 @@ def _build(store: Store, layout: str, where: str | None, maps: dict[str, _Skelet
     files.sync_folder(target.parent)
 
 
-def _index(kept: pd.DataFrame) -> np.ndarray:
+def _index(kept: "pd.DataFrame") -> np.ndarray:
     index = np.zeros(len(kept), INDEX_DTYPE)
     for name in INDEX_COLUMNS:
         index[name] = kept[name].to_numpy()
@@ -244,7 +247,7 @@ def _index(kept: pd.DataFrame) -> np.ndarray:
     return index
 
 
-def _num_joints(kept: pd.DataFrame, maps: dict[str, _SkeletonMap], layout: str) -> int:
+def _num_joints(kept: "pd.DataFrame", maps: dict[str, _SkeletonMap], layout: str) -> int:
     counts = sorted({maps[fingerprint].num_joints for fingerprint in kept["skeleton"].unique()})
     if len(counts) > 1:
         raise UsageError(
