@@ -122,7 +122,7 @@ def test_damaged_files_are_read_as_a_whole_is_or_explained(tmp_path: Path, data:
     path = tmp_path / "a.bvh"
     path.write_bytes(data.draw(damaged(bvh_text(swinging(6)).encode())))
     with pytest.MonkeyPatch.context() as patched:
-        in_small_blocks(patched, 2, data.draw(st.integers(1, 2000)))
+        in_small_blocks(patched, 2, data.draw(st.integers(16, 2000)))
         try:
             document = read_document(path)
             found = table_of(document)
