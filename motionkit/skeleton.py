@@ -24,7 +24,7 @@ class Skeleton:
 
     `offsets` are rest positions relative to the parent in metres, float32 [J, 3] (row 0: the root's rest offset).
     `end_sites` maps a leaf's index to the offset of the unnamed tip that BVH calls End Site. `layout_map` is the user's
-    own map to the standard layouts as canonical JSON (`motionkit.skeleton_families`), empty where names decide.
+    own map to the standard layouts as canonical JSON (`motionkit.skeletons.families`), empty where names decide.
     Raises `ValueError` for a parent that does not precede its child, repeated names, or arrays of unequal length.
     """
 

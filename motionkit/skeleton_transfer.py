@@ -20,7 +20,7 @@ from motionkit.kinematics import global_rotations, quaternion_conjugate, quatern
 from motionkit.motion import Motion
 from motionkit.motionfield import MotionEncoder, MotionField, Observation, Observed, Poses, told_fps
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_map import joint_map, map_joints
+from motionkit.skeletons.mapping import joint_map, map_joints
 from motionkit.timegrid import TimeGrid
 
 _TIMES_AT_ONCE = 4096
@@ -33,7 +33,7 @@ _PELVIS, _LEFT_HIP, _RIGHT_HIP = (SMPL22.index(name) for name in ("pelvis", "lef
 
 @dataclass(frozen=True)
 class Transferred:
-    """A `MotionEncoder` for every skeleton that `motionkit.skeleton_map` knows, of one for the 22 joints.
+    """A `MotionEncoder` for every skeleton that `motionkit.skeletons.mapping` knows, of one for the 22 joints.
 
     `interpolator` makes the own skeleton's field, and the one that the model is compared with. `encoder` has to pass
     through observed frames (`motionkit.anchoring`), or given frames move.

@@ -81,7 +81,7 @@ class NetworkEncoder:
             raise ValueError(
                 f"{self.name} knows the {self.trained.skeleton.num_joints} joints of "
                 f"{self.trained.skeleton.name!r}, not those of {observation.skeleton!r}: map the motion first "
-                "(motionkit.skeleton_map.map_joints)"
+                "(motionkit.skeletons.mapping.map_joints)"
             )
         if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
             raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")

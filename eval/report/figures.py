@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.mapping import map_joints
 
 # Okabe and Ito's palette: distinguishable with any colour vision.
 BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (

@@ -27,7 +27,7 @@ from motionkit.formats.pose_folders import texts
 from motionkit.formats.reading import read
 from motionkit.motion import Motion
 from motionkit.skeleton import KIT21, SMPL22
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.mapping import map_joints
 from motionkit.timegrid import TimeGrid
 
 MOST_SIDECAR_BYTES = 1 << 16

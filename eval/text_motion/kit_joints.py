@@ -10,7 +10,7 @@ from jaxtyping import Float32
 from eval.samples.sets import SampleSet
 from motionkit.features.humanml3d_processing import bone_lengths, uniform_skeleton
 from motionkit.skeleton import KIT21, SMPL22
-from motionkit.skeleton_map import joint_map
+from motionkit.skeletons.mapping import joint_map
 
 MADE_OF_22 = "its 21 joints made of 22, with the real motions' bone lengths"
 

@@ -48,7 +48,7 @@ def complete(
     from motionkit.completing.encoder_choice import choose_encoder
     from motionkit.completing.job import Job, OutputPath
     from motionkit.formats.items import ReadOptions
-    from motionkit.skeleton_families import read_skeleton_map
+    from motionkit.skeletons.families import read_skeleton_map
 
     options = ReadOptions(
         fps=parse_target_fps(source_fps, "--source-fps") if source_fps else None,

@@ -53,7 +53,7 @@ def ingest(
 
     gc.disable()  # imports make no garbage, and to look for it takes a tenth of their time
     from motionkit.formats.framerate_rules import read_rules
-    from motionkit.skeleton_families import read_skeleton_map
+    from motionkit.skeletons.families import read_skeleton_map
     from motionkit.store.ingest import Listener
     from motionkit.store.ingest import ingest as ingest_sources
 

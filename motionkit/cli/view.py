@@ -34,7 +34,7 @@ def view(
     The page is one file that loads nothing from elsewhere: open it in any browser, send it to anybody.
     """
     from motionkit.formats.items import ReadOptions
-    from motionkit.skeleton_families import read_skeleton_map
+    from motionkit.skeletons.families import read_skeleton_map
     from motionkit.viewing.job import Stretch, page_path, read_takes, write_view
     from motionkit.viewing.sources import find_sources, stored_where
 

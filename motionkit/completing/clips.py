@@ -13,11 +13,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from motionkit.completing import vectors_npy
-from motionkit.completing.holes import ReadClip, read_with_holes
 from motionkit.completion import Completion
-from motionkit.errors import FormatError, StoreError, UsageError
-from motionkit.formats import registry
+from motionkit.errors import FormatError, UsageError
 from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.arrays.npz import write_npz
 from motionkit.formats.bvh.channel_lines import ChannelLines
@@ -28,6 +25,9 @@ from motionkit.formats.pose_folders.humanml3d import VECTORS_FOLDER
 from motionkit.long_observation import LongObservation
 from motionkit.motion import Caption, Motion
 from motionkit.motionfield import Observation, Observed, Poses
+from motionkit.named_motions import vectors_npy
+from motionkit.named_motions.found import Found, Readers, find_motions
+from motionkit.named_motions.holes import ReadClip, read_with_holes
 from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.timegrid import TimeGrid
 
@@ -64,49 +64,17 @@ class Clip:
         return self.timegrid.seconds() if self.uneven_seconds is None else self.uneven_seconds
 
 
-@dataclass(frozen=True)
-class ClipSource:
-    """Where a clip comes from: `name` for people, `beside` the path that its result goes by, without a suffix."""
-
-    name: str
-    beside: Path
-    read: Callable[[], Clip]
+ClipSource = Found[Clip]
 
 
-def find_clips(sources: Sequence[str], options: ReadOptions, store: Path) -> tuple[list[ClipSource], list[FormatError]]:
-    """The clips of files and folders, and of a store where no file has that name; and what is wrong with some.
+def find_clips(names: Sequence[str], options: ReadOptions, store: Path) -> tuple[list[ClipSource], list[FormatError]]:
+    """The clips of these names, but for those in folders that were made here, and what is wrong with some.
 
-    Raises `UsageError` for a name that is neither.
+    Raises `UsageError` for a name that says nothing.
     """
-    found: list[ClipSource] = []
-    problems: list[FormatError] = []
-    for source in sources:
-        path = Path(source)
-        if not path.exists():
-            found.append(_stored(source, store))
-        elif path.is_file() and vectors_npy.accepts(path):
-            found.append(ClipSource(source, path.with_suffix(""), partial(_vectors, path, options)))
-        else:
-            scanned = registry.scan([path], options)
-            problems += scanned.problems
-            items = [item for item in scanned.items if _is_meant(item, path)]
-            if path.is_file() and not items and not scanned.problems:
-                problems.append(FormatError("it is no clip, but a part of a folder of clips", path=path, reason="part"))
-            found += [_of_item(item, source, path, options) for item in items]
-    return found, problems
-
-
-def _is_meant(item: SourceItem, path: Path) -> bool:
-    # Of a folder what was not made here; of a file beside a data set's folders not the data set.
-    return item.path.resolve() == path.resolve() if path.is_file() else not item.path.stem.endswith(MADE)
-
-
-def _of_item(item: SourceItem, source: str, path: Path, options: ReadOptions) -> ClipSource:
-    name = source if path.is_file() else str(path / item.path.relative_to(item.root))
-    beside = Path(name).with_suffix("")
-    return ClipSource(
-        f"{name} ({item.key})" if item.key and not path.is_file() else name, beside, lambda: _read(item, options)
-    )
+    readers = Readers(partial(_read, options=options), partial(_vectors, options=options), _stored)
+    found, problems = find_motions(names, options, store, readers)
+    return [clip for clip in found if clip.name in names or not clip.beside.name.endswith(MADE)], problems
 
 
 def _read(item: SourceItem, options: ReadOptions) -> Clip:
@@ -191,23 +159,11 @@ def as_format(clip: Clip, suffix: str) -> Clip:
 
 
 def _vectors(path: Path, options: ReadOptions) -> Clip:
-    motion, seen = vectors_npy.read_vectors(path, options)
-    return _in_memory(ReadClip(motion, seen), ".npy", vectors_npy.write_vectors)
+    return _in_memory(vectors_npy.read_vectors(path, options), ".npy", vectors_npy.write_vectors)
 
 
-def _stored(sequence_id: str, store: Path) -> ClipSource:
-    from motionkit.store import Store
-
-    def read() -> Clip:
-        motion = opened.read(sequence_id)
-        return _in_memory(ReadClip(motion, np.ones(motion.num_frames, bool)), ".npz", write_npz)
-
-    try:
-        opened = Store.open(store)
-        opened.index_of(sequence_id)
-    except StoreError as error:
-        raise UsageError(f"{sequence_id} is no file, and as the id of a stored sequence: {error}") from None
-    return ClipSource(sequence_id, Path(sequence_id.replace("/", "_").lstrip(".") or "clip"), read)
+def _stored(motion: Motion) -> Clip:
+    return _in_memory(ReadClip.whole(motion), ".npz", write_npz)
 
 
 def _writing(

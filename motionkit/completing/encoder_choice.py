@@ -11,8 +11,8 @@ from motionkit.interpolation.fields import INTERPOLATORS, Method
 from motionkit.interpolation.settling import Settling
 from motionkit.motionfield import MotionEncoder
 from motionkit.skeleton import Skeleton
-from motionkit.skeleton_map import SkeletonMapError
 from motionkit.skeleton_transfer import Transferred, counterpart_joints
+from motionkit.skeletons.mapping import SkeletonMapError
 
 PREFERRED = "pahires"
 # Of all interpolators the one with the smallest errors on captures (docs/complete.md); its acceleration is continuous.

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 from motionkit.export.selection import Outcome, Selection
 from motionkit.motion import Caption, Motion
-from motionkit.skeleton_map import SkeletonMapError
+from motionkit.skeletons.mapping import SkeletonMapError
 from motionkit.timegrid import format_fps
 
 TABLE = "motions.csv"

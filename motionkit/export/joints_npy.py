@@ -10,7 +10,7 @@ from motionkit.export.selection import Outcome, Selection
 from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.mapping import map_joints
 from motionkit.timegrid import format_fps
 
 

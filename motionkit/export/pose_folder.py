@@ -22,7 +22,7 @@ from motionkit.formats.arrays import joints_npy
 from motionkit.formats.pose_folders.humanml3d import HUMANML3D, JOINTS_FOLDER, Entry, FolderWriter, Layout
 from motionkit.formats.pose_folders.kit import KIT
 from motionkit.motion import Motion
-from motionkit.skeleton_map import SkeletonMapError, map_joints
+from motionkit.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.timegrid import format_fps
 
 README = "README.md"

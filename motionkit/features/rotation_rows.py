@@ -15,7 +15,7 @@ from motionkit.interpolation.joints import Joints
 from motionkit.motion import Motion
 from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.mapping import map_joints
 
 # A mirrored rotation M·R·M with M = diag(−1, 1, 1): what becomes of its first and of its second column.
 _FLIPPED_COLUMNS = np.array([1, -1, -1, -1, 1, 1], np.float32)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_map import SkeletonMapError, family_unit_metres, joint_map, rest_positions
+from motionkit.skeletons.mapping import SkeletonMapError, family_unit_metres, joint_map, rest_positions
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "1/0.45 inch": 0.0254 / 0.45}
 # From the ankles through the hips to the base of the skull: SMPL's mean body has 1.45 m.

@@ -33,7 +33,7 @@ class ReadOptions:
 
     `fps` and `unit_metres` (metres per file unit) replace whatever the file or its annotations say; `captions` is a CSV
     file of annotations that replaces those found beside the motions. `skeleton_maps` are the user's tables as
-    `skeleton_families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along.
+    `skeletons.families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along.
     `fps_rules` are the user's corrections of framerates, before the shipped ones (`framerate_rules`). `body_models` is
     the user's folder of SMPL-family models. `index` picks stretches of a source's files.
     """

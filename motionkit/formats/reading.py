@@ -10,7 +10,7 @@ from motionkit.formats.catalogue import FORMATS
 from motionkit.formats.items import ReadOptions, SourceItem
 from motionkit.mirror import mirror
 from motionkit.motion import Motion
-from motionkit.skeleton_families import with_layout_map
+from motionkit.skeletons.families import with_layout_map
 
 # Reasons for which a file is refused where only its framerate is missing or unusable.
 NO_FRAMERATE = frozenset({"no-framerate", "framerate", "frame-time"})

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_map import SkeletonMapError
 from motionkit.skeleton_transfer import counterpart_joints
+from motionkit.skeletons.mapping import SkeletonMapError
 
 # A joint whose distance from its parent changes by so much hangs on no bone: from the root (hips above a reference on
 # the floor), and from any other joint, where a generated limb's length may well change by a decimetre.

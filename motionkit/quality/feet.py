@@ -9,7 +9,7 @@ from jaxtyping import Float32
 from motionkit.motion import Motion
 from motionkit.quality.timescale import BINS_PER_SECOND, bin_means
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_map import SkeletonMapError, joint_map
+from motionkit.skeletons.mapping import SkeletonMapError, joint_map
 
 FOOT_JOINTS = ("left_ankle", "left_foot", "right_ankle", "right_foot")
 # A joint of the foot is on the ground while it is within 2 cm of its own lowest level, which is taken from the take

@@ -1,1 +1,1 @@
-"""Tables that say how each family of skeletons maps to the standard layouts (data; see motionkit.skeleton_map)."""
+"""Tables that say how each family of skeletons maps to the standard layouts (data; see motionkit.skeletons.mapping)."""

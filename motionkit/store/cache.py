@@ -19,7 +19,7 @@ from jaxtyping import Float32, Int, Int32, Int64
 from motionkit.console import progress
 from motionkit.errors import StoreError, UsageError
 from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
-from motionkit.skeleton_map import SkeletonMapError, joint_map, map_joints
+from motionkit.skeletons.mapping import SkeletonMapError, joint_map, map_joints
 from motionkit.store import files
 from motionkit.store.reader import Store
 from motionkit.store.row_file import RowFile

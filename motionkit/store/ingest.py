@@ -15,8 +15,8 @@ from motionkit.formats.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, scan
 from motionkit.formats.smpl.body import substituted_body
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_families import parse_layout_map
-from motionkit.skeleton_map import SkeletonMapError, joint_map
+from motionkit.skeletons.families import parse_layout_map
+from motionkit.skeletons.mapping import SkeletonMapError, joint_map
 from motionkit.store.body_sizes import BodySizes
 from motionkit.store.encode import EncodedMotion, RefusedMotion
 from motionkit.store.manifest import read_manifest

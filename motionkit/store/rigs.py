@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_map import SkeletonMapError, joint_map
+from motionkit.skeletons.mapping import SkeletonMapError, joint_map
 from motionkit.store.reader import Store
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.completing.holes import ReadClip
 from motionkit.errors import MotionkitError, UsageError
+from motionkit.named_motions.holes import ReadClip
 from motionkit.player.page import write_page
 from motionkit.player.take import Take, take_of
 from motionkit.timegrid import format_fps
@@ -105,7 +105,8 @@ def _take(read: ReadClip, name: str) -> Take:
 
 def page_path(out: Path | None, sources: Sequence[ViewSource]) -> Path:
     """The page's file: `out`, a name in it where it is a folder, or NAME.view.html here."""
-    stem = sources[0].stem if len(sources) == 1 else f"{sources[0].stem}-and-{len(sources) - 1}-more"
+    first = sources[0].beside.name
+    stem = first if len(sources) == 1 else f"{first}-and-{len(sources) - 1}-more"
     name = f"{stem[:LONGEST_STEM] or 'motion'}{SUFFIX}"
     if out is None:
         return Path(name)

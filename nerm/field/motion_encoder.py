@@ -52,7 +52,7 @@ class NermEncoder:
         if observation.skeleton.joint_names != SMPL22.joint_names:
             raise ValueError(
                 f"NeRM knows the {SMPL22.num_joints} joints of {SMPL22.name!r}, not those of "
-                f"{observation.skeleton!r}: map the motion first (motionkit.skeleton_map.map_joints)"
+                f"{observation.skeleton!r}: map the motion first (motionkit.skeletons.mapping.map_joints)"
             )
         start = observation.start_seconds - before_seconds
         span = observation.end_seconds + after_seconds - start

@@ -124,6 +124,23 @@ def test_arrays_of_joints_and_of_vectors(motionkit: Run, tmp_path: Path, motion:
     np.testing.assert_allclose(again[::2], humanml3d.positions(vectors, "smpl22")[:-1], atol=2e-4)
 
 
+def test_what_tables_and_folders_say_belongs_to_a_single_clip(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
+    (tmp_path / "takes").mkdir()
+    write_npz(replace(motion, captions=()), tmp_path / "takes" / "walk.npz")
+    (tmp_path / "clips.csv").write_text("file,caption\ntakes/walk.npz,somebody walks\n", encoding="utf-8")
+    made = motionkit("complete", tmp_path / "takes" / "walk.npz", "--fps", "60").stdout.strip()
+    assert [caption.text for caption in read_npz(Path(made)).captions] == ["somebody walks"]
+    # Rows of one Parquet file have a result each.
+    with StoreWriter.create(tmp_path / "store") as writer:
+        for number in range(2):
+            writer.add(replace(motion, sequence_id=f"set/{number}"))
+    exported = motionkit("export", tmp_path / "rows", "--format", "parquet", "--store", tmp_path / "store")
+    assert exported.code == 0, exported.stderr
+    outcome = motionkit("complete", tmp_path / "rows", "--fps", "60", "--out", tmp_path / "made")
+    names = [Path(line).name for line in outcome.stdout.split()]
+    assert outcome.code == 0 and len(names) == 2 and names[0].endswith("-0.bvh") and names[1].endswith("-1.bvh")
+
+
 def test_a_folder_of_humanml3ds_form(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
     vectors = humanml3d.vectors(process(motion.joint_positions, "smpl22"), "smpl22")
     write_humanml3d(tmp_path / "set", [Entry("000001", humanml3d.positions(vectors, "smpl22"), vectors)])

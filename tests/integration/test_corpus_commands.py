@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.mapping import map_joints
 from motionkit.store import Store
 from tests.motionkit.formats.test_c3d import points as marker_points
 from tests.motionkit.formats.test_c3d import write as write_c3d

@@ -15,7 +15,7 @@ import pytest
 
 from motionkit.formats.items import SourceItem
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_map import rest_positions
+from motionkit.skeletons.mapping import rest_positions
 from motionkit.store import Store
 from motionkit.store.ingest import batches
 

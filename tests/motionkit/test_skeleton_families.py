@@ -9,8 +9,8 @@ from motionkit.errors import FormatError, MotionkitError
 from motionkit.formats.arrays.npz import read_npz, write_npz
 from motionkit.formats.registry import ReadOptions, read, scan
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_families import parse_layout_map, read_skeleton_map, shipped_families, with_layout_map
-from motionkit.skeleton_map import SkeletonMapError, joint_map, map_joints
+from motionkit.skeletons.families import parse_layout_map, read_skeleton_map, shipped_families, with_layout_map
+from motionkit.skeletons.mapping import SkeletonMapError, joint_map, map_joints
 from tests.motionkit.formats.samples import bvh_text
 
 # The sample BVH's joints under names that no shipped family knows.

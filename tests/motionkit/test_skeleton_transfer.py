@@ -14,8 +14,8 @@ from motionkit.interpolation.joints import Joints
 from motionkit.motion import Motion
 from motionkit.motionfield import MotionEncoder, MotionField, Observation, Poses
 from motionkit.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.skeleton_map import SkeletonMapError, map_joints
 from motionkit.skeleton_transfer import Transferred, canonical_observation, counterpart_joints
+from motionkit.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.timegrid import TimeGrid
 
 CUBIC, SLERP = INTERPOLATORS["rotation-cubic"], INTERPOLATORS["slerp"]

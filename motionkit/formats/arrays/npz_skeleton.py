@@ -10,7 +10,7 @@ from motionkit.errors import FormatError, MotionkitError
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
 from motionkit.skeleton import STANDARD_SKELETONS, Feet, Skeleton
-from motionkit.skeleton_families import parse_layout_map
+from motionkit.skeletons.families import parse_layout_map
 
 
 def skeleton_arrays(skeleton: Skeleton) -> dict[str, Any]:

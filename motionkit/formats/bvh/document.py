@@ -25,7 +25,7 @@ from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion, Provenance
 from motionkit.motionfield import Poses
 from motionkit.skeleton import Skeleton
-from motionkit.skeleton_families import with_layout_map
+from motionkit.skeletons.families import with_layout_map
 from motionkit.timegrid import TimeGrid
 
 

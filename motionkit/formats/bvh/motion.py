@@ -23,7 +23,7 @@ from motionkit.formats.items import ReadOptions
 from motionkit.formats.joint_channels import joint_channels
 from motionkit.motion import Motion, Provenance
 from motionkit.skeleton import Skeleton
-from motionkit.skeleton_families import with_layout_map
+from motionkit.skeletons.families import with_layout_map
 from motionkit.timegrid import TimeGrid
 
 # Bones that change by less are noise of printed digits; a bone that changes by more is not rigid.

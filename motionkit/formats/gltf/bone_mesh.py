@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32, UInt16
 
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_map import SkeletonMapError, joint_map, rest_positions
+from motionkit.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
 
 Side = Literal["left", "right", "middle"]
 

@@ -16,7 +16,7 @@ from motionkit.formats.joint_channels import JointChannels, joint_channels
 from motionkit.kinematics import continuous_quaternions
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
-from motionkit.skeleton_map import rest_positions
+from motionkit.skeletons.mapping import rest_positions
 from motionkit.timegrid import TimeGrid, format_fps
 
 COLOURS = {"left": (0.16, 0.42, 0.85, 1.0), "right": (0.90, 0.38, 0.12, 1.0), "middle": (0.55, 0.55, 0.58, 1.0)}

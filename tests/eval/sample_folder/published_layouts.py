@@ -10,7 +10,7 @@ import numpy as np
 from motionkit.features import humanml3d, humanml3d_processing
 from motionkit.motionfield import to_motion
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.mapping import map_joints
 from motionkit.synthetic import ACTIONS, draw_body, perform
 
 FPS = Fraction(20)

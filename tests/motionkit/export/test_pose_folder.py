@@ -12,7 +12,7 @@ from motionkit.formats.pose_folders.kit import UNIT_METRES
 from motionkit.motion import Motion
 from motionkit.resample import resample
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.mapping import map_joints
 from motionkit.store import Store, StoreWriter
 from motionkit.timegrid import TimeGrid
 

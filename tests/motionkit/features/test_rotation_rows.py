@@ -14,7 +14,7 @@ from motionkit.mirror import mirror
 from motionkit.motion import Motion
 from motionkit.motionfield import Poses
 from motionkit.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.skeleton_map import SkeletonMapError, rest_positions
+from motionkit.skeletons.mapping import SkeletonMapError, rest_positions
 from motionkit.timegrid import TimeGrid
 from tests.nerm.corpus import analytic_positions
 

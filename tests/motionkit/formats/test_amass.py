@@ -10,7 +10,7 @@ from motionkit.formats.registry import read, scan
 from motionkit.formats.smpl.mean_shape import mean_shape_skeleton
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_map import map_joints, rest_positions
+from motionkit.skeletons.mapping import map_joints, rest_positions
 from tests.motionkit.formats.amass_samples import WIDTHS, smplh_fields, stageii_fields, write_amass
 
 

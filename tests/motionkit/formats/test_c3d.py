@@ -18,8 +18,8 @@ from motionkit.formats.c3d.motion import TURNS, read_c3d
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.registry import read, scan
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_families import read_skeleton_map
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.families import read_skeleton_map
+from motionkit.skeletons.mapping import map_joints
 
 LABELS = ("LASI", "RASI", "SACR")
 

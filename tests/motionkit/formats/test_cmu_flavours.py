@@ -10,8 +10,8 @@ from motionkit.formats.bvh.motion import T_POSE_DROPPED, read_bvh
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_map import joint_map, map_joints
-from tests.motionkit.test_skeleton_map import check_body
+from motionkit.skeletons.mapping import joint_map, map_joints
+from tests.motionkit.test_skeleton_mapping import check_body
 
 Joint = tuple[str, str, tuple[float, float, float]]
 

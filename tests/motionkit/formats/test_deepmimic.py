@@ -14,7 +14,7 @@ from motionkit.errors import FormatError
 from motionkit.formats.deepmimic import humanoid3d, read_deepmimic
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.registry import read, scan
-from tests.motionkit.test_skeleton_map import check_body
+from tests.motionkit.test_skeleton_mapping import check_body
 
 REAL_FRAMERATES = {"16": 2, "24": 4, "30": 5, "60": 9, "120": 53}
 

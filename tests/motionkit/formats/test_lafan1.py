@@ -18,7 +18,7 @@ from motionkit.formats.bvh.lafan1 import (
 from motionkit.formats.registry import read, scan
 from motionkit.motion import Motion
 from tests.motionkit.formats.samples import bvh_text, lafan1_text
-from tests.motionkit.test_skeleton_map import check_body
+from tests.motionkit.test_skeleton_mapping import check_body
 
 
 @pytest.fixture

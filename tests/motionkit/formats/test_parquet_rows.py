@@ -14,7 +14,7 @@ from motionkit.formats.items import ReadOptions
 from motionkit.formats.registry import read, scan
 from motionkit.motion import Caption, Motion
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.mapping import map_joints
 from motionkit.timegrid import TimeGrid
 
 LEAST = {"sequence_id": "a", "joint_positions": np.arange(132, dtype=np.float32), "num_joints": 22, "fps": 59.94}

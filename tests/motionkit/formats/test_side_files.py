@@ -14,7 +14,7 @@ from motionkit.errors import FormatError, MotionkitError
 from motionkit.formats.framerate_rules import read_rules
 from motionkit.formats.registry import ReadOptions, read, scan
 from motionkit.formats.sourcefile import read_bytes
-from motionkit.skeleton_families import read_skeleton_map
+from motionkit.skeletons.families import read_skeleton_map
 from motionkit.store.ingest import ingest
 from tests.motionkit.formats.damage import damaged
 from tests.motionkit.formats.every_format import SOURCES

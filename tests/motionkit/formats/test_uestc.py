@@ -21,9 +21,9 @@ from motionkit.formats.registry import read, scan
 from motionkit.formats.smpl.layouts import SMPL
 from motionkit.formats.smpl.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.mapping import map_joints
 from tests.motionkit.formats.test_body_models import write_body_model
-from tests.motionkit.test_skeleton_map import check_body
+from tests.motionkit.test_skeleton_mapping import check_body
 
 
 def pose(num_frames: int = 3, view: int = 0) -> np.ndarray:

@@ -9,7 +9,7 @@ from motionkit.kinematics import quaternion_rotate
 from motionkit.motionfield import to_motion
 from motionkit.player.drawing import drawing_of
 from motionkit.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.skeleton_map import rest_positions
+from motionkit.skeletons.mapping import rest_positions
 from motionkit.synthetic import make_body, perform
 
 

@@ -18,7 +18,7 @@ from motionkit.player.packing import unpack
 from motionkit.player.page import write_page
 from motionkit.player.take import Take
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_map import rest_positions
+from motionkit.skeletons.mapping import rest_positions
 
 
 def standing(name: str, num_frames: int, fps: int, **more: Any) -> Take:

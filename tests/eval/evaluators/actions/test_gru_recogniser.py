@@ -28,7 +28,7 @@ from motionkit.errors import MotionkitError
 from motionkit.formats.acclaim.asfamc import read_asfamc
 from motionkit.formats.items import ReadOptions
 from motionkit.resample import resample_positions
-from motionkit.skeleton_map import map_joints
+from motionkit.skeletons.mapping import map_joints
 from motionkit.training.tensors import CheckpointError
 
 CAPTURES = Path(os.environ.get("MOTIONKIT_CAPTURES", Path.home() / ".cache/motionkit/captures"))

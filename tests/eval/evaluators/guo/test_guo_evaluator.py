@@ -19,7 +19,7 @@ from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import process
 from motionkit.motion import Caption
 from motionkit.skeleton import SMPL22
-from motionkit.skeleton_map import joint_map
+from motionkit.skeletons.mapping import joint_map
 from tests.published_guo import VOCABULARY, checkpoint, pose_vectors, write_archive, write_glove, write_statistics
 
 SMALL = GuoWidths(movement=6, motion=5, text=4, shared=3)

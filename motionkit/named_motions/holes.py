@@ -35,6 +35,11 @@ class ReadClip:
     seen: Bool[np.ndarray, "frames"]
     uneven_seconds: Float64[np.ndarray, "frames"] | None = None
 
+    @staticmethod
+    def whole(motion: Motion) -> "ReadClip":
+        """One without holes."""
+        return ReadClip(motion, np.ones(motion.num_frames, bool))
+
 
 def read_with_holes(item: SourceItem, options: ReadOptions) -> ReadClip:
     """A clip with its holes; raises `FormatError` as `registry.read`, and where no frame is whole.

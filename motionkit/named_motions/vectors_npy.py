@@ -5,9 +5,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
 
-from motionkit.completing.holes import filled_rows
 from motionkit.errors import MotionkitError
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import at_origin, facing_forward
@@ -17,6 +15,7 @@ from motionkit.formats.items import ReadOptions
 from motionkit.formats.pose_folders.humanml3d import HUMANML3D, Layout, recover_positions
 from motionkit.formats.pose_folders.kit import KIT
 from motionkit.motion import Motion, Provenance
+from motionkit.named_motions.holes import ReadClip, filled_rows
 from motionkit.timegrid import TimeGrid, format_fps
 
 LAYOUTS: dict[int, Layout] = {layout.num_values: layout for layout in (HUMANML3D, KIT)}
@@ -28,7 +27,7 @@ def accepts(path: Path) -> bool:
     return shape is not None and len(shape) == 2 and shape[1] in LAYOUTS
 
 
-def read_vectors(path: Path, options: ReadOptions) -> tuple[Motion, Bool[np.ndarray, "frames"]]:
+def read_vectors(path: Path, options: ReadOptions) -> ReadClip:
     """The motion of pose vectors in metres, and which rows are whole; raises `FormatError`.
 
     The framerate is the published one unless `motions.json` beside the file or one folder above, or `options`, say
@@ -58,7 +57,7 @@ def read_vectors(path: Path, options: ReadOptions) -> tuple[Motion, Bool[np.ndar
             operations=tuple(operations),
         ),
     )
-    return motion, seen
+    return ReadClip(motion, seen)
 
 
 def write_vectors(motion: Motion, path: Path) -> None:

@@ -1,6 +1,6 @@
 """From any known skeleton to the 22-joint (SMPL) and 21-joint (KIT) layouts, by tables of names and weights.
 
-A family of skeletons (`motionkit.skeleton_families`) gives every joint of the layout as a weighted sum of the family's
+A family of skeletons (`motionkit.skeletons.families`) gives every joint of the layout as a weighted sum of the family's
 joints (`X.tip` is the End Site of X). Toes that a skeleton lacks altogether are put in front of the ankle.
 """
 
@@ -15,7 +15,7 @@ from motionkit import kinematics
 from motionkit.errors import MotionkitError
 from motionkit.motion import Motion
 from motionkit.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
-from motionkit.skeleton_families import canonical_names, family_of, find_family, load_table, parse_layout_map
+from motionkit.skeletons.families import canonical_names, family_of, find_family, load_table, parse_layout_map
 
 # A toe joint that has to be made up lies ahead of the ankle by this much of the shin, and below it by this much:
 # HumanML3D's skeleton has 0.14 m and 0.06 m for a shin of 0.43 m.

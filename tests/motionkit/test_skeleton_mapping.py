@@ -6,7 +6,7 @@ import pytest
 from motionkit.formats.registry import ReadOptions, read, scan
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeleton_map import SkeletonMapError, joint_map, map_joints, rest_positions
+from motionkit.skeletons.mapping import SkeletonMapError, joint_map, map_joints, rest_positions
 from motionkit.timegrid import TimeGrid, parse_fps
 
 
