@@ -82,10 +82,10 @@ def predictor_of(network: TemporalNetwork, scaling: Scaling, settings: TemporalS
         settings.base,
         settings.correction_scale,
         settings.sizing,
-        settings.blended,
+        settings.curves,
     )
 
 
 def num_answers(settings: TemporalSettings, num_numbers: int) -> int:
     """Numbers that a network answers for each query: a row, and a row of weights for each blended curve."""
-    return num_numbers * (1 + len(settings.blended))
+    return num_numbers * (1 + len(settings.curves))

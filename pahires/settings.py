@@ -117,9 +117,12 @@ class TemporalSettings:
             raise ValueError(f"source_evenness lies in [0, 1], not {self.source_evenness}")
         if not 0 <= self.ema_decay < 1:
             raise ValueError(f"ema_decay lies in [0, 1), not {self.ema_decay}")
-        if self.blended and self.form == "plain":
-            raise ValueError("blended curves are a part of corrections: form=residual or form=exact, not plain")
         parse_fps(self.fps)
+
+    @property
+    def curves(self) -> tuple[Base, ...]:
+        """The curves whose weights a network answers: those `blended`, in forms that correct one."""
+        return () if self.form == "plain" else self.blended
 
     @property
     def framerate(self) -> Fraction:

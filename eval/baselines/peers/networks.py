@@ -33,7 +33,7 @@ def network_of(config: PeerConfig, numbers: int) -> nn.Module:
 
     Raises `UsageError` for blended curves, whose weights no peer answers.
     """
-    if config.training.blended:
+    if config.training.curves:
         raise UsageError("peers answer rows alone, not weights of curves: leave training.blended empty")
     match config:
         case LiifConfig():
