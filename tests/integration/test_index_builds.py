@@ -17,7 +17,7 @@ from motionkit.formats.items import SourceItem
 from motionkit.skeleton import SMPL22
 from motionkit.skeletons.mapping import rest_positions
 from motionkit.store import Store
-from motionkit.store.ingest import batches
+from motionkit.store.ingest import BATCH_BYTES, batches
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 TEXT = "a person stands#a/DET person/NOUN stand/VERB#0.0#0.0\nthen rises#then/ADV rise/VERB#0.5#1.0\n"
@@ -378,7 +378,8 @@ def test_an_index_that_is_none(motionkit, amass, tmp_path):
 
 def test_stretches_of_one_file_are_one_workers(tmp_path):
     items = []
-    for name, num_bytes, count in (("a", 2**19, 3), ("b", 2**20, 4), ("c", 2**20, 1), ("d", 1, 130)):
+    half, whole = BATCH_BYTES // 2, BATCH_BYTES
+    for name, num_bytes, count in (("a", half, 3), ("b", whole, 4), ("c", whole, 1), ("d", 1, 130)):
         path = tmp_path / name
         path.touch()
         os.truncate(path, num_bytes)

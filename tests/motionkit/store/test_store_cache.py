@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from motionkit.skeleton_map import map_joints
 
 from motionkit.errors import StoreError, UsageError
 from motionkit.skeleton import KIT21, SMPL22, Skeleton
+from motionkit.skeletons.mapping import map_joints
 from motionkit.store import Store, StoreWriter, cache
 
 CHAIN = Skeleton("chain", ("a", "b", "c"), (-1, 0, 1), np.eye(3, dtype=np.float32))
