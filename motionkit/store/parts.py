@@ -143,9 +143,9 @@ class PartWriter:
         """Let go of the part being written, if there is one, as it is."""
         self._flushing.close()
         self._pending = _RowGroup()
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
 
     def _write_row_group(self) -> None:
         if self._file is None:

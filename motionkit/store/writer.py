@@ -148,8 +148,10 @@ class StoreWriter:
     ) -> None:
         # An exception goes on to `changing`, which removes what was written.
         if kind is not None:
-            self._close()
-            self._held.__exit__(kind, error, traceback)
+            try:
+                self._close()  # fails, too, where the disk is full
+            finally:
+                self._held.__exit__(kind, error, traceback)
         elif self._num_sequences > self._base.num_sequences or not self._keep:
             with self._held:
                 self._commit()
@@ -194,7 +196,9 @@ class StoreWriter:
             self._rows.clear()
 
     def _close(self) -> None:
-        self._parts.close()
-        if self._table is not None:
-            self._table.close()
-            self._table = None
+        table, self._table = self._table, None
+        try:
+            self._parts.close()
+        finally:
+            if table is not None:
+                table.close()

@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -171,6 +172,24 @@ def test_an_exception_in_the_block_leaves_everything_as_it_was(small_store, make
     after = {path: path.read_bytes() for path in small_store.rglob("*") if path.is_file()}
     before.pop(small_store / files.LOCK_FILE), after.pop(small_store / files.LOCK_FILE)
     assert after == before
+
+
+@pytest.mark.parametrize("most_bytes", [2, 3000], ids=["not even a first word", "part of a page"])
+def test_a_full_disk_leaves_everything_as_it_was(small_store, make_motion, most_bytes):
+    previous = Store.open(small_store).fingerprint
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        with pytest.raises(OSError, match="File too large"), StoreWriter.append(small_store) as writer:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, limits[1]))
+            for number in range(20):
+                writer.add(make_motion(f"new-{number}"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert Store.open(small_store).fingerprint == previous
+    assert leftovers(small_store) == []
+    with StoreWriter.append(small_store) as again:  # the lock is free, with the writer that failed still there
+        again.add(make_motion("new-0"))
+    assert "new-0" in Store.open(small_store).sequences_table["sequence_id"].to_pylist()
 
 
 def test_a_failed_creation_can_be_tried_again(tmp_path, make_motion):
