@@ -4,7 +4,8 @@ BVH files are read and written piece by piece; clips of other forms are held in 
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -206,11 +207,15 @@ def write_document(document: BvhDocument, completion: Completion, path: Path, pr
             start = stop
 
 
-def write_whole(clip: Clip, completion: Completion, path: Path, progress: Progress) -> None:
-    """Write a completed clip so that its file appears whole or not at all."""
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Where to write a file that is to appear whole or not at all: it gets its name when the block ends without error.
+
+    Until then the file that has that name is as it was: frames may still be read from it.
+    """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     try:
-        clip.write(completion, temporary, progress)
+        yield temporary
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

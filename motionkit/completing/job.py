@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.completing.clips import Clip, ClipSource, Progress, as_format, write_whole
+from motionkit.completing.clips import Clip, ClipSource, Progress, as_format, whole_file
 from motionkit.completing.encoder_choice import ChosenEncoder
 from motionkit.completing.page import write_comparison
 from motionkit.completing.request import ClipRequest, CompletionRequest
@@ -81,10 +81,11 @@ class Job:
                 raise MotionkitError(f"{each} exists: --overwrite replaces it, --out writes elsewhere")
         made, name, warnings = self._begin(clip, wanted, self.chosen)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(clip, made, path, progress)
-        if page is not None:
-            others = [(other.name, self._begin(clip, wanted, other)[0]) for other in self.compared]
-            write_comparison(page, source.name, clip, wanted.observed, [(name, made), *others])
+        with whole_file(path) as temporary:
+            clip.write(made, temporary, progress)
+            if page is not None:
+                others = [(other.name, self._begin(clip, wanted, other)[0]) for other in self.compared]
+                write_comparison(page, source.name, clip, wanted.observed, [(name, made), *others])
         if clip.note:
             warnings.append(clip.note)
         lost = int((~clip.seen).sum())

@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 from conftest import Outcome
 
+from motionkit.completing import job
+from motionkit.errors import MotionkitError
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import process
 from motionkit.formats.arrays.joints_npy import read_joints_npy
 from motionkit.formats.arrays.npz import motion_arrays, read_npz, write_npz
+from motionkit.formats.bvh import frame_lines
 from motionkit.formats.bvh.document import read_document
 from motionkit.formats.bvh.motion import read_bvh, write_bvh
 from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
@@ -304,6 +307,32 @@ def test_a_folder_that_cannot_be_written(motionkit: Run, walk: Path, tmp_path: P
     assert outcome.code == 1 and "file" in outcome.stderr.splitlines()[-1]
     outcome = motionkit("complete", tmp_path / "no such.bvh", "--fps", "60")
     assert outcome.code == 2 and "no such.bvh is no file" in outcome.stderr
+
+
+def test_a_clip_is_replaced_by_its_completion_when_nothing_is_read_from_it_any_more(
+    motionkit: Run, walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Of so few frames none would be read twice.
+    monkeypatch.setattr(frame_lines, "FRAMES_AT_ONCE", 8)
+    monkeypatch.setattr(frame_lines, "BLOCKS_KEPT", 2)
+    given = lines_of(read_document(walk))
+    arguments = ("--fps", "60", "--model", "slerp", "--compare", "hold", "--out", walk, "--overwrite")
+    outcome = motionkit("complete", walk, *arguments)
+    assert outcome.code == 0, outcome.stderr
+    assert outcome.stdout.split() == [str(walk), str(walk.with_name("walk.html"))]
+    assert lines_of(read_document(walk))[::2] == given
+
+
+def test_a_comparison_that_fails_leaves_nothing_behind(
+    motionkit: Run, walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise MotionkitError("no page")
+
+    monkeypatch.setattr(job, "write_comparison", refused)
+    outcome = motionkit("complete", walk, "--fps", "60", "--model", "slerp", "--compare", "hold")
+    assert outcome.code == 1 and "no page" in outcome.stderr and outcome.stdout == ""
+    assert [path.name for path in walk.parent.iterdir()] == ["walk.bvh"]
 
 
 def test_formats_that_are_not_written_are_refused(motionkit: Run, walk: Path) -> None:
