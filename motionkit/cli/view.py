@@ -46,14 +46,15 @@ def view(
         skeleton_maps=tuple(map(read_skeleton_map, skeleton_map or ())),
     )
     place = store or default_path("store")
-    ids = [] if where is None else stored_where(place, where)
-    if where is not None and not ids:
+    stored = [] if where is None else stored_where(place, where)
+    if where is not None and not stored:
         raise UsageError(f"no sequence of {place} satisfies {where!r}")
-    if not clips and not ids:
+    if not clips and not stored:
         raise UsageError(
             "name motions to look at: files, folders, ids of a store, or --where for some of its sequences"
         )
-    sources, problems = find_sources([*(clips or ()), *ids], options, place)
+    named, problems = find_sources(clips or (), options, place)
+    sources = [*named, *stored]
     if len(sources) > limit:
         stderr.print(f"motionkit: the first {limit} of {len(sources):,} motions are shown: --limit shows more")
         sources = sources[:limit]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -50,10 +50,11 @@ def find_motions(
     """
     found: list[Found[ReadT]] = []
     problems: list[FormatError] = []
+    opened = cache(lambda: Store.open(store))
     for name in names:
         path = Path(name)
         if not path.exists():
-            found.append(_stored(name, store, readers.stored))
+            found.append(_named(name, opened, readers.stored))
         elif (published := _of_pose_folder(path)) is not None:
             found.append(_of_item(published, path, readers.item))
         elif path.is_file() and vectors_npy.accepts(path):
@@ -89,11 +90,22 @@ def _of_item(item: SourceItem, named: Path, read: Callable[[SourceItem], ReadT])
     return Found(f"{path}{key}", f"{path.name}{key}", path.with_name(stem), partial(read, item))
 
 
-def _stored(sequence_id: str, store: Path, made_of: Callable[[Motion], ReadT]) -> Found[ReadT]:
+def find_stored(store: Path, where: str, stored: Callable[[Motion], ReadT]) -> list[Found[ReadT]]:
+    """The sequences of a store for which a condition holds, in its order; raises `StoreError` or `UsageError`."""
+    opened = Store.open(store)
+    rows = opened.rows_of(opened.select(where))
+    ids: list[str] = opened.sequences_table["sequence_id"].take(rows).to_pylist()
+    return [_stored(sequence_id, opened, stored) for sequence_id in ids]
+
+
+def _named(sequence_id: str, opened: Callable[[], Store], made_of: Callable[[Motion], ReadT]) -> Found[ReadT]:
     try:
-        opened = Store.open(store)
-        opened.index_of(sequence_id)
+        opened().index_of(sequence_id)
     except StoreError as error:
         raise UsageError(f"{sequence_id} is no file, and as the id of a stored sequence: {error}") from None
+    return _stored(sequence_id, opened(), made_of)
+
+
+def _stored(sequence_id: str, store: Store, made_of: Callable[[Motion], ReadT]) -> Found[ReadT]:
     beside = Path(sequence_id.replace("/", "_").lstrip(".") or "clip")
-    return Found(sequence_id, sequence_id, beside, lambda: made_of(opened.read(sequence_id)))
+    return Found(sequence_id, sequence_id, beside, lambda: made_of(store.read(sequence_id)))

@@ -8,10 +8,9 @@ from pathlib import Path
 from motionkit.errors import FormatError
 from motionkit.formats.bvh.document import read_document
 from motionkit.formats.items import ReadOptions, SourceItem
-from motionkit.named_motions.found import Found, Readers, find_motions
+from motionkit.named_motions.found import Found, Readers, find_motions, find_stored
 from motionkit.named_motions.holes import NAN, ReadClip, read_with_holes
 from motionkit.named_motions.vectors_npy import read_vectors
-from motionkit.store import Store
 
 # Of .bvh files: frames that a tracker lost, and a skeleton that is no human body.
 READABLE_ALL_THE_SAME = frozenset({NAN, "unit"})
@@ -25,12 +24,9 @@ def find_sources(names: Sequence[str], options: ReadOptions, store: Path) -> tup
     return find_motions(names, options, store, readers)
 
 
-def stored_where(store: Path, where: str) -> list[str]:
-    """Ids of the stored sequences for which a condition holds, in the store's order; raises `StoreError`."""
-    opened = Store.open(store)
-    rows = opened.rows_of(opened.select(where))
-    ids: list[str] = opened.sequences_table["sequence_id"].take(rows).to_pylist()
-    return ids
+def stored_where(store: Path, where: str) -> list[ViewSource]:
+    """The stored sequences for which a condition holds, in the store's order; raises `StoreError` or `UsageError`."""
+    return find_stored(store, where, ReadClip.whole)
 
 
 def _read(item: SourceItem, options: ReadOptions) -> ReadClip:

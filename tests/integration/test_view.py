@@ -113,6 +113,9 @@ def test_a_condition_and_a_limit(motionkit: Run, motion: Motion) -> None:
     outcome = motionkit("view", "--where", "action = 'run'", "--limit", "3")
     assert [take["name"] for take in takes_of(outcome)] == ["set/0", "set/2", "set/4"]
     assert outcome.stdout == "set_0-and-2-more.view.html\n" and "first 3 of 5" in outcome.stderr
+    Path("set/0").mkdir(parents=True)  # an id of the store is one, also where a file has that name
+    outcome = motionkit("view", "--where", "sequence_id = 'set/0'", "--json")
+    assert [each["name"] for each in json.loads(outcome.stdout)["motions"]] == ["set/0"]
     outcome = motionkit("view", "--where", "action = 'hop'")
     assert outcome.code == 2 and "'hop'" in outcome.stderr
 
