@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from motionkit.cli import ingest_options as option
 from motionkit.cli.ingest_options import Compat, OnError
+from motionkit.cli.reading import read_options
 from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.errors import FormatError, MotionkitError, UsageError
 from motionkit.settings import default_path, optional_path
 
 if TYPE_CHECKING:
     from motionkit.formats.items import IndexOptions
-    from motionkit.formats.registry import ReadOptions
     from motionkit.store.ingest import DatasetCount, IngestReport
 
 
@@ -58,7 +58,7 @@ def ingest(
     from motionkit.store.ingest import ingest as ingest_sources
 
     gc.enable()
-    options = _options(format, captions, fps, unit_metres)
+    options = read_options(format, fps, unit_metres, captions)
     options = replace(
         options,
         index=_index_options(index, texts, splits, mirrored, compat, captions),
@@ -92,19 +92,6 @@ def ingest(
         raise MotionkitError(f"stopped at the first problem; the store {report.store} is as it was")
     if not report.num_in_store:
         raise MotionkitError(f"nothing could be stored in {report.store}")
-
-
-def _options(format: str, captions: Path | None, fps: str | None, unit_metres: float | None) -> "ReadOptions":
-    from motionkit.formats.registry import ReadOptions
-    from motionkit.timegrid import parse_fps
-
-    if unit_metres is not None and not 0 < unit_metres < float("inf"):
-        raise UsageError(f"--unit-metres must be a positive number, not {unit_metres}")
-    try:
-        rate = None if fps is None else parse_fps(fps)
-    except ValueError as error:
-        raise UsageError(f"--fps {fps}: {error}") from None
-    return ReadOptions(format=format, fps=rate, unit_metres=unit_metres, captions=captions)
 
 
 def _body_models(given: Path | None) -> Path | None:

@@ -1,16 +1,16 @@
 """`motionkit view`: moving skeletons in a page that opens from disk."""
 
-from fractions import Fraction
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import typer
 
 from motionkit.cli import view_options as option
+from motionkit.cli.reading import read_options
 from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.settings import default_path
-from motionkit.timegrid import parse_fps
 
 
 def view(
@@ -33,17 +33,13 @@ def view(
 
     The page is one file that loads nothing from elsewhere: open it in any browser, send it to anybody.
     """
-    from motionkit.formats.items import ReadOptions
     from motionkit.skeletons.families import read_skeleton_map
     from motionkit.viewing.job import Stretch, page_path, read_takes, write_view
     from motionkit.viewing.sources import find_sources, stored_where
 
     stretch = Stretch(from_seconds, to_seconds)
-    options = ReadOptions(
-        format=format,
-        fps=_read_fps(fps),
-        unit_metres=unit_metres,
-        skeleton_maps=tuple(map(read_skeleton_map, skeleton_map or ())),
+    options = replace(
+        read_options(format, fps, unit_metres), skeleton_maps=tuple(map(read_skeleton_map, skeleton_map or ()))
     )
     place = store or default_path("store")
     stored = [] if where is None else stored_where(place, where)
@@ -78,13 +74,6 @@ def view(
         _open(viewed.path)
     if failures:
         raise typer.Exit(1)
-
-
-def _read_fps(text: str | None) -> Fraction | None:
-    try:
-        return None if text is None else parse_fps(text)
-    except ValueError as error:
-        raise UsageError(f"--fps {text}: {error}") from None
 
 
 def _open(path: Path) -> None:
