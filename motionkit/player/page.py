@@ -14,7 +14,7 @@ import numpy as np
 
 from motionkit.errors import MotionkitError
 from motionkit.player.drawing import drawing_of
-from motionkit.player.packing import pack, packed_bytes
+from motionkit.player.packing import FARTHEST_METRES, pack, packed_bytes
 from motionkit.player.take import Take
 
 # What a browser opens in a few seconds, a phone's too.
@@ -34,6 +34,15 @@ def check_size(takes: Sequence[Take]) -> None:
         f"the page would have {wanted / 1e6:,.0f} MB of positions, {longest:,.0f} s of the longest motion; at most "
         f"{MOST_PAGE_BYTES / 1e6:,.0f} MB: show a part with --from {begin:g} --to {begin + enough:g}, or fewer motions"
     )
+
+
+def check_places(take: Take) -> None:
+    """Raise `MotionkitError` where a joint is nowhere, or too far away for a page."""
+    # A comparison with nan is false.
+    if not bool(np.all(np.abs(take.joint_positions) < FARTHEST_METRES)):
+        raise MotionkitError(
+            f"{take.name}: a joint is not within {FARTHEST_METRES:g} m of the origin; is its unit of length right?"
+        )
 
 
 def write_page(path: Path, title: str, takes: Sequence[Take], *, note: str = "", one_camera: bool = False) -> int:
@@ -71,10 +80,8 @@ def write_page(path: Path, title: str, takes: Sequence[Take], *, note: str = "",
 
 def _shown(take: Take) -> dict[str, Any]:
     """A take as the page's script knows it."""
-    try:
-        positions = pack(take.joint_positions, take.skeleton.parents)
-    except ValueError as error:
-        raise MotionkitError(f"{take.name}: {error}; is its unit of length right?") from None
+    check_places(take)
+    positions = pack(take.joint_positions, take.skeleton.parents)
     drawing = drawing_of(take.skeleton, take.joint_positions)
     uneven = take.uneven_seconds
     return {

@@ -9,14 +9,14 @@ import numpy as np
 
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.named_motions.holes import ReadClip
-from motionkit.player.page import write_page
+from motionkit.player.page import check_places, write_page
 from motionkit.player.take import Take, take_of
 from motionkit.timegrid import format_fps
 from motionkit.viewing.sources import ViewSource
 
 SUFFIX = ".view.html"
-# A name made of many would be too long for some systems.
-LONGEST_STEM = 80
+# A name made of many would be too long for some systems, which count bytes.
+LONGEST_STEM_BYTES = 160
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,12 @@ def read_takes(
     unique = len({source.short for source in sources}) == len(sources)
     for source in sources:
         try:
-            takes.append(stretch.of(_take(source.read(), source.short if unique else source.name)))
+            take = stretch.of(_take(source.read(), source.short if unique else source.name))
+            check_places(take)
         except (MotionkitError, OSError) as error:
             failures.append((source.name, str(error)))
+        else:
+            takes.append(take)
         advance()
     return takes, failures
 
@@ -107,7 +110,8 @@ def page_path(out: Path | None, sources: Sequence[ViewSource]) -> Path:
     """The page's file: `out`, a name in it where it is a folder, or NAME.view.html here."""
     first = sources[0].beside.name
     stem = first if len(sources) == 1 else f"{first}-and-{len(sources) - 1}-more"
-    name = f"{stem[:LONGEST_STEM] or 'motion'}{SUFFIX}"
+    short = stem.encode()[:LONGEST_STEM_BYTES].decode(errors="ignore")
+    name = f"{short or 'motion'}{SUFFIX}"
     if out is None:
         return Path(name)
     return out / name if out.is_dir() else out

@@ -143,6 +143,22 @@ def test_folders_one_bad_file_costs_nothing_of_the_others(motionkit: Run, motion
     assert names == ["takes/b.bvh", "other/b.bvh"]
 
 
+def test_a_motion_that_is_too_far_away_costs_nothing_of_the_others(motionkit: Run, motion: Motion) -> None:
+    write_bvh(motion, Path("near.bvh"))
+    joints = motion.joint_positions + np.float32(3e5)
+    write_npz(replace(motion, joint_positions=joints, local_rotations=None, root_translation=None), Path("far.npz"))
+    outcome = motionkit("view", "far.npz", "near.bvh", "--json", "--out", "page.html")
+    report = json.loads(outcome.stdout)
+    assert outcome.code == 1 and "far.npz: a joint is not within 200000 m" in outcome.stderr
+    assert [each["name"] for each in report["motions"]] == ["near.bvh"] and Path("page.html").is_file()
+
+
+def test_long_names_that_are_not_ascii(motionkit: Run, motion: Motion) -> None:
+    write_bvh(motion, Path(f"{81 * chr(0x8E0A)}.bvh"))
+    outcome = motionkit("view", f"{81 * chr(0x8E0A)}.bvh")
+    assert outcome.code == 0 and outcome.stdout == f"{53 * chr(0x8E0A)}.view.html\n"
+
+
 def test_a_stretch_keeps_the_files_frame_numbers_and_seconds(motionkit: Run, motion: Motion) -> None:
     write_npz(motion, Path("walk.npz"))
     (take,) = takes_of(motionkit("view", "walk.npz", "--from", "0.5", "--to", "1"))
@@ -190,6 +206,8 @@ def test_open_hands_the_page_to_the_browser(motionkit: Run, motion: Motion, monk
         (["walk.npz", "--from", "2", "--to", "1"], 2, "ends before it begins"),
         (["walk.npz", "--from", "nan"], 2, "seconds"),
         (["walk.npz", "--fps", "0"], 2, "--fps 0"),
+        (["walk.npz", "--unit-metres", "0"], 2, "positive number, not 0"),
+        (["walk.npz", "--unit-metres", "-1"], 2, "positive number, not -1"),
         (["walk.npz", "--format", "fbx"], 2, "'fbx'"),
         (["joints.npy"], 1, "framerate"),
         (["."], 1, "framerate"),
