@@ -257,13 +257,21 @@ def _leaves(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def commit() -> str | None:
-    """The commit of this code, where it runs from a git checkout."""
-    here = Path(__file__).resolve().parent
-    try:
-        found = subprocess.run(
-            ("git", "rev-parse", "HEAD"), cwd=here, capture_output=True, text=True, timeout=10, check=True
+def commit(code: Path = Path(__file__)) -> str | None:
+    """The commit of this code, where it runs from a git checkout of its own.
+
+    Installed into an environment that lies inside somebody else's checkout it is no part of that one.
+    """
+    code = code.resolve()
+
+    def git(*arguments: str) -> str:
+        done = subprocess.run(
+            ("git", *arguments), cwd=code.parent, capture_output=True, text=True, timeout=10, check=True
         )
+        return done.stdout.strip()
+
+    try:
+        git("ls-files", "--error-unmatch", code.name)  # fails for a file that git does not keep
+        return git("rev-parse", "HEAD")
     except (OSError, subprocess.SubprocessError):
         return None
-    return found.stdout.strip()

@@ -1,4 +1,5 @@
 import json
+import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -6,7 +7,7 @@ import pytest
 
 from motionkit.errors import UsageError
 from motionkit.training.device import resolve_device
-from motionkit.training.run import RunError, RunFolder
+from motionkit.training.run import RunError, RunFolder, commit
 from motionkit.training.stage import Stage, StageContext, choose_stages
 
 
@@ -127,3 +128,20 @@ def test_a_device_that_is_not_there_is_a_usage_error() -> None:
     assert resolve_device("cpu").type == "cpu"
     with pytest.raises(UsageError, match="--device abacus"):
         resolve_device("abacus")
+
+
+def test_the_commit_is_that_of_this_code_and_of_no_checkout_around_it(tmp_path: Path) -> None:
+    def git(*arguments: str) -> str:
+        who = ("-c", "user.name=somebody", "-c", "user.email=somebody@example.org", "-c", "commit.gpgsign=false")
+        done = subprocess.run(("git", *who, *arguments), cwd=tmp_path, capture_output=True, text=True, check=True)
+        return done.stdout.strip()
+
+    kept, installed = tmp_path / "kept.py", tmp_path / ".venv" / "installed.py"
+    installed.parent.mkdir()
+    for path in (kept, installed):
+        path.write_text("", encoding="utf-8")
+    git("init", "-q")
+    git("add", "kept.py")
+    git("commit", "-q", "-m", "somebody's own work")
+    assert commit(kept) == git("rev-parse", "HEAD")
+    assert commit(installed) is None
