@@ -4,7 +4,8 @@ BVH files are read and written piece by piece; clips of other forms are held in 
 """
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -33,7 +34,7 @@ from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.timegrid import TimeGrid
 
 FRAMES_AT_ONCE = 2048
-MADE = ".completed"
+MADE, MADE_FOLDER = ".completed", re.compile(r"completed-[\d.-]+fps")
 
 Progress = Callable[[int], None]
 
@@ -69,13 +70,25 @@ ClipSource = Found[Clip]
 
 
 def find_clips(names: Sequence[str], options: ReadOptions, store: Path) -> tuple[list[ClipSource], list[FormatError]]:
-    """The clips of these names, but for those in folders that were made here, and what is wrong with some.
+    """The clips of these names, but for those in folders that `complete` has made, and what is wrong with some.
 
     Raises `UsageError` for a name that says nothing.
     """
     readers = Readers(partial(_read, options=options), partial(_vectors, options=options), _stored)
     found, problems = find_motions(names, options, store, readers)
-    return [clip for clip in found if clip.name in names or not clip.beside.name.endswith(MADE)], problems
+    named = {Path(name) for name in names}
+    return [clip for clip in found if clip.name in names or not _is_made(clip.beside, named)], problems
+
+
+def folder_of_made(fps: str) -> str:
+    """The name of the folder for completed arrays of a framerate, beside those that they were made of."""
+    return f"completed-{fps.replace('/', '-')}fps"
+
+
+def _is_made(path: Path, named: Set[Path]) -> bool:
+    # Whoever names a folder of completed clips means them.
+    in_made = path.parent not in named and MADE_FOLDER.fullmatch(path.parent.name) is not None
+    return in_made or path.name.endswith(MADE)
 
 
 def _read(item: SourceItem, options: ReadOptions) -> Clip:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.completing.clips import Clip, ClipSource, Progress, as_format, whole_file
+from motionkit.completing.clips import Clip, ClipSource, Progress, as_format, folder_of_made, whole_file
 from motionkit.completing.encoder_choice import ChosenEncoder
 from motionkit.completing.page import write_comparison
 from motionkit.completing.request import ClipRequest, CompletionRequest
@@ -166,7 +166,7 @@ class OutputPath:
         if self._out is None:
             # A motions.json beside arrays says their framerate, all of them: new ones need a folder of their own.
             if suffix == ".npy":
-                return source.beside.parent / f"completed-{fps.replace('/', '-')}fps" / f"{stem}.npy"
+                return source.beside.parent / folder_of_made(fps) / f"{stem}.npy"
             return source.beside.parent / f"{stem}.completed{suffix}"
         if self._single and self._out.suffix.lower() == suffix and not self._out.is_dir():
             return self._out

@@ -144,6 +144,22 @@ def test_what_tables_and_folders_say_belongs_to_a_single_clip(motionkit: Run, tm
     assert outcome.code == 0 and len(names) == 2 and names[0].endswith("-0.bvh") and names[1].endswith("-1.bvh")
 
 
+def test_what_was_made_in_a_folder_is_not_completed_again(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
+    folder = tmp_path / "clips"
+    folder.mkdir()
+    np.save(folder / "a.npy", motion.joint_positions)
+    (folder / "motions.json").write_text('{"fps": "30"}', encoding="utf-8")
+    write_bvh(motion, folder / "b.bvh")
+    made = {30 * k: [folder / f"completed-{30 * k}fps" / "a.npy", folder / "b.completed.bvh"] for k in (2, 4)}
+    for fps, expected in made.items():
+        outcome = motionkit("complete", folder, "--fps", str(fps), "--model", "slerp", "--overwrite")
+        assert outcome.code == 0, outcome.stderr
+        assert outcome.stdout.split() == [str(path) for path in expected]
+    named = folder / "completed-60fps"
+    outcome = motionkit("complete", named, "--fps", "240", "--model", "slerp")
+    assert outcome.stdout.split() == [str(named / "completed-240fps" / "a.npy")]
+
+
 def test_a_folder_of_humanml3ds_form(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
     vectors = humanml3d.vectors(process(motion.joint_positions, "smpl22"), "smpl22")
     write_humanml3d(tmp_path / "set", [Entry("000001", humanml3d.positions(vectors, "smpl22"), vectors)])
