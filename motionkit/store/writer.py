@@ -1,4 +1,4 @@
-"""Writing a store: parts first, then the tables under pending names, then the manifest; its rename is the commit."""
+"""Writing a store: parts, and tables under pending names; when all are on the disk, the manifest, the commit."""
 
 from contextlib import ExitStack
 from dataclasses import replace
