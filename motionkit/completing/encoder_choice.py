@@ -65,6 +65,8 @@ def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncod
 
     Without a name it is a trained PA-HiRes, of the run or of the one trained last, or else an interpolator.
     """
+    if name == "":
+        raise UsageError("a name of an encoder is empty: --model spline, --compare slerp,spline")
     name = ALIASES.get(name, name) if name else name
     if name is not None and _is_interpolator(name):
         if run is not None:

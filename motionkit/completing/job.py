@@ -18,6 +18,8 @@ from motionkit.timegrid import format_fps
 
 # Beyond this no constant velocity is a motion.
 LONGEST_PLAUSIBLE_SECONDS = 0.5
+# What ends so is meant as a file, and no folder.
+CLIP_SUFFIXES = (".bvh", ".npz", ".npy")
 
 
 @dataclass(frozen=True)
@@ -170,5 +172,7 @@ class OutputPath:
             return source.beside.parent / f"{stem}.completed{suffix}"
         if self._single and self._out.suffix.lower() == suffix and not self._out.is_dir():
             return self._out
+        if self._single and self._out.suffix.lower() in CLIP_SUFFIXES and not self._out.is_dir():
+            raise MotionkitError(f"its result is a {suffix} file, not {self._out}: --format says another form")
         inside = next((folder for folder in self._folders if source.beside.is_relative_to(folder)), None)
         return self._out / (source.beside.relative_to(inside).parent if inside else "") / f"{stem}{suffix}"

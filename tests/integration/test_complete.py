@@ -306,6 +306,7 @@ def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
         (["--fps", "60", "--model", "slerp", "--run", "nano"], 2, "leave --run out"),
         (["--fps", "60", "--compare", "slurp"], 2, "'slurp'"),
         (["--fps", "60", "--model", "nerm", "--runs", "none"], 2, "--run"),
+        (["--fps", "60", "--compare", "slerp,"], 2, "is empty"),
     ],
 )
 def test_what_makes_no_sense_is_told_in_a_line(
@@ -354,3 +355,8 @@ def test_a_comparison_that_fails_leaves_nothing_behind(
 def test_formats_that_are_not_written_are_refused(motionkit: Run, walk: Path) -> None:
     outcome = motionkit("complete", walk, "--fps", "60", "--format", "fbx")
     assert outcome.code == 2 and "'bvh', 'npz'" in outcome.stderr and outcome.stdout == ""
+    other = walk.with_name("other.npz")
+    outcome = motionkit("complete", walk, "--fps", "60", "--model", "slerp", "--out", other)
+    assert outcome.code == 1 and "a .bvh file, not" in outcome.stderr and not other.exists()
+    assert motionkit("complete", walk, "--fps", "60", "--model", "slerp", "--out", other, "--format", "npz").code == 0
+    assert other.is_file()
