@@ -11,6 +11,8 @@ from pahires.network import ObservedWindow, TemporalNetwork
 from pahires.scaling import Scaling
 from pahires.settings import Base, Form, Sizing, TemporalSettings
 
+Rows = Float32[torch.Tensor, "batch queries numbers"]
+
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
@@ -32,13 +34,14 @@ class Predictor:
     sizing: Sizing = "gap"
     blended: tuple[Base, ...] = ()
 
-    def __call__(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
+    def __call__(self, window: ObservedWindow) -> Rows:
         """Standardised rows at the queries, as training compares them with what was there."""
         if self.form == "plain":
             return self.network(window).float()
-        return interpolated(window, self.base, self.scaling) + self._correction(window)
+        base = interpolated(window, self.base, self.scaling)
+        return base + self._correction(window, base)
 
-    def smooth(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
+    def smooth(self, window: ObservedWindow) -> Rows:
         """Standardised rows at the queries, as a motion field gives them: corrections averaged over a short time.
 
         A correction that is 0 at each observed frame has a kink there, and a network's answers differ from instant to
@@ -48,29 +51,30 @@ class Predictor:
         """
         if self.form == "plain" or window.times_seconds.shape[1] == 1:
             return self(window)
-        averaged = self._averaged(window)
+        base, averaged = self._averaged(window)
         if self.form == "exact":
-            left = self._averaged(window.asked(window.times_seconds))
+            _, left = self._averaged(window.asked(window.times_seconds))
             averaged = averaged - interpolated(replace(window, frames=left), "eased", self.scaling)
-        return interpolated(window, self.base, self.scaling) + averaged
+        return base + averaged
 
-    def _correction(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
+    def _correction(self, window: ObservedWindow, base: Rows) -> Rows:
+        """What is added to `base`, the interpolation at the queries."""
         added, *weights = self.network(window).float().chunk(1 + len(self.blended), dim=-1)
         correction = self.correction_scale * size(window, self.sizing) * added
         if self.form == "exact":
             correction = gate(window) * correction
-        if weights:
-            base = interpolated(window, self.base, self.scaling)
-            for curve, weight in zip(self.blended, weights, strict=True):
-                correction = correction + weight * (interpolated(window, curve, self.scaling) - base)
+        for curve, weight in zip(self.blended, weights, strict=True):
+            correction = correction + weight * (interpolated(window, curve, self.scaling) - base)
         return correction
 
-    def _averaged(self, window: ObservedWindow) -> Float32[torch.Tensor, "batch queries numbers"]:
+    def _averaged(self, window: ObservedWindow) -> tuple[Rows, Rows]:
+        """The interpolation at the queries, and what is added to it."""
         apart = window.times_seconds.diff(dim=1).median(dim=1, keepdim=True).values / 4.0
         here = window.queries_seconds
         three = window.asked(torch.cat((here - apart, here, here + apart), dim=1))
-        before, middle, after = self._correction(three).chunk(3, dim=1)
-        return 0.25 * before + 0.5 * middle + 0.25 * after
+        bases = interpolated(three, self.base, self.scaling)
+        before, middle, after = self._correction(three, bases).chunk(3, dim=1)
+        return bases.chunk(3, dim=1)[1], 0.25 * before + 0.5 * middle + 0.25 * after
 
 
 def predictor_of(network: TemporalNetwork, scaling: Scaling, settings: TemporalSettings) -> Predictor:

@@ -88,6 +88,10 @@ def ingest(
         print_json(_as_json(report))
     else:
         _print_summary(report)
+    _check_success(report, on_error)
+
+
+def _check_success(report: "IngestReport", on_error: OnError) -> None:
     if report.problems and on_error is OnError.STOP:
         raise MotionkitError(f"stopped at the first problem; the store {report.store} is as it was")
     if not report.num_in_store:
