@@ -37,6 +37,23 @@ def _rebuild_format_error(message: str, path: str, reason: str, line: int | None
     return FormatError(message, path=path, reason=reason, line=line, frame=frame)
 
 
+class DamagedFileError(MotionkitError):
+    """A file whose content is not what was written; `mend` is what a person does about it."""
+
+    def __init__(self, path: Path | str, fault: str, mend: str) -> None:
+        super().__init__(f"{path} is damaged ({fault}): {mend}")
+        self.path = Path(path)
+        self.fault = fault
+        self.mend = mend
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (str(self.path), self.fault, self.mend)
+
+
+class LinkError(MotionkitError):
+    """A symbolic link where a file or folder of motionkit's own is expected."""
+
+
 class StoreError(MotionkitError):
     """A store that is missing, damaged, or of another format version."""
 

@@ -1,0 +1,92 @@
+"""Files that appear whole or not at all, and folders that are deleted without following links."""
+
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from motionkit.errors import LinkError
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a temporary file beside `path` that replaces it when the block ends without an error.
+
+    The content is flushed to the disk before the rename, and the folder after it. Permissions follow the umask. The
+    temporary file has one name for each `path` and is locked: a second writer of the same path waits for the first, and
+    what a killed one left is written over. Raises `OSError` that names `path`, also where the disk is full.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = temporary_name(path)
+    with _naming(path):
+        descriptor = _open_locked(temporary)
+        try:
+            yield temporary
+            sync(temporary)
+            temporary.replace(path)
+            sync(path.parent)
+        finally:
+            temporary.unlink(missing_ok=True)
+            os.close(descriptor)
+
+
+def write_whole(path: Path, content: bytes | str) -> None:
+    """Write bytes, or text as UTF-8, into a file that appears whole or not at all."""
+    with whole_file(path) as temporary:
+        temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+
+
+def temporary_name(path: Path) -> Path:
+    """Where `whole_file` writes what becomes `path`; its suffix stays last, for writers that choose by it."""
+    return path.with_name(f".{path.name}.tmp{path.suffix}")
+
+
+def require_no_link(path: Path, instead: str) -> None:
+    """Raise `LinkError`, with what to do instead, where `path` is a symbolic link."""
+    if path.is_symlink():
+        raise LinkError(
+            f"{path} is a symbolic link to {path.readlink()}, which is not followed, for what lies there may be "
+            f"somebody else's: {instead}"
+        )
+
+
+def remove_folder(path: Path) -> None:
+    """Delete a folder and all that is in it; raises `LinkError` for a symbolic link, follows none inside."""
+    require_no_link(path, "delete the link, or what it points to, yourself")
+    shutil.rmtree(path)
+
+
+def _open_locked(path: Path) -> int:
+    """A locked descriptor of an empty file at `path`."""
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        with suppress(OSError):  # some network file systems have no locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        # The writer that was waited for has renamed the file.
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), path.lstat()):
+                os.ftruncate(descriptor, 0)
+                return descriptor
+        os.close(descriptor)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let an `OSError` that names no file, as a write to a full disk raises it, name this one."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None or error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def sync(path: Path) -> None:
+    """Flush a file's content, or a folder's entries, to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

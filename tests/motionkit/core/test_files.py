@@ -1,0 +1,124 @@
+import errno
+import multiprocessing
+import os
+import signal
+import stat
+import time
+from pathlib import Path
+
+import pytest
+
+from motionkit.core.files import remove_folder, require_no_link, temporary_name, whole_file, write_whole
+from motionkit.errors import LinkError
+
+
+def test_the_file_appears_with_its_whole_content(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "take.npz"
+    with whole_file(path) as temporary:
+        temporary.write_bytes(b"half")
+        assert not path.exists()
+        assert temporary.suffix == ".npz"
+    assert path.read_bytes() == b"half"
+    assert [entry.name for entry in path.parent.iterdir()] == ["take.npz"]
+
+
+def test_an_error_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "take.npz"
+    path.write_bytes(b"old")
+    with pytest.raises(RuntimeError), whole_file(path) as temporary:
+        temporary.write_bytes(b"new")
+        raise RuntimeError
+    assert path.read_bytes() == b"old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["take.npz"]
+
+
+def test_permissions_follow_the_umask(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        write_whole(tmp_path / "weights", "x")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "weights").stat().st_mode) == 0o640
+
+
+def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"No space left.*take\.json"), whole_file(tmp_path / "take.json"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _write_slowly(path: Path, content: str, seconds: float) -> None:
+    with whole_file(path) as temporary:
+        temporary.write_text(content)
+        time.sleep(seconds)
+
+
+def test_what_a_killed_writer_left_is_written_over(tmp_path: Path) -> None:
+    path = tmp_path / "take.json"
+    writer = multiprocessing.get_context("fork").Process(target=_write_slowly, args=(path, "a longer text", 60))
+    writer.start()
+    while not temporary_name(path).exists() or not temporary_name(path).stat().st_size:
+        time.sleep(0.01)
+    assert writer.pid is not None
+    os.kill(writer.pid, signal.SIGKILL)
+    writer.join()
+    assert [entry.name for entry in tmp_path.iterdir()] == [temporary_name(path).name]
+    write_whole(path, "short")
+    assert path.read_text() == "short"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["take.json"]
+
+
+def test_a_second_writer_of_the_same_path_waits(tmp_path: Path) -> None:
+    path = tmp_path / "take.json"
+    context = multiprocessing.get_context("fork")
+    writers = [context.Process(target=_write_slowly, args=(path, str(number) * 1000, 0.05)) for number in range(4)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    assert [writer.exitcode for writer in writers] == [0] * 4
+    text = path.read_text()
+    assert len(text) == 1000
+    assert len(set(text)) == 1
+    assert [entry.name for entry in tmp_path.iterdir()] == ["take.json"]
+
+
+def test_a_link_at_the_temporary_name_is_not_followed(tmp_path: Path) -> None:
+    foreign = tmp_path / "foreign"
+    foreign.write_text("mine")
+    (tmp_path / "run").mkdir()
+    path = tmp_path / "run" / "take.json"
+    temporary_name(path).symlink_to(foreign)
+    with pytest.raises(OSError, match=r"take\.json"):
+        write_whole(path, "x")
+    assert foreign.read_text() == "mine"
+
+
+def test_a_link_at_the_path_is_replaced_and_not_written_through(tmp_path: Path) -> None:
+    foreign = tmp_path / "foreign"
+    foreign.write_text("mine")
+    (tmp_path / "take.json").symlink_to(foreign)
+    write_whole(tmp_path / "take.json", "x")
+    assert foreign.read_text() == "mine"
+    assert (tmp_path / "take.json").read_text() == "x"
+
+
+def test_a_folder_is_removed_but_no_link_is_followed(tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    (kept / "file").touch()
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "inner").symlink_to(kept)
+    (tmp_path / "link").symlink_to(kept)
+    with pytest.raises(LinkError, match=r"symbolic link to .*kept"):
+        remove_folder(tmp_path / "link")
+    remove_folder(folder)
+    assert not folder.exists()
+    assert (kept / "file").exists()
+
+
+def test_a_link_is_refused_with_what_to_do_instead(tmp_path: Path) -> None:
+    require_no_link(tmp_path / "absent", "do that")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(LinkError, match="do that"):
+        require_no_link(tmp_path / "dangling", "do that")
