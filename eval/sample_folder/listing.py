@@ -12,7 +12,7 @@ from motionkit.formats import annotations
 from motionkit.formats.annotations import Annotation
 from motionkit.formats.catalogue import FORMATS
 from motionkit.formats.folders import walk
-from motionkit.formats.framerate_rules import glob_pattern
+from motionkit.formats.globs import parse_glob
 from motionkit.formats.items import SourceItem
 from motionkit.formats.registry import scan
 
@@ -88,13 +88,13 @@ class _Wanted:
 
     def __init__(self, root: Path, manifest: Manifest) -> None:
         self._root = root
-        self._files = [glob_pattern(glob) for glob in manifest.files]
-        self._exclude = [glob_pattern(glob) for glob in manifest.exclude]
+        self._files = [parse_glob(glob) for glob in manifest.files]
+        self._exclude = [parse_glob(glob) for glob in manifest.exclude]
 
     def __call__(self, path: Path) -> bool:
         place = path.relative_to(self._root).as_posix()
-        included = not self._files or any(pattern.search(place) for pattern in self._files)
-        return included and not any(pattern.search(place) for pattern in self._exclude)
+        included = not self._files or any(glob.fits(place) for glob in self._files)
+        return included and not any(glob.fits(place) for glob in self._exclude)
 
     def among(self, paths: Iterable[Path]) -> list[Path]:
         return [path for path in paths if self(path)]

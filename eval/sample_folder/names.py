@@ -24,11 +24,12 @@ PUBLISHED_NAME = re.compile(r"sample_?(?P<group>\d+)_rep(?:eat)?_?\d+(?:_len\d+)
 
 def named_parts(stem: str, manifest: Manifest) -> NamedParts | None:
     """What a name says by the manifest's `name`, or by a published one; None where it does not fit the manifest's."""
-    pattern = manifest.name or PUBLISHED_NAME
-    found = pattern.fullmatch(stem)
-    if found is None:
-        return None if manifest.name else NamedParts()
-    parts = {key: value for key, value in found.groupdict().items() if value is not None}
+    if manifest.name is None:
+        published = PUBLISHED_NAME.fullmatch(stem)
+        return NamedParts(group=published["group"]) if published else NamedParts()
+    parts = manifest.name.match(stem)
+    if parts is None:
+        return None
     frames = int(parts["num_frames"]) if parts.get("num_frames") else None
     words = {key: parts.get(key, "").replace("_", " ").strip() for key in ("caption", "action")}
     return NamedParts(**words, group=parts.get("group", ""), num_frames=frames)

@@ -1,0 +1,62 @@
+"""Globs over paths, matched in time proportional to the glob's length times the path's, however many wildcards.
+
+A pattern comes from a file that a stranger may have written, so no pattern may need exponential time: each part of it
+takes the first place where it fits, and that choice is never taken back (a later place can only leave less room).
+"""
+
+import fnmatch
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+# Longer than any path that a system opens.
+LONGEST_GLOB = 4096
+ANY_FOLDERS = "**"
+
+
+@dataclass(frozen=True)
+class Glob:
+    """A glob that fits the end of a path, from the beginning of a folder's or the file's name.
+
+    `runs` are the patterns of names in a row between two `**/`, in order; the last run ends with the file's name.
+    """
+
+    runs: tuple[tuple[re.Pattern[str], ...], ...]
+
+    def fits(self, path: str) -> bool:
+        """Whether it fits a path whose names are separated by `/`."""
+        names = path.split("/")
+        last = len(names) - len(self.runs[-1])
+        if last < 0 or not _fit(self.runs[-1], names, last):
+            return False
+        start = 0
+        for run in self.runs[:-1]:
+            found = next((place for place in range(start, last - len(run) + 1) if _fit(run, names, place)), None)
+            if found is None:
+                return False
+            start = found + len(run)
+        return True
+
+
+@lru_cache(maxsize=1024)
+def parse_glob(text: str) -> Glob:
+    """The glob of a text; raises `ValueError` for one longer than 4,096 letters.
+
+    `*` and `?` stay inside a name, `**/` is any number of folders, `[abc]` one of these letters, `[!abc]` another one.
+    """
+    if len(text) > LONGEST_GLOB:
+        raise ValueError(f"a glob of {len(text):,} letters, expected at most {LONGEST_GLOB:,}")
+    *folders, name = text.split("/")
+    runs: list[tuple[re.Pattern[str], ...]] = [()]
+    for folder in folders:
+        if folder == ANY_FOLDERS:
+            runs.append(())
+        else:
+            runs[-1] += (re.compile(fnmatch.translate(folder)),)
+    runs[-1] += (re.compile(fnmatch.translate(name)),)
+    return Glob(tuple(run for run in runs if run))
+
+
+def _fit(run: Sequence[re.Pattern[str]], names: Sequence[str], start: int) -> bool:
+    return all(pattern.match(names[start + place]) for place, pattern in enumerate(run))
