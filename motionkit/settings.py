@@ -1,10 +1,10 @@
 """Where things lie by default: command-line option, then environment variable, then motionkit.toml, then ./name."""
 
 import os
-import tomllib
 from pathlib import Path
 
 from motionkit.errors import UsageError
+from motionkit.plain_text import parse_toml, shown
 
 KEYS = ("store", "runs", "results")
 OPTIONAL_KEYS = ("body_models",)
@@ -35,9 +35,9 @@ def _stated_path(key: str) -> Path | None:
     if not config.is_file():
         return None
     try:
-        value = tomllib.loads(config.read_text(encoding="utf-8")).get(key)
+        value = parse_toml(config.read_text(encoding="utf-8")).get(key)
     except ValueError as error:
         raise UsageError(f"{config}: {error}") from None
     if value is not None and not isinstance(value, str):
-        raise UsageError(f"{config}: {key} must be a path in quotes, not {value!r}")
+        raise UsageError(f"{config}: {key} must be a path in quotes, not {shown(value)}")
     return None if value is None else Path(value)

@@ -11,6 +11,8 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float64
 
+from motionkit.plain_text import shown
+
 COMMON_FPS: tuple[Fraction, ...] = (
     *(Fraction(n) for n in (10, 12, 15, 16, 20, 24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 144, 150, 200, 240, 250)),
     *(Fraction(n) for n in (300, 360, 480, 500, 1000)),
@@ -22,6 +24,7 @@ COMMON_FPS: tuple[Fraction, ...] = (
 )
 SNAP_TOLERANCE = 1e-3
 MIN_FPS, MAX_FPS = Fraction(1), Fraction(10_000)
+LARGEST_FLOAT = 1e308
 
 
 @lru_cache(maxsize=256, typed=True)  # a corpus says the same few thousands of times
@@ -36,7 +39,7 @@ def parse_fps(value: str | int | float | Fraction) -> Fraction:
         try:
             value = Fraction(value) if "/" in value else float(value)
         except (ValueError, ZeroDivisionError):
-            raise ValueError(f"a framerate is a number such as 120, 59.94 or 30000/1001, not {value!r}") from None
+            raise ValueError(f"a framerate is a number such as 120, 59.94 or 30000/1001, not {shown(value)}") from None
     if isinstance(value, float):
         if not np.isfinite(value):
             raise ValueError(f"a framerate must be a finite number, not {value}")
@@ -46,7 +49,8 @@ def parse_fps(value: str | int | float | Fraction) -> Fraction:
     else:
         fps = Fraction(value)
     if not MIN_FPS <= fps <= MAX_FPS:
-        raise ValueError(f"a framerate must lie between {MIN_FPS} and {MAX_FPS} frames a second, not {float(fps):g}")
+        found = f"{float(fps):g}" if abs(fps) < LARGEST_FLOAT else "a number of that many digits"
+        raise ValueError(f"a framerate must lie between {MIN_FPS} and {MAX_FPS} frames a second, not {found}")
     return fps
 
 

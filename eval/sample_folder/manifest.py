@@ -2,22 +2,21 @@
 
 import json
 import os
-import re
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from eval.sample_folder.name_pattern import NamePattern, parse_name_pattern
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
+from motionkit.formats.globs import parse_glob
+from motionkit.plain_text import parse_toml, shown
 from motionkit.timegrid import parse_fps
 
 MANIFEST = "samples.toml"
 RAW, NORMALISED = "raw", "normalised"
-# Which numbers a name holds, by the words that may stand in `name`.
-NAME_FIELDS = {"group": ".+?", "repeat": r"\d+", "caption": ".+?", "action": ".+?", "num_frames": r"\d+", "any": ".*?"}
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class Manifest:
     statistics: str = ""
     mean: Path | None = None
     std: Path | None = None
-    name: re.Pattern[str] | None = None
+    name: NamePattern | None = None
     prompts: Path | None = None
 
 
@@ -64,20 +63,20 @@ def read_manifest(folder: Path) -> Manifest:
     if not path.is_file() or not path.stat().st_size:
         return Manifest()
     try:
-        stated = tomllib.loads(sourcefile.decode(sourcefile.read_bytes(path), path))
-    except (ValueError, RecursionError) as error:
+        stated = parse_toml(sourcefile.decode(sourcefile.read_bytes(path), path))
+    except ValueError as error:
         raise FormatError(f"not TOML ({error})", path=path, reason="manifest") from None
     unknown = sorted(stated.keys() - READERS.keys())
     if unknown:
         raise FormatError(
-            f"unknown key {unknown[0]!r}, expected any of {', '.join(READERS)}", path=path, reason="manifest"
+            f"unknown key {shown(unknown[0])}, expected any of {', '.join(READERS)}", path=path, reason="manifest"
         )
     values: dict[str, Any] = {}
     for key, value in stated.items():
         try:
             values[key] = READERS[key](value, folder)
         except (ValueError, TypeError) as error:
-            raise FormatError(f"{key} = {value!r}: {error}"[:400], path=path, reason="manifest") from None
+            raise FormatError(f"{key} = {shown(value)}: {error}"[:400], path=path, reason="manifest") from None
     manifest = Manifest(**values)
     if (manifest.statistics == NORMALISED) != (manifest.mean is not None and manifest.std is not None):
         raise FormatError(
@@ -101,6 +100,7 @@ def _globs(value: Any, folder: Path) -> tuple[str, ...]:
         raise TypeError('expected a glob or a list of globs, such as ["*_pred.npy"]')
     for glob in globs:
         _relative(glob)
+        parse_glob(glob)
     return tuple(globs)
 
 
@@ -136,24 +136,10 @@ def _relative(name: str) -> PurePosixPath:
     return relative
 
 
-def name_pattern(value: Any, folder: Path | None = None) -> re.Pattern[str]:
-    """What a file's name (without suffix) holds, as an expression with named groups; raises for what is none."""
+def _name(value: Any, folder: Path) -> NamePattern:
     if not isinstance(value, str) or not value:
         raise TypeError('expected a pattern such as "sample{group}_repeat{repeat}"')
-    found = []
-    for number, part in enumerate(re.split(r"\{(\w*)\}", value)):
-        if number % 2 == 0:
-            found.append(re.escape(part))
-        elif part == "any":
-            found.append(NAME_FIELDS[part])
-        elif part in NAME_FIELDS:
-            found.append(f"(?P<{part}>{NAME_FIELDS[part]})")
-        else:
-            raise ValueError(f"unknown field {{{part}}}, expected {', '.join(f'{{{name}}}' for name in NAME_FIELDS)}")
-    try:
-        return re.compile("".join(found))
-    except re.error as error:
-        raise ValueError(str(error)) from None
+    return parse_name_pattern(value)
 
 
 READERS: dict[str, Callable[[Any, Path], Any]] = {
@@ -165,7 +151,7 @@ READERS: dict[str, Callable[[Any, Path], Any]] = {
     "statistics": _one_of(RAW, NORMALISED),
     "mean": _file,
     "std": _file,
-    "name": name_pattern,
+    "name": _name,
     "prompts": _file,
 }
 assert READERS.keys() == {field.name for field in fields(Manifest)}

@@ -26,6 +26,7 @@ from motionkit.formats.items import ReadOptions, SourceItem
 from motionkit.formats.pose_folders import texts
 from motionkit.formats.reading import read
 from motionkit.motion import Motion
+from motionkit.plain_text import whole_number
 from motionkit.skeleton import KIT21, SMPL22
 from motionkit.skeletons.mapping import map_joints
 from motionkit.timegrid import TimeGrid
@@ -234,9 +235,10 @@ class _Reader:
 
     def _with_prompt(self, text: SampleText) -> SampleText:
         """The caption of the text's group, where it has none and there are prompts."""
-        if text.caption or not text.group.isdecimal() or int(text.group) >= len(self._prompts):
+        group = whole_number(text.group)
+        if text.caption or group is None or group >= len(self._prompts):
             return text
-        return SampleText(text.sequence_id, self._prompts[int(text.group)], text.action, text.group)
+        return SampleText(text.sequence_id, self._prompts[group], text.action, text.group)
 
 
 def _check_finite(numbers: np.ndarray, path: Path, index: int | None) -> None:

@@ -8,7 +8,6 @@ file's frames are motion, the rest being padding). Others are ignored.
 
 import csv
 import io
-import json
 import math
 import os
 from collections.abc import Iterator, Mapping
@@ -19,6 +18,7 @@ from pathlib import Path
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
 from motionkit.motion import Caption
+from motionkit.plain_text import parse_json, shown, whole_number
 from motionkit.timegrid import parse_fps
 
 COLUMNS = frozenset(
@@ -89,7 +89,7 @@ def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
                 target = _inside(row["file"], folder, path, reader.line_num)
                 if target in rows:
                     raise FormatError(
-                        f"{row['file']!r} is described twice, first in line {rows[target].line}",
+                        f"{shown(row['file'])} is described twice, first in line {rows[target].line}",
                         path=path,
                         reason="duplicate-annotation",
                         line=reader.line_num,
@@ -130,7 +130,7 @@ def _inside(name: str | None, folder: Path, path: Path, line: int) -> Path:
     target = Path(os.path.normpath(f"{str(folder).rstrip('/')}/{relative}"))
     if not name or "\0" in name or relative.startswith("/") or not target.is_relative_to(folder):
         raise FormatError(
-            f"file {name!r} is empty or leaves the folder; expected a path inside it",
+            f"file {shown(name)} is empty or leaves the folder; expected a path inside it",
             path=path,
             reason="path",
             line=line,
@@ -143,15 +143,15 @@ def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotat
     try:
         fps = parse_fps(cell["fps"]) if cell["fps"] else None
     except ValueError as error:
-        raise FormatError(f"fps {cell['fps']!r}: {error}", path=path, reason="frame-time", line=line) from None
-    if cell["num_frames"] and not (cell["num_frames"].isdecimal() and int(cell["num_frames"])):
+        raise FormatError(f"fps {shown(cell['fps'])}: {error}", path=path, reason="frame-time", line=line) from None
+    num_frames = whole_number(cell["num_frames"]) if cell["num_frames"] else None
+    if cell["num_frames"] and not num_frames:
         raise FormatError(
-            f"num_frames {cell['num_frames']!r}, expected how many frames are motion",
+            f"num_frames {shown(cell['num_frames'])}, expected how many frames are motion",
             path=path,
             reason="annotations",
             line=line,
         )
-    num_frames = int(cell["num_frames"]) if cell["num_frames"] else None
     sentences = dict.fromkeys(cell[name] for name in CAPTION_COLUMNS if cell[name])
     captions = (*(Caption(text) for text in sentences), *_captions(cell["captions"], path, line))
     names = ("action", "style", "subject", "split", "stated_fps", "licence", "source", "subset", "group")
@@ -163,8 +163,8 @@ def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotat
 def _captions(cell: str, path: Path, line: int) -> tuple[Caption, ...]:
     """A JSON list of sentences, or of objects with `text` and any of `start_seconds`, `end_seconds`, `tokens`."""
     try:
-        return tuple(_caption(value) for value in json.loads(cell)) if cell else ()
-    except (ValueError, TypeError, RecursionError) as error:
+        return tuple(_caption(value) for value in parse_json(cell)) if cell else ()
+    except (ValueError, TypeError) as error:
         raise FormatError(
             f"captions {cell[:40]!r}: expected a JSON list of sentences or of objects with text, start_seconds, "
             f"end_seconds ({error})",

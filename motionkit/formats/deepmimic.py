@@ -26,6 +26,7 @@ from motionkit.formats import clock, sourcefile
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.lengths import in_metres
 from motionkit.motion import Motion, Provenance
+from motionkit.plain_text import parse_json
 from motionkit.skeleton import Feet, Skeleton
 from motionkit.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
 
@@ -123,7 +124,7 @@ def humanoid3d() -> Character:
 
 def _object(data: bytes, path: Path) -> Mapping[str, Any]:
     try:
-        content = json.loads(sourcefile.decode(data, path))
+        content = parse_json(sourcefile.decode(data, path))
     except json.JSONDecodeError as error:
         ends = error.pos >= len(data.rstrip()) - 1
         raise FormatError(
@@ -132,7 +133,7 @@ def _object(data: bytes, path: Path) -> Mapping[str, Any]:
             reason="truncated" if ends else "not-what-it-says",
             line=error.lineno,
         ) from None
-    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets nested as deep
+    except ValueError as error:
         raise FormatError(f"no plain JSON ({error})", path=path, reason="not-what-it-says") from None
     if not isinstance(content, dict):
         raise FormatError("expected a JSON object with Frames", path=path, reason="not-what-it-says")

@@ -5,18 +5,18 @@ one, and where that is known from. The user's rules come first and the first tha
 (--fps, or the column fps of an annotation CSV) goes before all rules. The shipped ones are framerate_rules.toml.
 """
 
-import re
-import tomllib
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cache, lru_cache
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from motionkit.errors import UsageError
 from motionkit.formats import clock
+from motionkit.formats.globs import parse_glob
 from motionkit.motion import Motion
+from motionkit.plain_text import parse_toml, shown
 from motionkit.timegrid import parse_fps
 
 KEYS = frozenset({"files", "stated", "fps", "reason", "source"})
@@ -55,8 +55,8 @@ def shipped_rules() -> tuple[FramerateRule, ...]:
 def parse_rules(text: str, name: str) -> tuple[FramerateRule, ...]:
     """The rules in TOML text; `name` is for messages. Raises `UsageError`."""
     try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        content = parse_toml(text)
+    except ValueError as error:
         raise UsageError(f"{name} is no TOML file ({error}): expected tables [[rule]], see docs/formats.md") from None
     tables = content.get("rule")
     if set(content) != {"rule"} or not isinstance(tables, list):
@@ -67,7 +67,7 @@ def parse_rules(text: str, name: str) -> tuple[FramerateRule, ...]:
 def matching_rules(path: Path, root: Path, rules: tuple[FramerateRule, ...]) -> tuple[FramerateRule, ...]:
     """The rules whose globs fit a file, seen from the folder that holds its source."""
     place = f"{root.name}/{path.relative_to(root).as_posix()}"
-    return tuple(rule for rule in rules if any(glob_pattern(glob).search(place) for glob in rule.files))
+    return tuple(rule for rule in rules if any(parse_glob(glob).fits(place) for glob in rule.files))
 
 
 def corrected(motion: Motion, rules: tuple[FramerateRule, ...]) -> Motion:
@@ -83,16 +83,21 @@ def corrected(motion: Motion, rules: tuple[FramerateRule, ...]) -> Motion:
 def _rule(table: Any, name: str, number: int) -> FramerateRule:
     where = f"{name}, rule {number}"
     if not isinstance(table, dict) or not {"files", "fps"} <= set(table) <= KEYS:
-        given = ", ".join(table) if isinstance(table, dict) else repr(table)
+        given = ", ".join(table) if isinstance(table, dict) else shown(table)
         raise UsageError(
             f"{where}: has {given or 'nothing'}; expected files and fps, and any of stated, reason, source"
         )
     globs = [table["files"]] if isinstance(table["files"], str) else table["files"]
     if not isinstance(globs, list) or not globs or not all(isinstance(glob, str) and glob for glob in globs):
-        raise UsageError(f"{where}: files must be a glob in quotes, or a list of them, not {globs!r}")
+        raise UsageError(f"{where}: files must be a glob in quotes, or a list of them, not {shown(globs)}")
+    for glob in globs:
+        try:
+            parse_glob(glob)
+        except ValueError as error:
+            raise UsageError(f"{where}: files: {error}") from None
     for key in ("reason", "source"):
         if not isinstance(table.get(key, ""), str):
-            raise UsageError(f"{where}: {key} must be text in quotes, not {table[key]!r}")
+            raise UsageError(f"{where}: {key} must be text in quotes, not {shown(table[key])}")
     stated = None if "stated" not in table else _rate(table["stated"], where, "stated")
     return FramerateRule(
         tuple(globs),
@@ -105,30 +110,8 @@ def _rule(table: Any, name: str, number: int) -> FramerateRule:
 
 def _rate(value: Any, where: str, key: str) -> Fraction:
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
-        raise UsageError(f"{where}: {key} must be a framerate such as 120 or '30000/1001', not {value!r}")
+        raise UsageError(f"{where}: {key} must be a framerate such as 120 or '30000/1001', not {shown(value)}")
     try:
         return parse_fps(value)
     except ValueError as error:
         raise UsageError(f"{where}: {key}: {error}") from None
-
-
-@lru_cache(maxsize=1024)
-def glob_pattern(glob: str) -> re.Pattern[str]:
-    """A glob that fits the end of a path, from the beginning of a folder's or the file's name.
-
-    * and ? stay inside a name, **/ is any number of folders, [abc] one of these characters.
-    """
-    pattern = ""
-    for part in re.findall(r"\*\*/|\*|\?|\[[^\]/]+\]|.", glob, re.DOTALL):
-        match part:
-            case "**/":
-                pattern += "(?:[^/]+/)*"
-            case "*":
-                pattern += "[^/]*"
-            case "?":
-                pattern += "[^/]"
-            case _ if len(part) > 1:
-                pattern += "[" + re.sub(r"([\\\[\]&~|])", r"\\\1", part[1:-1]) + "]"
-            case _:
-                pattern += re.escape(part)
-    return re.compile(f"(?:^|/){pattern}$")

@@ -7,7 +7,6 @@ are kept with the skeletons they fit as canonical JSON (`Skeleton.layout_map`).
 import json
 import math
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.errors import FormatError, MotionkitError
+from motionkit.plain_text import parse_json, parse_toml, shown
 from motionkit.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 
 # Toes can be made up where nothing stands for them; every other joint of the layout needs a row.
@@ -51,8 +51,8 @@ def read_skeleton_map(path: Path) -> str:
     except UnicodeDecodeError as error:
         raise FormatError(f"not UTF-8 ({error.reason})", path=path, reason=REASON) from None
     try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+        table = parse_toml(text)
+    except ValueError as error:
         line = re.search(r"at line (\d+)", str(error))
         raise FormatError(
             f"no TOML ({error}); the form is described in docs/formats.md, Standard layouts",
@@ -71,8 +71,8 @@ def read_skeleton_map(path: Path) -> str:
 def parse_layout_map(text: str) -> SkeletonFamily:
     """The family that a skeleton's `layout_map` describes; raises `MotionkitError` for a text that is none."""
     try:
-        return _family(json.loads(text))
-    except (ValueError, RecursionError) as error:
+        return _family(parse_json(text))
+    except ValueError as error:
         raise MotionkitError(f"the layout map of a skeleton is none: {error}") from None
 
 
@@ -113,7 +113,7 @@ def canonical_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
 
 def load_table(name: str) -> dict[str, Any]:
     """A TOML file of `motionkit/skeletons` as it is."""
-    return tomllib.loads((resources.files("motionkit.skeletons") / name).read_text(encoding="utf-8"))
+    return parse_toml((resources.files("motionkit.skeletons") / name).read_text(encoding="utf-8"))
 
 
 @cache
@@ -142,10 +142,10 @@ def _family(table: Any) -> SkeletonFamily:
         raise ValueError("expected a table with name, requires and [smpl22]")
     unknown = sorted(set(table) - set(KEYS))
     if unknown:
-        raise ValueError(f"unknown key {unknown[0]!r}, expected {', '.join(KEYS)}")
+        raise ValueError(f"unknown key {shown(unknown[0])}, expected {', '.join(KEYS)}")
     name = table.get("name")
     if not isinstance(name, str) or not name.strip() or name in STANDARD_SKELETONS:
-        raise ValueError(f"name = {name!r}, expected a text that is none of {', '.join(STANDARD_SKELETONS)}")
+        raise ValueError(f"name = {shown(name)}, expected a text that is none of {', '.join(STANDARD_SKELETONS)}")
     requires = table.get("requires")
     if not isinstance(requires, list) or not requires or not all(isinstance(joint, str) for joint in requires):
         raise ValueError(
@@ -170,7 +170,7 @@ def _metres_per_unit(units_per_metre: Any) -> float | None:
         return None
     if not _is_number(units_per_metre) or not 1e-6 < units_per_metre < 1e6:
         raise ValueError(
-            f"units_per_metre = {units_per_metre!r}, expected a positive number such as 100 for centimetres"
+            f"units_per_metre = {shown(units_per_metre)}, expected a positive number such as 100 for centimetres"
         )
     return 1.0 / float(units_per_metre)
 
@@ -181,7 +181,7 @@ def _rows(table: Any) -> Mapping[str, tuple[Way, ...]]:
     unknown = sorted(set(table) - set(SMPL22.joint_names))
     if unknown:
         raise ValueError(
-            f"[smpl22] has {unknown[0]!r}, which is no joint of the layout: {', '.join(SMPL22.joint_names)}"
+            f"[smpl22] has {shown(unknown[0])}, which is no joint of the layout: {', '.join(SMPL22.joint_names)}"
         )
     missing = [joint for joint in SMPL22.joint_names if joint not in table and joint not in OPTIONAL_ROWS]
     if missing:
@@ -199,7 +199,7 @@ def _way(joint: str, way: Any) -> Way:
         return {_canonical(way): 1.0}
     if not isinstance(way, dict) or not way or not all(_is_number(weight) for weight in way.values()):
         raise ValueError(
-            f"{joint} = {way!r}, expected a joint's name, weights such as {{ A = 0.6, B = 0.4 }}, or a list"
+            f"{joint} = {shown(way)}, expected a joint's name, weights such as {{ A = 0.6, B = 0.4 }}, or a list"
         )
     total = math.fsum(way.values())
     if abs(total - 1.0) > 1e-6:

@@ -9,7 +9,6 @@ Empty lines are skipped. A line has a text or an action; without `seconds` its l
 
 import csv
 import io
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 
 from motionkit.errors import UsageError
 from motionkit.generation import GenerationRequest
+from motionkit.plain_text import parse_json, shown
 
 COLUMNS = ("text", "action", "seconds")
 SUFFIXES = (".txt", ".csv", ".jsonl")
@@ -105,7 +105,7 @@ def _json_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]
             continue
         where = f"{path}, line {number}"
         try:
-            row = json.loads(line)
+            row = parse_json(line)
         except ValueError as error:
             raise UsageError(f"{where}: not JSON ({error})") from None
         if not isinstance(row, dict):
@@ -117,7 +117,7 @@ def _json_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]
 def _check_columns(names: Any, where: str) -> None:
     unknown = [name for name in names if name not in COLUMNS]
     if unknown:
-        raise UsageError(f"{where}: unknown column {unknown[0]!r}, expected {', '.join(COLUMNS)}")
+        raise UsageError(f"{where}: unknown column {shown(unknown[0])}, expected {', '.join(COLUMNS)}")
 
 
 def _request(row: Mapping[str, Any], default_seconds: float | None, where: str) -> GenerationRequest:
@@ -137,5 +137,5 @@ def _seconds(value: Any, default: float | None, where: str) -> float | None:
     except (TypeError, ValueError):
         seconds = 0.0
     if isinstance(value, bool) or not 0.0 < seconds < float("inf"):
-        raise UsageError(f"{where}: seconds is a positive number, not {value!r}")
+        raise UsageError(f"{where}: seconds is a positive number, not {shown(value)}")
     return seconds

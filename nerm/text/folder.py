@@ -4,11 +4,11 @@ Weights are taken from safetensors alone: `pytorch_model.bin` is a pickle, a pro
 """
 
 import hashlib
-import json
 from pathlib import Path
 
 from motionkit.checksums import sha256_of
 from motionkit.errors import MotionkitError
+from motionkit.plain_text import parse_json
 
 CONFIG = "config.json"
 WEIGHTS = ("model.safetensors", "model.safetensors.index.json")
@@ -26,7 +26,7 @@ def check_folder(folder: Path) -> str:
     """
     config = folder / CONFIG
     try:
-        model_type = str(json.loads(config.read_text(encoding="utf-8"))["model_type"])
+        model_type = str(parse_json(config.read_text(encoding="utf-8"))["model_type"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise MotionkitError(
             f"{config}: cannot read model_type ({error}); a text encoder's folder needs a transformers config"

@@ -71,7 +71,7 @@ def read_asf(path: Path, unit_metres: float | None = None) -> AsfSkeleton:
 @lru_cache(maxsize=8)
 def _parsed(data: bytes, path: Path, unit_metres: float | None) -> AsfSkeleton:
     parser = _Parser(path)
-    if not re.search(rb"(?m)^\s*:(bonedata|root)\b", data):
+    if not re.search(rb"(?m)^[ \t]*:(bonedata|root)\b", data):
         raise FormatError(
             f"looks like {sourcefile.describe_content(data)}, expected an ASF skeleton with :root and :bonedata",
             path=path,

@@ -16,6 +16,7 @@ from motionkit.formats import body_frame, clock, sourcefile
 from motionkit.formats.arrays import npy
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion, Provenance
+from motionkit.plain_text import parse_json, shown
 from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.timegrid import TimeGrid, format_fps, parse_fps
 
@@ -103,16 +104,16 @@ def read_manifest(path: Path) -> Manifest:
     if not path.is_file():
         return Manifest()
     try:
-        value = json.loads(sourcefile.decode(sourcefile.read_bytes(path), path))
+        value = parse_json(sourcefile.decode(sourcefile.read_bytes(path), path))
         fps = value.get("fps")
         manifest = Manifest(
             None if fps is None else parse_fps(fps), str(value.get("layout", "")), float(value.get("unit_metres", 1.0))
         )
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise FormatError(f"expected an object with fps and layout ({error})", path=path, reason="manifest") from None
     if manifest.layout not in ("", *STANDARD_SKELETONS) or not 0 < manifest.unit_metres < 1e6:
         raise FormatError(
-            f"layout {manifest.layout!r} and unit {manifest.unit_metres} m, expected one of "
+            f"layout {shown(manifest.layout)} and unit {manifest.unit_metres} m, expected one of "
             f"{', '.join(STANDARD_SKELETONS)} and a length",
             path=path,
             reason="manifest",

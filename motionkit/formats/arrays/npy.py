@@ -15,6 +15,7 @@ from motionkit.formats.arrays.plausible import checked_numbers
 
 MAGIC = b"\x93NUMPY"
 HEADER_BYTES = 10_000
+LARGEST_SIZE = 2**48
 NUMBERS = re.compile(r"[<>|=]?(f[248]|[iu][1248])")
 STRINGS = re.compile(r"[<>|=]?[US][1-9]\d*")
 
@@ -99,6 +100,6 @@ def read_header(file: io.BytesIO) -> tuple[tuple[int, ...], bool, str]:
         shape, column_major, code = header["shape"], header["fortran_order"], header["descr"]
     except (ValueError, SyntaxError, TypeError, KeyError, IndexError, RecursionError, MemoryError):
         raise ValueError("not a dictionary with shape, fortran_order and descr") from None
-    if not (isinstance(shape, tuple) and all(isinstance(size, int) and size >= 0 for size in shape)):
-        raise ValueError(f"shape {shape!r}"[:80])
+    if not (isinstance(shape, tuple) and all(isinstance(size, int) and 0 <= size < LARGEST_SIZE for size in shape)):
+        raise ValueError("a shape that no array has")
     return shape, column_major is True, str(code)

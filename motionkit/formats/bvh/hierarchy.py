@@ -7,6 +7,7 @@ from pathlib import Path
 
 from motionkit.errors import FormatError
 from motionkit.formats.number_table import parse_number
+from motionkit.plain_text import whole_number
 
 CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("position", "rotation")}
 MAX_JOINTS = 10_000
@@ -154,7 +155,7 @@ class _Parser:
         if joint.has_channels:
             raise self.fault(f"joint {joint.name!r} has CHANNELS twice", "channels")
         joint.has_channels = True
-        if not words or not words[0].isdecimal() or int(words[0]) != len(words) - 1:
+        if not words or whole_number(words[0]) != len(words) - 1:
             raise self.fault(f"CHANNELS {' '.join(words)[:60]!r}: expected a count and that many names", "channels")
         for word in words[1:]:
             axis, kind = CHANNELS.get(word) or CHANNELS.get(word[:1].upper() + word[1:].lower(), ("", ""))

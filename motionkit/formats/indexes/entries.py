@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,7 @@ from motionkit.formats import sourcefile
 from motionkit.formats.cuts import Cut
 from motionkit.formats.indexes.datasets import Key, dataset_of, file_key
 from motionkit.motion import Caption
+from motionkit.plain_text import parse_json
 
 MAX_NAME = 120
 
@@ -96,10 +98,10 @@ def read_json_index(path: Path) -> Mapping[str, Any]:
     """The object of a JSON index, sequence name → what is said about it; raises `FormatError` (`index`, `encoding`)."""
     text = sourcefile.decode(sourcefile.read_bytes(path), path)
     try:
-        value = json.loads(text, object_pairs_hook=_once_each)
+        value = parse_json(text, object_pairs_hook=_once_each)
     except json.JSONDecodeError as error:
         raise FormatError(f"not JSON ({error.msg})", path=path, reason="index", line=error.lineno) from None
-    except (RecursionError, ValueError) as error:
+    except ValueError as error:
         raise FormatError(f"not JSON that can be read ({error})", path=path, reason="index") from None
     if not isinstance(value, dict) or not value:
         raise FormatError(
@@ -112,7 +114,7 @@ def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     # JSON allows a name twice, of which Python would keep the last without a word.
     value = dict(pairs)
     if len(value) != len(pairs):
-        twice = next(name for number, (name, _) in enumerate(pairs) if name in dict(pairs[:number]))
+        (twice, _), *_ = Counter(name for name, _ in pairs).most_common(1)
         raise ValueError(f"{twice[:40]!r} is there twice")
     return value
 

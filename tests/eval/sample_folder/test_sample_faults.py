@@ -9,7 +9,8 @@ import pytest
 
 from eval.sample_folder import SampleFolder, SampleFolderError, SampleOptions, read_sample_folder
 from eval.sample_folder.arrays import split_motions
-from eval.sample_folder.manifest import name_pattern, read_manifest
+from eval.sample_folder.manifest import read_manifest
+from eval.sample_folder.name_pattern import parse_name_pattern
 from eval.sample_folder.vectors import root_disagreement
 from motionkit.errors import FormatError
 from motionkit.features.layout import vector_layout
@@ -226,7 +227,13 @@ def test_a_standing_root_says_nothing_about_statistics() -> None:
         ('files = ["../*.npy"]', "leaves the folder"),
         ('prompts = "none.txt"', "no such file in this folder"),
         ('name = "{who}"', "unknown field {who}"),
-        ('name = "{group}{group}"', "redefinition of group"),
+        ('name = "{group}{group}"', "{group} stands in it twice"),
+        (f'name = "{"{any}" * 300}"', "1,500 letters, expected at most 1,000"),
+        (f'files = "{"*a" * 3000}"', "a glob of 6,000 letters"),
+        (f"fps = 0x{'f' * 5000}", "not TOML (a whole number is beyond 64 bits)"),
+        (f"fps = {'9' * 5000}", "not TOML"),
+        (f"fps = '{'9' * 400}/1'", "not a number of that many digits"),
+        (f"files = {'[' * 5000}", "not TOML (nested too deep)"),
     ],
 )
 def test_manifests_that_cannot_be(tmp_path: Path, text: str, says: str) -> None:
@@ -238,9 +245,8 @@ def test_manifests_that_cannot_be(tmp_path: Path, text: str, says: str) -> None:
 
 
 def test_names_say_what_the_pattern_says(tmp_path: Path) -> None:
-    found = name_pattern("{action}-{group}_{repeat}_{any}_len{num_frames}").fullmatch("jump_up-12_3_x_len40")
-    assert found is not None
-    assert found.groupdict() == {"action": "jump_up", "group": "12", "repeat": "3", "num_frames": "40"}
+    found = parse_name_pattern("{action}-{group}_{repeat}_{any}_len{num_frames}").match("jump_up-12_3_x_len40")
+    assert found == {"action": "jump_up", "group": "12", "repeat": "3", "num_frames": "40"}
     samples = read(folder_of(tmp_path, 'fps = 20\nname = "{action}-{group}_{repeat}"', **{"jump_up-12_3": JOINTS}))
     assert (samples.actions, samples.groups) == (("jump up",), ("12",))
     samples.require_actions()

@@ -7,11 +7,14 @@ from collections.abc import Callable
 
 from hypothesis import strategies as st
 
-WORDS = (
+PLAIN_WORDS = (
     b'\n| |{|}|\0|\xff|\xe9|nan|inf|-inf|1e999|-|0|-1|99999999999999999999|1e9|#|,|"|[|]|null|true|OFFSET|CHANNELS|'
     b"End Site|MOTION|Frames: 3|Frames: 2000000000|Frame Time: 0|Frame Time: -1|Frame Time: nan|Frame Time: 1e-9|"
-    b"JOINT x|:root|begin|end|root 1|../../etc/passwd|\xd9\xa3|\xef\xbb\xbf"
-).split(b"|")
+    b"JOINT x|:root|begin|end|root 1|../../etc/passwd|\xd9\xa3|\xef\xbb\xbf|1e-999|5e-324|9/0|**/|{any}|\x1b[31m|"
+    b"\\ud800"
+)
+# Numbers that Python does not read, or that no float holds, and brackets nested deeper than it follows.
+WORDS = (*PLAIN_WORDS.split(b"|"), b"9" * 400, b"9" * 5000, b"0x" + b"f" * 5000, b"[" * 5000)
 WHOLE: tuple[Callable[[bytes], bytes], ...] = (
     lambda content: content.replace(b"\n", b"\r\n"),
     lambda content: content.replace(b"\n", b"\r"),

@@ -57,6 +57,7 @@ BAD: dict[str, tuple[str | bytes, str, int | None, int | None]] = {
     "an unknown channel": (TEXT.replace("Zrotation", "Wrotation", 1), "channels", 5, None),
     "a wrong channel count": (TEXT.replace("CHANNELS 6", "CHANNELS 5"), "channels", 5, None),
     "a huge channel count": (TEXT.replace("CHANNELS 6", "CHANNELS 999999999"), "channels", 5, None),
+    "a channel count of 5,000 digits": (TEXT.replace("CHANNELS 6", f"CHANNELS {'6' * 5000}"), "channels", 5, None),
     "a repeated channel": (TEXT.replace("Yposition", "Xposition", 1), "channels", 5, None),
     "no offset": (TEXT.replace("\tOFFSET 0 95 0\n", ""), "hierarchy", None, None),
     "a short offset": (TEXT.replace("OFFSET 0 95 0", "OFFSET 0 95"), "hierarchy", 4, None),

@@ -99,6 +99,7 @@ def test_bad_files(tmp_path: Path) -> None:
     np.save(path, standing())
     data = path.read_bytes()
     header = data.replace(b"(5, 22, 3)", b"(9999999999, 22, 3)").replace(b"\x76\x00", b"\x76\x00", 1)
+    endless = f"{{'descr': '<f4', 'fortran_order': False, 'shape': (0x{'f' * 5000},)}}\n".encode()
     for content, reason in (
         (b"", "empty"),
         (data[:-8], "truncated"),
@@ -106,6 +107,7 @@ def test_bad_files(tmp_path: Path) -> None:
         (data + b"more", "truncated"),
         (b"HIERARCHY\n", "not-what-it-says"),
         (header, "truncated"),
+        (data[:8] + len(endless).to_bytes(2, "little") + endless + data[128:], "truncated"),
     ):
         path.write_bytes(content)
         assert _fault(path)[0] == reason

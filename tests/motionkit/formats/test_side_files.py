@@ -50,6 +50,13 @@ HOSTILE = {
     "a number of 5,000 digits": b'{"fps": ' + b"9" * 5000 + b"}",
     "a quote without end": b'file,caption\n"take.bvh,walks\n',
     "one line of a megabyte": b"file,caption\ntake.bvh," + b"x" * (1 << 20) + b"\n",
+    "hexadecimal digits without end": b"fps = 0x" + b"f" * 5000 + b"\n[[rule]]\nfiles='a'\nfps = 0x" + b"f" * 5000,
+    "numbers without end in a table": b"file,fps,num_frames,captions\ntake.bvh," + b",".join([b"9" * 5000] * 3) + b"\n",
+    "a framerate beyond all floats": b'{"fps": ' + b"9" * 400 + b"}",
+    "a ratio beyond all floats": b"file,fps\ntake.bvh," + b"9" * 400 + b"/1\n",
+    "times beyond all floats": b'file,captions\ntake.bvh,"[{""text"": ""a"", ""start_seconds"": '
+    + b"9" * 400
+    + b'}]"\n',
     "half a surrogate": b'file,captions\ntake.bvh,"[""\\ud800""]"\n',
     "a path that leaves the folder": b"file,caption\n../../../etc/passwd,x\n/etc/passwd,y\ntake.bvh,walks\n",
     "carriage returns": b"file,caption\rtake.bvh,walks\r",
@@ -106,15 +113,15 @@ def test_tables_of_the_user_are_explained(tmp_path, content, reader: Callable[[P
         assert str(path) in str(problem) or path.name in str(problem)
 
 
-def test_captions_that_are_no_text_cost_their_motion_only(tmp_path):
+def test_captions_that_are_no_text_cost_their_row_only(tmp_path):
     """A JSON escape can say what no text is; a store holds text."""
     source = tmp_path / "source"
     source.mkdir()
     write_beside(source, "annotations", HOSTILE["half a surrogate"])
     SOURCES["csv"](source).rename(source / "other.csv")
     report = ingest([source], tmp_path / "store", num_workers=1, options=OPTIONS)
-    assert report.num_stored == 1
-    assert [problem.reason for problem in report.problems] == ["not-unicode"]
+    assert report.num_stored == 2
+    assert [(problem.reason, problem.line) for problem in report.problems] == [("annotations", 2)]
 
 
 @pytest.mark.parametrize("suffix", [".bvh", ".amc", ".c3d", ".json", ".npz", ".pkl", ".npy", ".csv", ".txt", ".asf"])

@@ -228,6 +228,7 @@ def test_mirrored_annotations(tmp_path):
         ({"annotations": [{"text": "a", "start": 0, "end": float("nan")}]}, "index-entry"),
         ({"annotations": [{"text": "a", "start": 0, "end": True}]}, "index-entry"),
         ({"duration": "long"}, "index-entry"),
+        ({"duration": 10**400}, "index-entry"),
     ],
 )
 def test_a_bad_annotation_is_told_and_the_others_are_kept(tmp_path, value, reason):

@@ -1,0 +1,68 @@
+"""Values from text that a stranger may have written: TOML, JSON, whole numbers; and any value shown in a message.
+
+Python's own readers raise several kinds of error (nesting too deep, numbers of thousands of digits) and give back
+numbers that no array can hold, on which the next line of code fails. Here every fault is a `ValueError`.
+"""
+
+import json
+import tomllib
+from collections.abc import Callable
+from typing import Any
+
+# Numbers of more digits are beyond 64 bits.
+MOST_DIGITS = 18
+LARGEST_WHOLE = 2**63
+SHOWN_LETTERS = 80
+
+
+def whole_number(text: str) -> int | None:
+    """The number that 1 to 18 decimal digits spell; None for any other text, signs among them."""
+    return int(text) if text.isdecimal() and len(text) <= MOST_DIGITS else None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The table of a TOML text; raises `ValueError` for what is none, and for numbers beyond 64 bits."""
+    try:
+        table = tomllib.loads(text)
+        _check_numbers(table)
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+    return table
+
+
+def parse_json(text: str, object_pairs_hook: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
+    """The value of a JSON text, whole numbers beyond 64 bits as floats; the hook is that of `json.loads`.
+
+    Raises `json.JSONDecodeError` with the place, or another `ValueError`: nested too deep, half a character (a lone
+    surrogate, which no file can hold).
+    """
+    try:
+        value = json.loads(text, parse_int=_bounded, object_pairs_hook=object_pairs_hook)
+        if "\\ud" in text or "\\uD" in text:
+            json.dumps(value, ensure_ascii=False).encode("utf-8")
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+    except UnicodeEncodeError as error:
+        raise ValueError(f"{error.object[error.start]!r} is half a character") from None
+    return value
+
+
+def shown(value: object, limit: int = SHOWN_LETTERS) -> str:
+    """A value for a message: its `repr`, cut at `limit` letters."""
+    text = repr(value)
+    return text if len(text) <= limit else f"{text[:limit]}…"
+
+
+def _bounded(digits: str) -> int | float:
+    return int(digits) if len(digits) <= MOST_DIGITS else float(digits)
+
+
+def _check_numbers(value: object) -> None:
+    if isinstance(value, dict):
+        for inner in value.values():
+            _check_numbers(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            _check_numbers(inner)
+    elif isinstance(value, int) and not -LARGEST_WHOLE <= value < LARGEST_WHOLE:
+        raise ValueError("a whole number is beyond 64 bits")
