@@ -327,7 +327,7 @@ def _pointed(
         if len(children) == 1:
             local[:, joint] = point(joint, rest[children[0]], bones[:, 0])
         else:
-            local[:, joint] = _fit_rotation(rest[children], bones)
+            local[:, joint] = fit_rotation(rest[children], bones)
         world[:, joint] = quaternion_multiply(above, local[:, joint])
     return local.astype(np.float32)
 
@@ -344,10 +344,16 @@ def _carried_along(
     return quaternion_multiply(quaternion_between(quaternion_rotate(q, rest), observed), q)
 
 
-def _fit_rotation(
-    rest: Float[np.ndarray, "bones 3"], observed: Float[np.ndarray, "frames bones 3"]
+def fit_rotation(
+    rest: Float[np.ndarray, "*frames bones 3"], observed: Float[np.ndarray, "frames bones 3"], inertia: float = 0.0
 ) -> Float[np.ndarray, "frames 4"]:
-    covariance = np.einsum("fbi,bj->fij", observed, rest)
+    """The rotation that takes bones at rest nearest to the observed ones, by least squares (Kabsch 1976).
+
+    Where all bones lie on a line their twist is free; `inertia`, a share of the bones' lengths, then keeps it unturned.
+    """
+    covariance = np.einsum("...bi,...bj->...ij", observed, rest)
+    if inertia:
+        covariance += (inertia * np.sum(rest * rest, axis=(-2, -1)))[..., None, None] * np.eye(3)
     u, _, vt = np.linalg.svd(covariance)
     u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
     return matrix_to_quaternion(u @ vt)

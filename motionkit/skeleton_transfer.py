@@ -16,6 +16,7 @@ from jaxtyping import Float64
 
 from motionkit.interpolation.fields import INTERPOLATORS
 from motionkit.interpolation.joints import Joints, rotations_in_time, with_rotations
+from motionkit.interpolation.rigid import Rig
 from motionkit.kinematics import global_rotations, quaternion_conjugate, quaternion_multiply
 from motionkit.motion import Motion
 from motionkit.motionfield import MotionEncoder, MotionField, Observation, Observed, Poses, told_fps
@@ -25,8 +26,6 @@ from motionkit.timegrid import TimeGrid
 
 _TIMES_AT_ONCE = 4096
 _SMALLEST_WEIGHT = 0.5
-_RIGID_METRES = 1e-4
-_FRAMES_TO_SEE = 500
 _SPINE = tuple(SMPL22.index(name) for name in ("spine1", "spine2", "spine3"))
 _PELVIS, _LEFT_HIP, _RIGHT_HIP = (SMPL22.index(name) for name in ("pelvis", "left_hip", "right_hip"))
 
@@ -196,13 +195,8 @@ def _canonical_poses(observation: Observation, before: Poses | None) -> Poses:
 
 def _moved_joint(observation: Observed, pelvis: int) -> int:
     """The joint that carries the body's path: the one nearest the pelvis whose bone is not rigid, else the root."""
-    # Some hundred frames tell as much as all of them.
-    poses = observation.rows(slice(None, None, max(1, len(observation) // _FRAMES_TO_SEE))).poses
-    bones = Joints.of(poses, observation.skeleton).bones
-    for joint in _and_above(observation.skeleton, pelvis):
-        if joint and np.ptp(bones[:, joint], axis=0).max() > _RIGID_METRES:
-            return joint
-    return 0
+    moving = Rig.of(observation).moving
+    return next((joint for joint in _and_above(observation.skeleton, pelvis) if joint in moving), 0)
 
 
 def _and_above(skeleton: Skeleton, joint: int) -> tuple[int, ...]:

@@ -24,6 +24,7 @@ from motionkit.formats.bvh.document import BvhDocument, read_document
 from motionkit.formats.bvh.motion import write_bvh
 from motionkit.formats.items import ReadOptions, SourceItem
 from motionkit.formats.pose_folders.humanml3d import VECTORS_FOLDER
+from motionkit.interpolation.rigid import on_bones
 from motionkit.long_observation import LongObservation
 from motionkit.motion import Caption, Motion
 from motionkit.motionfield import Observation, Observed, Poses
@@ -200,7 +201,11 @@ def completed_line(completion: Completion, source: TimeGrid) -> str:
 
 
 def write_document(document: BvhDocument, completion: Completion, path: Path, progress: Progress) -> None:
-    """Write a completed BVH file piece by piece, given frames as the lines that they were."""
+    """Write a completed BVH file piece by piece, given frames as the lines that they were.
+
+    What moves joints and turns none is brought onto the file's bones.
+    """
+    completion = replace(completion, field=on_bones(completion.field, completion.observation))
     num_frames, known = completion.grid.num_frames, completion.known_frames
     observation = completion.observation
     lines = ChannelLines(document, known, observation.times_seconds)

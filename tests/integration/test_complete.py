@@ -14,6 +14,7 @@ import pytest
 from conftest import Outcome
 
 from motionkit.completing import job
+from motionkit.completion import complete
 from motionkit.errors import MotionkitError
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import process
@@ -23,9 +24,11 @@ from motionkit.formats.bvh import frame_lines
 from motionkit.formats.bvh.document import read_document
 from motionkit.formats.bvh.motion import read_bvh, write_bvh
 from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
+from motionkit.interpolation.fields import INTERPOLATORS
 from motionkit.motion import Caption, Motion
-from motionkit.motionfield import to_motion
+from motionkit.motionfield import Observation, to_motion
 from motionkit.player.packing import unpack
+from motionkit.skeleton import Skeleton
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
 from tests.motionkit.formats.samples import NUM_BVH_CHANNELS, bvh_text
@@ -62,6 +65,57 @@ def test_bvh_at_four_times_the_framerate(motionkit: Run, walk: Path) -> None:
     assert again.code == 1 and "--overwrite" in again.stderr and again.stdout == ""
     assert motionkit("complete", walk, "--fps", "90", "--overwrite").code == 0
     assert read_bvh(made).fps == 90
+
+
+@pytest.mark.parametrize("model", ["linear", "catmull-rom", "cubic"])
+def test_models_of_joint_positions_are_written_with_the_file_s_bones(
+    motionkit: Run, walk: Path, motion: Motion, model: str
+) -> None:
+    outcome = motionkit("complete", walk, "--fps", "60", "--extend", "0.1,0.1", "--model", model, "--compare", "slerp")
+    assert outcome.code == 0
+    before, after = read_document(walk), read_document(walk.with_name("walk.completed.bvh"))
+    assert lines_of(after)[6:-6:2] == lines_of(before)
+    made = poses_of(after).joint_positions
+    expected = complete(
+        *(before.motion(), INTERPOLATORS[model]), fps=Fraction(60), before_seconds=0.1, after_seconds=0.1
+    ).joint_positions
+    lengths, shortened = (bone_lengths(positions, before.skeleton) for positions in (made, expected))
+    np.testing.assert_allclose(lengths, np.broadcast_to(lengths[6], lengths.shape), atol=1e-5)
+    # As near as bones of that length come.
+    distance = np.linalg.norm(made - expected, axis=-1)[6:-6]
+    assert distance.max() < 2 * np.abs(shortened - lengths)[6:-6].max() < 0.02 and distance.mean() < 1e-3
+    # No joint jumps between a frame that was given and one that was made.
+    assert np.abs(np.diff(made, 2, axis=0)).max() < 2 * np.abs(np.diff(poses_of(before).joint_positions, axis=0)).max()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "cmu/bvh/05_06.bvh",
+        "cmu/bvh-converted/10_01.bvh",
+        "cmu-more/bvh-motionbuilder/35_03.bvh",
+        "mixed-bvh/mass_snu/backflip.bvh",
+        "mixed-bvh/animated_drawings/dab.bvh",
+        "bandai-namco/bvh/dataset-1_bow_active_001.bvh",
+    ],
+)
+def test_models_of_joint_positions_on_every_rig(motionkit: Run, captures: Path, tmp_path: Path, name: str) -> None:
+    before = read_document(captures / name)
+    fps = 2 * before.timegrid.fps
+    outcome = motionkit(
+        *("complete", captures / name, "--fps", fps, "--model", "linear", "--out", tmp_path / "made.bvh")
+    )
+    assert outcome.code == 0
+    made = poses_of(read_document(tmp_path / "made.bvh")).joint_positions[:400]
+    field = INTERPOLATORS["linear"].encode(Observation.of(before.motion()))
+    expected = field.query(np.arange(len(made)) / float(fps)).joint_positions
+    shortened = bone_lengths(expected, before.skeleton) - bone_lengths(made, before.skeleton)
+    distance = np.linalg.norm(made - expected, axis=-1)
+    assert distance.max() < 2 * np.abs(shortened).max() and distance.mean() < 1e-3
+
+
+def bone_lengths(positions: np.ndarray, skeleton: Skeleton) -> np.ndarray:
+    return np.asarray(np.linalg.norm(positions[:, 1:] - positions[:, skeleton.parents[1:]], axis=-1))
 
 
 def test_the_page_of_the_docs_is_right_about_python(walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
