@@ -1,0 +1,72 @@
+"""Small motions for the drill, and what stands in a store: run in processes of their own (`call:` of `process`)."""
+
+import csv
+import hashlib
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+ACTIONS = ("walk", "jump", "squat", "bow")
+FRAMERATES = (30, 60)
+COLUMNS = ("file", "fps", "action", "subject", "caption", "split")
+
+
+def write_takes(folder: str, first: str, count: str, seconds: str) -> None:
+    """Write takes FIRST … FIRST + COUNT − 1 of so many seconds as BVH files, with a table of captions and splits."""
+    from motionkit.formats.bvh.motion import write_bvh
+    from motionkit.motionfield import to_motion
+    from motionkit.synthetic import make_body, perform
+
+    path, body = Path(folder), make_body("drill")
+    path.mkdir(parents=True)
+    with (path / "clips.csv").open("w", encoding="utf-8", newline="") as handle:
+        table = csv.writer(handle, lineterminator="\n")
+        table.writerow(COLUMNS)
+        for number in range(int(first), int(first) + int(count)):
+            action, fps = ACTIONS[number % len(ACTIONS)], FRAMERATES[number // 2 % len(FRAMERATES)]
+            field = perform(np.random.default_rng(number), body, [action], float(seconds))
+            write_bvh(to_motion(field, Fraction(fps)), path / f"take-{number}.bvh")
+            split = "test" if number % 4 == 3 else "train"
+            table.writerow(
+                (f"take-{number}.bvh", fps, action, f"p{number % 3}", f"a person does a {action}", split),
+            )
+
+
+def build_cache(store: str) -> None:
+    """Make the training cache of a store, and the numbers that are kept beside it."""
+    from motionkit.store import Store
+    from motionkit.store.cache import open_cache
+
+    cache = open_cache(Store.open(store))
+    print(len(cache.positions))
+
+
+def look(store: str) -> None:
+    """Print as JSON what a reader finds: the store's fingerprint, a digest of every motion, and `validate`'s faults."""
+    from motionkit.store import Store
+    from motionkit.store.manifest import MANIFEST_FILE
+    from motionkit.store.validate import faults
+
+    if not (Path(store) / MANIFEST_FILE).exists():
+        print(json.dumps({"fingerprint": None, "content": None, "faults": []}))
+        return
+    opened = Store.open(store)
+    print(
+        json.dumps(
+            {"fingerprint": opened.fingerprint, "content": content_of(opened), "faults": list(faults(Path(store)))}
+        )
+    )
+
+
+def content_of(store: object) -> str:
+    """A digest of what the sequences of a store are, whatever its parts and numbers are."""
+    from motionkit.store import Store
+
+    assert isinstance(store, Store)
+    found = hashlib.sha256()
+    for motion in store.read_many(store.sequences_table["sequence_index"].to_pylist()):
+        facts = (motion.sequence_id, motion.fps, motion.split, motion.action, motion.captions)
+        found.update(repr(facts).encode() + np.ascontiguousarray(motion.joint_positions).tobytes())
+    return found.hexdigest()

@@ -1,0 +1,151 @@
+"""Which commands are disturbed, what each starts from, and how each is repeated."""
+
+from dataclasses import dataclass
+
+Arguments = tuple[str, ...]
+CALL = "call:benchmarks.trust.corpus:"
+SECONDS = "2.0"
+STORE = ("--store", "store")
+ONE_WORKER = (*STORE, "--workers", "1")
+RUN = ("--runs", "runs", "--run", "drill")
+TRAIN = (*STORE, *RUN, "--device", "cpu")
+SEVERAL = "operation", "bytes", "moment", "limit", "interrupt"
+
+SETTINGS: dict[str, tuple[str, ...]] = {
+    "codebook": (
+        *("codebook.steps=8", "codebook.batch=2", "codebook.width=8", "codebook.code_dimension=8"),
+        *("codebook.num_codes=8", "codebook.window_frames=16", "codebook.residual_layers=1"),
+    ),
+    "field": (
+        *("field.precision=float32", "field.max_duration_seconds=3", "field.hidden=16", "field.layers=2"),
+        *("field.steps=8", "field.batch=4", "field.attention_layers=1", "field.num_queries=8"),
+    ),
+    "denoiser": (
+        *("denoiser.steps=8", "denoiser.batch=4", "denoiser.network.num_layers=1", "denoiser.network.width=16"),
+        *("denoiser.network.ffn_width=16", "denoiser.diffusion.sampling_steps=2", "denoiser.text_encoder=none"),
+    ),
+    "evaluator": (
+        *("training.steps=8", "training.batch_size=4", "training.max_poses=24", "training.statistics_batches=1"),
+        *("training.whitening_batches=1", "training.bank_seconds=10", "training.text_encoder=", "network.shared=4"),
+        *("training.framerates=20,60", "network.convolution=8", "network.recurrent=8", "network.embedding=8"),
+    ),
+    "pahires": (
+        *("training.steps=8", "training.batch=4", "training.tasks.gap=0", "network.hidden=8", "network.code=8"),
+        *("network.attention_tokens=4", "network.embedding=8", "network.decoder_layers=1", "network.num_sines=4"),
+    ),
+}
+
+
+def train(stage: str) -> Arguments:
+    """The command that trains a stage in a second."""
+    # One recipe serves codebook, field and denoiser: the settings of all three are the run's.
+    names = (stage,) if stage in ("evaluator", "pahires") else ("codebook", "field", "denoiser")
+    settings = tuple(part for name in names for each in SETTINGS[name] for part in ("--set", each))
+    return ("train", "--stage", stage, *TRAIN, *settings)
+
+
+def ingest(folder: str, *options: str) -> Arguments:
+    """The command that ingests takes with one worker."""
+    return ("ingest", folder, *ONE_WORKER, *options)
+
+
+def takes(folder: str, first: int, count: int) -> Arguments:
+    """The call that writes takes."""
+    return (f"{CALL}write_takes", folder, str(first), str(count), SECONDS)
+
+
+# Each starting folder by its name: the one that it goes on from, and what is run in it.
+STARTS: dict[str, tuple[str, tuple[Arguments, ...]]] = {
+    "takes": ("", (takes("one", 0, 3), takes("two", 3, 3), takes("three", 6, 2))),
+    "store": ("takes", (ingest("one"), ingest("two"))),
+    "two stores": ("store", (("ingest", "three", "--store", "other", "--workers", "1"),)),
+    "gaps": ("store", (ingest("three"), ("remove", "--where", "sequence_index IN (1, 4)", *STORE))),
+    "corpus": ("", (takes("long", 0, 8), ingest("long"))),
+    "codebook": ("corpus", (train("codebook"),)),
+    "field": ("codebook", (train("field"),)),
+    "model": ("field", (train("denoiser"),)),
+    "pahires": ("corpus", (train("pahires"),)),
+}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A command that is disturbed; all paths are relative to the folder that it runs in.
+
+    `again` is what a person does after that, by default the same. What it has written already it may refuse to write
+    once more: `refusal` is what it then says. `whole` names files that are never seen half written. `modes` are the
+    kinds of `Fault` that it is tried with. A training saves after every step.
+    """
+
+    name: str
+    start: str
+    command: Arguments
+    again: Arguments = ()
+    refusal: str = ""
+    store: str = "store"
+    whole: tuple[str, ...] = ()
+    modes: tuple[str, ...] = SEVERAL
+    saves_every_step: bool = False
+
+    @property
+    def repetition(self) -> Arguments:
+        """The command that mends it."""
+        return self.again or self.command
+
+
+def _training(stage: str, start: str) -> Scenario:
+    whole = tuple(f"runs/drill/{stage}/{name}" for name in ("config.json", "model.safetensors", "summary.json"))
+    command = train(stage)
+    return Scenario(f"train {stage}", start, command, (*command, "--resume"), whole=whole, saves_every_step=True)
+
+
+def _export(kind: str) -> Scenario:
+    # The folder appears when it is complete, so everything in it is whole.
+    command = ("export", "out", "--format", kind, *STORE)
+    return Scenario(f"export {kind}", "store", command, refusal="is not empty", whole=("out/*", "out/*/*"))
+
+
+GENERATE = ("generate", "--action", "walk", "--action", "jump", "--fps", "30", "--seconds", "1", "--out", "made", *RUN)
+COMPLETE = ("complete", "one", "--fps", "90", "--out", "made", "--overwrite")
+EVAL = (*STORE, *RUN, "--results", "results", "--split", "all")
+RESULTS = ("results/*.json", "results/*.md", "results/*.png")
+
+SCENARIOS: dict[str, Scenario] = {
+    scenario.name: scenario
+    for scenario in (
+        Scenario("ingest", "takes", ingest("one")),
+        Scenario(
+            "ingest, 2 workers",
+            "takes",
+            ("ingest", "one", *STORE, "--workers", "2"),
+            modes=("operation", "moment", "worker", "interrupt"),
+        ),
+        Scenario("append", "store", ingest("three")),
+        Scenario(
+            "append, 2 workers",
+            "store",
+            ("ingest", "three", *STORE, "--workers", "2"),
+            modes=("moment", "worker", "interrupt"),
+        ),
+        Scenario("overwrite", "store", ingest("three", "--overwrite")),
+        Scenario("remove", "gaps", ("remove", "--where", "sequence_index < 3", *STORE), refusal="no sequence of"),
+        Scenario("remove a whole part", "gaps", ("remove", "--where", "part = 0", *STORE), refusal="no sequence of"),
+        Scenario("compact", "gaps", ("compact", *STORE)),
+        Scenario("merge into a new store", "two stores", ("merge", "new", "store", "other"), store="new"),
+        Scenario("merge into a store", "two stores", ("merge", "store", "other")),
+        Scenario("split", "store", ("split", "--by", "sequence_id", "--shares", "train=0.5,test=0.5", *STORE)),
+        Scenario("cache", "corpus", (f"{CALL}build_cache", "store"), whole=("store/cache/*-*/*",)),
+        _training("codebook", "corpus"),
+        _training("field", "codebook"),
+        _training("denoiser", "field"),
+        _training("evaluator", "corpus"),
+        _training("pahires", "corpus"),
+        Scenario("eval nerm-4", "field", ("eval", "--table", "4", "--clips", "64", *EVAL), whole=RESULTS),
+        Scenario("eval pahires-2", "pahires", ("eval", "--paper", "pahires", "--table", "2", *EVAL), whole=RESULTS),
+        *map(_export, ("bvh", "npz", "humanml3d", "parquet")),
+        Scenario("complete", "takes", COMPLETE, store="", whole=("made/*",)),
+        Scenario("complete by pahires", "pahires", (*COMPLETE[:1], "long", *COMPLETE[2:], "--model", "pahires", *RUN)),
+        Scenario("generate", "model", GENERATE, (*GENERATE, "--resume"), whole=("made/*.npz", "made/*.json")),
+        Scenario("generate again", "model", (*GENERATE, "--overwrite")),
+    )
+}

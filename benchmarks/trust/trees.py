@@ -1,0 +1,66 @@
+"""What lies in a folder, as a mapping that two runs of the same command agree in."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+# What a clock says, and checksums of documents that hold it.
+VOLATILE = frozenset(("checksum", "time", "wall_seconds"))
+TIMED = (".jsonl", "summary.json")
+SHOWN = 3
+
+
+def tree(folder: Path) -> dict[str, str]:
+    """Every file and folder below a folder with a digest of its content, as far as it does not depend on the clock."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        found[name] = f"-> {path.readlink()}" if path.is_symlink() else "/" if path.is_dir() else _digest(path)
+    return found
+
+
+def difference(found: Mapping[str, str], expected: Mapping[str, str]) -> str:
+    """What differs between two trees, in a few words; empty where nothing does."""
+    told = []
+    for words, names in (
+        ("left over", sorted(found.keys() - expected.keys())),
+        ("missing", sorted(expected.keys() - found.keys())),
+        ("different", sorted(name for name in found.keys() & expected.keys() if found[name] != expected[name])),
+    ):
+        if names:
+            more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+            told.append(f"{words}: {', '.join(names[:SHOWN])}{more}")
+    return "; ".join(told)
+
+
+def copy(source: Path, target: Path) -> None:
+    """Copy a folder over whatever was at the target."""
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(source, target, symlinks=True)
+
+
+def _digest(path: Path) -> str:
+    if path.name.endswith(".lock"):
+        return "lock"  # it holds the number of a process
+    content = path.read_bytes()
+    if path.suffix in (".json", ".jsonl"):
+        content = _without_clocks(path.name, content)
+    return hashlib.sha256(content).hexdigest()
+
+
+def _without_clocks(name: str, content: bytes) -> bytes:
+    try:
+        documents = [json.loads(part) for part in (content.splitlines() if name.endswith(".jsonl") else [content])]
+    except ValueError:
+        return content
+    dropped = VOLATILE | {"seconds"} if name.endswith(TIMED) else VOLATILE
+    return json.dumps([_kept(document, dropped) for document in documents], sort_keys=True).encode()
+
+
+def _kept(value: Any, dropped: frozenset[str]) -> Any:
+    if isinstance(value, dict):
+        return {name: _kept(each, dropped) for name, each in value.items() if name not in dropped}
+    return [_kept(each, dropped) for each in value] if isinstance(value, list) else value

@@ -1,0 +1,182 @@
+"""One trial: a command is disturbed, what is there is looked at, the command is repeated and its end compared."""
+
+import json
+import re
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.trust.faults import UNDISTURBED, Fault
+from benchmarks.trust.process import Commands, Outcome
+from benchmarks.trust.scenarios import CALL, STARTS, Scenario
+from benchmarks.trust.trees import copy, difference, tree
+
+ABSENT = "absent"
+# Names that say that nobody is to read the file yet.
+TEMPORARY = re.compile(r"(^|/)(\.|building-)")
+KILLS = {"operation": -signal.SIGKILL, "moment": -signal.SIGKILL, "bytes": -signal.SIGXFSZ}
+INTERRUPTED = 130
+
+
+class UndisturbedError(Exception):
+    """A command that fails, or gives another result, without any fault: nothing can be tried then."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What an undisturbed run gives: the folder before it, after it, and after it was repeated.
+
+    `before` and `after` of the store are what a reader finds in it (`corpus.look`).
+    """
+
+    start: Path
+    before: dict[str, str]
+    after: dict[str, str]
+    repeated: dict[str, str]
+    store_before: dict[str, Any]
+    store_after: dict[str, Any]
+    operations: tuple[str, ...]
+    seconds: float
+    sizes: tuple[int, ...]
+
+
+class Drill:
+    """Makes starting folders once and tries faults in copies of them; owns the folder that it is given."""
+
+    def __init__(self, commands: Commands, folder: Path) -> None:
+        self.commands = commands
+        self.folder = folder
+        self.expected: dict[str, Expected] = {}
+
+    def start_of(self, name: str) -> Path:
+        """The starting folder of this name, made where it is missing."""
+        path = self.folder / "starts" / name.replace(" ", "-")
+        if path.exists():
+            return path
+        base, commands = STARTS[name]
+        making = path.with_name(f"{path.name}.making")
+        if base:
+            copy(self.start_of(base), making)
+        else:
+            making.mkdir(parents=True)
+        for arguments in commands:
+            require_success(self.commands.run(making, arguments), arguments)
+        making.rename(path)
+        return path
+
+    def prepare(self, scenario: Scenario) -> Expected:
+        """Run the command undisturbed, three times: twice from the start, which must agree, and once more."""
+        if scenario.name in self.expected:
+            return self.expected[scenario.name]
+        start, place = self.start_of(scenario.start), self.folder / "place"
+        ends = []
+        for _ in range(2):
+            copy(start, place)
+            before = tree(place)
+            store_before = self.look(scenario, place)
+            outcome = self.run(scenario, place)
+            require_success(outcome, scenario.command)
+            ends.append(tree(place))
+        if differing := difference(ends[1], ends[0]):
+            raise UndisturbedError(f"{scenario.name} does not give the same twice, without any fault: {differing}")
+        store_after = self.look(scenario, place)
+        changed = [place / name for name in ends[0] if ends[0][name] != before.get(name)]
+        sizes = tuple(path.stat().st_size for path in changed if path.is_file() and path.stat().st_size)
+        again = self.run(scenario, place, repeating=True)
+        if not refuses(again, scenario):
+            require_success(again, scenario.repetition)
+        self.expected[scenario.name] = Expected(
+            start=start,
+            before=before,
+            after=ends[0],
+            repeated=tree(place),
+            store_before=store_before,
+            store_after=store_after,
+            operations=outcome.operations,
+            seconds=outcome.seconds,
+            sizes=sizes,
+        )
+        return self.expected[scenario.name]
+
+    def attempt(self, scenario: Scenario, fault: Fault) -> str:
+        """Try one fault; what went wrong, in a line, or nothing."""
+        expected, place = self.prepare(scenario), self.folder / "place"
+        copy(expected.start, place)
+        hit = self.run(scenario, place, fault)
+        found = self.look(scenario, place)
+        return (
+            ending_fault(hit, fault)
+            or state_fault(scenario, expected, place, found)
+            or self.repetition_fault(scenario, expected, place, found)
+        )
+
+    def run(self, scenario: Scenario, place: Path, fault: Fault = UNDISTURBED, *, repeating: bool = False) -> Outcome:
+        """Run the scenario's command, or its repetition."""
+        every = 0.0 if scenario.saves_every_step else None
+        arguments = scenario.repetition if repeating else scenario.command
+        return self.commands.run(place, arguments, fault, checkpoint_seconds=every)
+
+    def look(self, scenario: Scenario, place: Path) -> dict[str, Any]:
+        """What a reader finds in the scenario's store."""
+        if not scenario.store:
+            return {}
+        outcome = self.commands.run(place, (f"{CALL}look", scenario.store))
+        if outcome.code:
+            return {"unreadable": outcome.last_line}
+        found: dict[str, Any] = json.loads(outcome.out)
+        return found
+
+    def repetition_fault(self, scenario: Scenario, expected: Expected, place: Path, found: dict[str, Any]) -> str:
+        """Repeat the command; what it ends with must be what an undisturbed run, or its repetition, ends with."""
+        stored = found == expected.store_after != expected.store_before
+        done = stored or all(tree(place).get(name) == digest for name, digest in expected.after.items())
+        again = self.run(scenario, place, repeating=True)
+        if again.code != 0 and not (done and refuses(again, scenario)):
+            return f"repeated, it ends with exit code {again.code}: {again.last_line}"
+        end = tree(place)
+        if end in (expected.after, expected.repeated):
+            return ""
+        return f"repeated, it ends with another result: {difference(end, expected.after)}"
+
+
+def state_fault(scenario: Scenario, expected: Expected, place: Path, found: dict[str, Any]) -> str:
+    """What is neither as it was nor as it will be: the store as a reader finds it, or a file that must be whole."""
+    if found not in (expected.store_before, expected.store_after):
+        return f"the store {scenario.store} is neither in its old nor in its new state: {json.dumps(found)}"
+    there = tree(place)
+    for name in sorted({path.relative_to(place).as_posix() for each in scenario.whole for path in place.glob(each)}):
+        known = (expected.before.get(name, ABSENT), expected.after.get(name, ABSENT))
+        if not TEMPORARY.search(name) and there[name] not in known:
+            return f"{name} is half written"
+    return ""
+
+
+def refuses(outcome: Outcome, scenario: Scenario) -> bool:
+    """Whether a repeated command says that there is nothing left to do."""
+    return bool(scenario.refusal) and outcome.code in (1, 2) and bool(re.search(scenario.refusal, outcome.err))
+
+
+def ending_fault(hit: Outcome, fault: Fault) -> str:
+    """What is wrong with how a disturbed command ended."""
+    if hit.code is None:
+        return f"it hung: after {hit.seconds:.0f} s it was still running"
+    if hit.left:
+        return f"{hit.left} of its processes were still there ten seconds later"
+    if "Traceback" in hit.err or "Exception ignored" in hit.err:
+        return f"a traceback: {hit.last_line}"
+    codes = {"limit": (0, 1), "interrupt": (0, INTERRUPTED), "worker": (0,)}
+    allowed = codes.get(fault.kind, (0, KILLS.get(fault.kind, 0)))
+    if hit.code not in allowed:
+        return f"it ended with exit code {hit.code}: {hit.last_line}"
+    if hit.code == 1 and not hit.last_line.startswith("motionkit: "):
+        return f"it failed without saying why: {hit.last_line}"
+    return ""
+
+
+def require_success(outcome: Outcome, arguments: tuple[str, ...]) -> None:
+    """Raise `UndisturbedError` where an undisturbed command failed."""
+    if outcome.code != 0:
+        raise UndisturbedError(
+            f"undisturbed, {' '.join(arguments)} ended with exit code {outcome.code}: {outcome.last_line}"
+        )
