@@ -7,27 +7,31 @@ whole, and the command, repeated, must end with the very files of an undisturbed
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.trust.disk import NoDiskError, SmallDisk
 from benchmarks.trust.faults import Fault
 from benchmarks.trust.process import Commands
 from benchmarks.trust.report import Case, Report
 from benchmarks.trust.scenarios import SCENARIOS, Scenario
-from benchmarks.trust.trials import Drill, Expected, UndisturbedError
+from benchmarks.trust.trials import DISK_FAULTS, Drill, Expected, UndisturbedError
 from eval.report.results import environment
 from motionkit.console import progress
 
 DEFAULT_SECONDS = 300.0
 # How many of each kind a whole drill tries; of file operations it tries all.
-NUM_TRIALS = {"bytes": 12, "moment": 12, "limit": 8, "interrupt": 6, "worker": 6}
+NUM_TRIALS = {"bytes": 12, "moment": 12, "limit": 6, "full": 6, "read-only": 1, "interrupt": 6, "worker": 6}
 KINDS = {
     "operation": "before file operations",
     "bytes": "at bytes",
     "moment": "at moments",
     "worker": "workers",
     "limit": "file too large",
+    "full": "disk full",
+    "read-only": "read-only",
     "interrupt": "Ctrl-C",
 }
 
@@ -35,9 +39,14 @@ KINDS = {
 def run(seed: int, seconds: float, folder: Path, names: Sequence[str] = tuple(SCENARIOS)) -> Report:
     """Try faults in each scenario in turn until all are tried or the time is up; those that took least go first."""
     started = time.perf_counter()
-    with Commands() as commands, progress() as display:
+    with ExitStack() as held:
+        commands, display = held.enter_context(Commands()), held.enter_context(progress())
         task = display.add_task("crash", total=seconds, note="")
-        drill = Drill(commands, folder)
+        try:
+            disk, no_disk = held.enter_context(SmallDisk(folder / "disk")), ()
+        except NoDiskError as error:
+            disk, no_disk = None, (Case("disk full, read-only", 0, skipped=str(error)),)
+        drill = Drill(commands, folder, disk)
         trials = [_Trials(SCENARIOS[name], drill, seed) for name in names]
         while (waiting := [each for each in trials if not each.finished]) and (
             (passed := time.perf_counter() - started) < seconds
@@ -45,7 +54,7 @@ def run(seed: int, seconds: float, folder: Path, names: Sequence[str] = tuple(SC
             following = min(waiting, key=lambda each: each.seconds)
             display.update(task, completed=passed, note=following.scenario.name)
             following.go_on()
-    cases = tuple(each.case() for each in trials)
+    cases = (*(each.case() for each in trials), *no_disk)
     return Report("crash", seed, time.perf_counter() - started, cases, environment())
 
 
@@ -69,7 +78,14 @@ class _Trials:
         if not self._prepared:
             self._prepared = True
             try:
-                self._left = iter(faults(self.scenario, self._drill.prepare(self.scenario), self._seed))
+                self._left = iter(
+                    faults(
+                        self.scenario,
+                        self._drill.prepare(self.scenario),
+                        self._seed,
+                        has_disk=self._drill.disk is not None,
+                    )
+                )
             except UndisturbedError as error:
                 self._failures.append(str(error))
         elif (following := next(self._left, None)) is None:
@@ -88,11 +104,13 @@ class _Trials:
         return Case(self.scenario.name, len(self._tried), tuple(self._failures), figures)
 
 
-def faults(scenario: Scenario, expected: Expected, seed: int) -> list[tuple[Fault, str]]:
+def faults(scenario: Scenario, expected: Expected, seed: int, *, has_disk: bool) -> list[tuple[Fault, str]]:
     """Every fault that a scenario is tried with, in a random order, each with what is known of it."""
     generator = np.random.default_rng([seed, *scenario.name.encode()])
     found: list[tuple[Fault, str]] = []
     for kind in scenario.modes:
+        if kind in DISK_FAULTS and not has_disk:
+            continue
         if kind == "operation":
             found += [(Fault(kind, number), f" ({name})") for number, name in enumerate(expected.operations)]
             continue
@@ -100,6 +118,8 @@ def faults(scenario: Scenario, expected: Expected, seed: int) -> list[tuple[Faul
             if kind in ("bytes", "limit"):
                 size = int(generator.choice(expected.sizes))
                 found.append((Fault(kind, int(size * generator.random())), ""))
+            elif kind == "full":
+                found.append((Fault(kind, int(1.2 * sum(expected.sizes) * generator.random())), ""))
             else:
                 found.append((Fault(kind, float(expected.seconds * generator.random())), ""))
     return [found[index] for index in generator.permutation(len(found))]

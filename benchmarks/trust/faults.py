@@ -34,7 +34,7 @@ class Fault:
     Kinds: `none`; `operation`, SIGKILL before the n-th change of a file (n from 0); `bytes`, a kill as soon as any file
     would grow beyond n bytes, so that it is cut there; `limit`, the same as an error (EFBIG) that the command can tell;
     `moment`, SIGKILL after n seconds; `worker`, the same to one of its worker processes; `interrupt`, Ctrl-C after n
-    seconds, to the process and its workers.
+    seconds, to the process and its workers. Of the disk (`disk.SmallDisk`): `full` but for n bytes, and `read-only`.
     """
 
     kind: str = "none"
@@ -49,6 +49,8 @@ class Fault:
             "moment": f"killed after {self.number:.3f} s",
             "worker": f"a worker killed after {self.number:.3f} s",
             "interrupt": f"Ctrl-C after {self.number:.3f} s",
+            "full": f"a disk with {self.number:.0f} bytes free",
+            "read-only": "a read-only disk",
         }
         return told[self.kind]
 

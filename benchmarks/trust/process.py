@@ -54,9 +54,7 @@ class Commands:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        assert self._server.stdin is not None
-        self._server.stdin.close()
-        self._server.wait()
+        self._server.communicate()
 
     def run(
         self,

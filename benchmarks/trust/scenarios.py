@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 Arguments = tuple[str, ...]
 CALL = "call:benchmarks.trust.corpus:"
-SECONDS = "2.0"
+SHORT, LONG = "2.0", "3.0"
 STORE = ("--store", "store")
 ONE_WORKER = (*STORE, "--workers", "1")
 RUN = ("--runs", "runs", "--run", "drill")
 TRAIN = (*STORE, *RUN, "--device", "cpu")
-SEVERAL = "operation", "bytes", "moment", "limit", "interrupt"
+EVERY = "operation", "bytes", "moment", "limit", "full", "read-only", "interrupt"
 
 SETTINGS: dict[str, tuple[str, ...]] = {
     "codebook": (
@@ -31,6 +31,7 @@ SETTINGS: dict[str, tuple[str, ...]] = {
     ),
     "pahires": (
         *("training.steps=8", "training.batch=4", "training.tasks.gap=0", "network.hidden=8", "network.code=8"),
+        *("training.tasks.longest_gap=10", "training.tasks.num_frames=8", "training.tasks.largest_factor=2"),
         *("network.attention_tokens=4", "network.embedding=8", "network.decoder_layers=1", "network.num_sines=4"),
     ),
 }
@@ -49,9 +50,9 @@ def ingest(folder: str, *options: str) -> Arguments:
     return ("ingest", folder, *ONE_WORKER, *options)
 
 
-def takes(folder: str, first: int, count: int) -> Arguments:
+def takes(folder: str, first: int, count: int, seconds: str = SHORT) -> Arguments:
     """The call that writes takes."""
-    return (f"{CALL}write_takes", folder, str(first), str(count), SECONDS)
+    return (f"{CALL}write_takes", folder, str(first), str(count), seconds)
 
 
 # Each starting folder by its name: the one that it goes on from, and what is run in it.
@@ -60,7 +61,7 @@ STARTS: dict[str, tuple[str, tuple[Arguments, ...]]] = {
     "store": ("takes", (ingest("one"), ingest("two"))),
     "two stores": ("store", (("ingest", "three", "--store", "other", "--workers", "1"),)),
     "gaps": ("store", (ingest("three"), ("remove", "--where", "sequence_index IN (1, 4)", *STORE))),
-    "corpus": ("", (takes("long", 0, 8), ingest("long"))),
+    "corpus": ("", (takes("long", 0, 8, LONG), ingest("long"))),
     "codebook": ("corpus", (train("codebook"),)),
     "field": ("codebook", (train("field"),)),
     "model": ("field", (train("denoiser"),)),
@@ -84,7 +85,7 @@ class Scenario:
     refusal: str = ""
     store: str = "store"
     whole: tuple[str, ...] = ()
-    modes: tuple[str, ...] = SEVERAL
+    modes: tuple[str, ...] = EVERY
     saves_every_step: bool = False
 
     @property
@@ -108,6 +109,7 @@ def _export(kind: str) -> Scenario:
 GENERATE = ("generate", "--action", "walk", "--action", "jump", "--fps", "30", "--seconds", "1", "--out", "made", *RUN)
 COMPLETE = ("complete", "one", "--fps", "90", "--out", "made", "--overwrite")
 EVAL = (*STORE, *RUN, "--results", "results", "--split", "all")
+EVAL_PAHIRES = ("eval", "--paper", "pahires", "--table", "2", *EVAL, "--where", "fps = 60")
 RESULTS = ("results/*.json", "results/*.md", "results/*.png")
 
 SCENARIOS: dict[str, Scenario] = {
@@ -118,7 +120,7 @@ SCENARIOS: dict[str, Scenario] = {
             "ingest, 2 workers",
             "takes",
             ("ingest", "one", *STORE, "--workers", "2"),
-            modes=("operation", "moment", "worker", "interrupt"),
+            modes=("operation", "moment", "worker", "full", "read-only", "interrupt"),
         ),
         Scenario("append", "store", ingest("three")),
         Scenario(
@@ -141,7 +143,12 @@ SCENARIOS: dict[str, Scenario] = {
         _training("evaluator", "corpus"),
         _training("pahires", "corpus"),
         Scenario("eval nerm-4", "field", ("eval", "--table", "4", "--clips", "64", *EVAL), whole=RESULTS),
-        Scenario("eval pahires-2", "pahires", ("eval", "--paper", "pahires", "--table", "2", *EVAL), whole=RESULTS),
+        Scenario(
+            "eval pahires-2",
+            "pahires",
+            ("eval", "--paper", "pahires", "--table", "2", *EVAL, "--where", "fps = 60"),
+            whole=RESULTS,
+        ),
         *map(_export, ("bvh", "npz", "humanml3d", "parquet")),
         Scenario("complete", "takes", COMPLETE, store="", whole=("made/*",)),
         Scenario("complete by pahires", "pahires", (*COMPLETE[:1], "long", *COMPLETE[2:], "--model", "pahires", *RUN)),

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.trust.faults import UNDISTURBED, Fault, install
+from motionkit.errors import MotionkitError
 
 CALL = "call:"
 PATIENCE_SECONDS = 10.0
@@ -203,6 +204,9 @@ def exit_code(arguments: list[str]) -> int:
             main()
     except KeyboardInterrupt:
         return 130  # before `main` had begun
+    except (MotionkitError, OSError) as error:  # as the app tells them, of a function that is called
+        print(f"motionkit: {error}", file=sys.stderr)
+        return 1
     except SystemExit as ended:
         return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except BaseException:

@@ -3,10 +3,12 @@
 import json
 import re
 import signal
+from contextlib import nullcontext
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
+from benchmarks.trust.disk import SmallDisk
 from benchmarks.trust.faults import UNDISTURBED, Fault
 from benchmarks.trust.process import Commands, Outcome
 from benchmarks.trust.scenarios import CALL, STARTS, Scenario
@@ -15,8 +17,18 @@ from benchmarks.trust.trees import copy, difference, tree
 ABSENT = "absent"
 # Names that say that nobody is to read the file yet.
 TEMPORARY = re.compile(r"(^|/)(\.|building-)")
-KILLS = {"operation": -signal.SIGKILL, "moment": -signal.SIGKILL, "bytes": -signal.SIGXFSZ}
-INTERRUPTED = 130
+# With which codes a command may end; 130 is Ctrl-C's.
+CODES: dict[str, tuple[int, ...]] = {
+    "operation": (0, -signal.SIGKILL),
+    "moment": (0, -signal.SIGKILL),
+    "bytes": (0, -signal.SIGXFSZ),
+    "worker": (0,),
+    "limit": (0, 1),
+    "full": (0, 1),
+    "read-only": (1,),
+    "interrupt": (0, 130),
+}
+DISK_FAULTS = ("full", "read-only")
 
 
 class UndisturbedError(Exception):
@@ -44,9 +56,10 @@ class Expected:
 class Drill:
     """Makes starting folders once and tries faults in copies of them; owns the folder that it is given."""
 
-    def __init__(self, commands: Commands, folder: Path) -> None:
+    def __init__(self, commands: Commands, folder: Path, disk: SmallDisk | None) -> None:
         self.commands = commands
         self.folder = folder
+        self.disk = disk
         self.expected: dict[str, Expected] = {}
 
     def start_of(self, name: str) -> Path:
@@ -101,15 +114,15 @@ class Drill:
 
     def attempt(self, scenario: Scenario, fault: Fault) -> str:
         """Try one fault; what went wrong, in a line, or nothing."""
-        expected, place = self.prepare(scenario), self.folder / "place"
+        expected = self.prepare(scenario)
+        disk = self.disk if fault.kind in DISK_FAULTS else None
+        place = (self.folder if disk is None else disk.path) / "place"
         copy(expected.start, place)
-        hit = self.run(scenario, place, fault)
-        found = self.look(scenario, place)
-        return (
-            ending_fault(hit, fault)
-            or state_fault(scenario, expected, place, found)
-            or self.repetition_fault(scenario, expected, place, found)
-        )
+        with nullcontext() if disk is None else disk.suffering(fault):
+            hit = self.run(scenario, place, fault)
+            found = self.look(scenario, place)
+            problem = ending_fault(hit, fault, expected) or state_fault(scenario, expected, place, found)
+        return problem or self.repetition_fault(scenario, expected, place, found)
 
     def run(self, scenario: Scenario, place: Path, fault: Fault = UNDISTURBED, *, repeating: bool = False) -> Outcome:
         """Run the scenario's command, or its repetition."""
@@ -157,7 +170,7 @@ def refuses(outcome: Outcome, scenario: Scenario) -> bool:
     return bool(scenario.refusal) and outcome.code in (1, 2) and bool(re.search(scenario.refusal, outcome.err))
 
 
-def ending_fault(hit: Outcome, fault: Fault) -> str:
+def ending_fault(hit: Outcome, fault: Fault, expected: Expected) -> str:
     """What is wrong with how a disturbed command ended."""
     if hit.code is None:
         return f"it hung: after {hit.seconds:.0f} s it was still running"
@@ -165,13 +178,18 @@ def ending_fault(hit: Outcome, fault: Fault) -> str:
         return f"{hit.left} of its processes were still there ten seconds later"
     if "Traceback" in hit.err or "Exception ignored" in hit.err:
         return f"a traceback: {hit.last_line}"
-    codes = {"limit": (0, 1), "interrupt": (0, INTERRUPTED), "worker": (0,)}
-    allowed = codes.get(fault.kind, (0, KILLS.get(fault.kind, 0)))
-    if hit.code not in allowed:
+    if hit.code not in CODES[fault.kind]:
         return f"it ended with exit code {hit.code}: {hit.last_line}"
-    if hit.code == 1 and not hit.last_line.startswith("motionkit: "):
-        return f"it failed without saying why: {hit.last_line}"
+    if hit.code == 1 and not (hit.last_line.startswith("motionkit: ") and names_a_file(hit.last_line, expected)):
+        return f"it failed without saying what with: {hit.last_line}"
     return ""
+
+
+def names_a_file(line: str, expected: Expected) -> bool:
+    """Whether a message names one of the files that were to be written, or a folder that they are in."""
+    written = {name for name, digest in expected.after.items() if expected.before.get(name) != digest}
+    folders = {parent.as_posix() for name in written for parent in PurePosixPath(name).parents} - {"."}
+    return any(name in line for name in written | folders)
 
 
 def require_success(outcome: Outcome, arguments: tuple[str, ...]) -> None:
