@@ -1,12 +1,15 @@
-"""What the script `motionkit` runs. It loads nothing of its own, for every process of workers loads it again."""
+"""What the script `motionkit` runs. It loads little of its own, for every process of workers loads it again."""
 
 import gc
 import sys
+
+from motionkit import interrupts
 
 
 def main() -> None:
     """Run the command line, then leave at once."""
     try:
+        interrupts.stop_like_ctrl_c()
         from motionkit.cli import app
 
         app.main()
@@ -15,6 +18,7 @@ def main() -> None:
         print("motionkit: stopped", file=sys.stderr)
         sys.exit(130)
     finally:
+        interrupts.stop_no_more()
         # What is left goes with the process; to look through it once more takes a tenth of a second. duckdb's library
         # would tell of leaks.
         if "duckdb" not in sys.modules:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from motionkit.checksums import sha256_of
 from motionkit.errors import StoreError
+from motionkit.interrupts import held_back
 from motionkit.store import files
 from motionkit.store.manifest import (
     PENDING_SUFFIX,
@@ -41,8 +42,9 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
         try:
             yield manifest
         except BaseException:
-            if committed(store) == manifest:
-                _tidy(store, manifest)
+            with held_back():
+                if committed(store) == manifest:
+                    _tidy(store, manifest)
             raise
 
 
@@ -76,8 +78,9 @@ def describe_pending(store: Path, num_rows: Mapping[str, int]) -> dict[str, File
 
 def publish(store: Path, manifest: Manifest) -> None:
     """The commit: from the rename of the manifest on, the store is what it says; then the tables get their names."""
-    commit_manifest(store, manifest)
-    _tidy(store, manifest)
+    with held_back():
+        commit_manifest(store, manifest)
+        _tidy(store, manifest)
 
 
 def _tidy(store: Path, manifest: Manifest) -> None:

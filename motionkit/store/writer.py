@@ -7,6 +7,7 @@ from types import TracebackType
 
 import pyarrow.parquet as pq
 
+from motionkit.interrupts import held_back
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
@@ -148,10 +149,11 @@ class StoreWriter:
     ) -> None:
         # An exception goes on to `changing`, which removes what was written.
         if kind is not None:
-            try:
-                self._close()  # fails, too, where the disk is full
-            finally:
-                self._held.__exit__(kind, error, traceback)
+            with held_back():
+                try:
+                    self._close()  # fails, too, where the disk is full
+                finally:
+                    self._held.__exit__(kind, error, traceback)
         elif self._num_sequences > self._base.num_sequences or not self._keep:
             with self._held:
                 self._commit()

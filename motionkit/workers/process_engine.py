@@ -10,17 +10,18 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import forkserver
-from multiprocessing.connection import wait
+from multiprocessing import forkserver, resource_tracker
+from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
 from multiprocessing.heap import BufferWrapper
 from typing import Any
 
+from motionkit.interrupts import held_back
 from motionkit.workers.parallel import BATCHES_IN_FLIGHT_PER_WORKER, WorkerDied
 from motionkit.workers.parcel import Parcel, pack, unpack
 
 # One server serves all workers of a process, whatever they compute: what they compute with, and how they are talked to.
-PRELOADED = ("motionkit.workers.uninterrupted", "motionkit.store.read_batch", "motionkit.workers.process_engine")
+PRELOADED = ("motionkit.store.read_batch", "motionkit.workers.process_engine")
 
 # Two megabytes of text become a third of that, other sources at most themselves; one file alone may be larger.
 SLOT_BYTES = 2 * 2**20
@@ -42,11 +43,19 @@ def start_server() -> BaseContext:
     """Start the process that workers are forked from, unless it runs, and do not wait for it.
 
     It imports what every worker needs, once, while this process goes on: a command that will need workers starts it
-    before its own imports.
+    before its own imports. Ctrl-C is for this process to handle: the server and its workers never see it.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["__main__", *PRELOADED])
-    forkserver.ensure_running()
+    with held_back():
+        resource_tracker.ensure_running()  # else it starts with the server, and unblocks signals in between
+        # What is blocked stays so in the process that is started, from its first moment on. Python has the server
+        # ignore Ctrl-C too, but only when everything is loaded, and until then prints a traceback.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            forkserver.ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return context
 
 
@@ -98,27 +107,35 @@ class Processes:
         num_slots = self.num_workers * BATCHES_IN_FLIGHT_PER_WORKER
         self._shared = BufferWrapper(num_slots * SLOT_BYTES)  # of RawArray every page would be written to first
         self._free_slots = list(range(num_slots))
+        self._at_work, self._stop = multiprocessing.Pipe(duplex=False)
         return self
 
     def __exit__(self, *exception: object) -> None:
-        if self._pool is not None:
-            # Nothing is awaited: while the workers leave, the writer completes its store.
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            self._pool = None
-        del self._shared
+        with held_back():
+            self._stop.close()  # what a worker is still at is not wanted, and may take long
+            if self._pool is not None:
+                self._pool.shutdown(cancel_futures=True)
+                self._pool = None
+            self._at_work.close()
+            del self._shared
 
     def submit(self, function: Function, batch: Sequence[Any]) -> _Ticket:
         """Hand a batch to the pool, which is started where there is none."""
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                self.num_workers, mp_context=start_server(), initializer=_start_worker, initargs=(self._shared,)
-            )
         slot = self._free_slots.pop() if self._free_slots else None
-        try:
-            future = self._pool.submit(_compute, function, batch, slot)
-        except BrokenProcessPool as broken:
-            future = Future()
-            future.set_exception(broken)
+        # A worker that is just being started when this process gives up would look for semaphores that are gone.
+        with held_back():
+            if self._pool is None:
+                self._pool = ProcessPoolExecutor(
+                    self.num_workers,
+                    mp_context=start_server(),
+                    initializer=_start_worker,
+                    initargs=(self._shared, self._at_work),
+                )
+            try:
+                future = self._pool.submit(_compute, function, batch, slot)
+            except BrokenProcessPool as broken:
+                future = Future()
+                future.set_exception(broken)
         return _Ticket(self._pool, future, slot)
 
     def result(self, ticket: _Ticket) -> Sequence[Any]:
@@ -151,19 +168,18 @@ def _compute(function: Function, batch: Sequence[Any], slot: int | None) -> Parc
     return pack(function(batch), _memory_of(_shared_with_parent[0], slot))
 
 
-def _start_worker(shared: BufferWrapper) -> None:
+def _start_worker(shared: BufferWrapper, at_work: Connection) -> None:
     _shared_with_parent.append(shared)
     _keep_freed_memory()
     gc.freeze()  # what was imported stays: no collection need look at it
-    # Ctrl-C is the parent's to handle; a parent that is killed takes its workers with it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(at_work,), daemon=True).start()
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(at_work: Connection) -> None:
+    # A parent that is killed takes its workers with it, and one that gives up closes its end of the pipe.
     parent = multiprocessing.parent_process()
     if parent is not None:
-        wait([parent.sentinel])
+        wait([parent.sentinel, at_work])
         os._exit(1)
 
 

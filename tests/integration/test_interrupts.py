@@ -1,15 +1,35 @@
-"""Ctrl-C: one line and exit code 130, whenever it comes; the server of workers leaves it to its parent."""
+"""Ctrl-C and SIGTERM: one line, exit code 130, and nothing left behind, whenever they come."""
 
+import os
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from conftest import Outcome
+from small_bvh import bvh_text
 
 from motionkit.cli import app, start
-from motionkit.workers.process_engine import PRELOADED
+from motionkit.store import Store
+
+STOPPED = "motionkit: stopped\n"
+# What the installed script does, which says when it begins.
+SCRIPT = "import sys; from motionkit.cli.start import main; print('begun', flush=True); sys.exit(main())"
+NUM_TAKES = 24
+
+
+@pytest.fixture(autouse=True)
+def same_handlers() -> Iterator[None]:
+    """`start.main` is for a process of its own: it changes what signals do."""
+    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in previous.items():
+        signal.signal(number, handler)
 
 
 def interrupted(*arguments: object) -> None:
@@ -22,7 +42,7 @@ def test_an_interrupted_command_says_so(
 ) -> None:
     monkeypatch.setattr("motionkit.store.Store.open", interrupted)
     outcome = motionkit("info", "--store", tmp_path)
-    assert (outcome.code, outcome.stdout, outcome.stderr) == (130, "", "motionkit: stopped\n")
+    assert (outcome.code, outcome.stdout, outcome.stderr) == (130, "", STOPPED)
 
 
 def test_so_does_one_that_is_being_loaded(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -30,10 +50,131 @@ def test_so_does_one_that_is_being_loaded(monkeypatch: pytest.MonkeyPatch, capsy
     monkeypatch.setattr("gc.freeze", lambda: None)
     with pytest.raises(SystemExit) as ended:
         start.main()
-    assert ended.value.code == 130 and capsys.readouterr().err == "motionkit: stopped\n"
+    assert ended.value.code == 130 and capsys.readouterr().err == STOPPED
 
 
-def test_the_server_of_workers_goes_on() -> None:
-    code = f"import {PRELOADED[0]}, os, signal; os.kill(os.getpid(), signal.SIGINT); print('on')"
+def test_the_server_of_workers_never_sees_ctrl_c() -> None:
+    # Its process is sent one in each of its first moments, while it loads Python and what it serves.
+    code = (
+        "import os, signal, time; from multiprocessing import forkserver\n"
+        "from motionkit.workers.process_engine import Processes, start_server\n"
+        "from motionkit.workers.parallel import map_in_order\n"
+        "start_server()\n"
+        "for _ in range(30):\n"
+        "    os.kill(forkserver._forkserver._forkserver_pid, signal.SIGINT); time.sleep(0.02)\n"
+        "with Processes(1) as engine: print(list(map_in_order(engine, sorted, [[3]])))"
+    )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert (ran.stdout, ran.stderr) == ("on\n", "")
+    assert (ran.stdout, ran.stderr) == ("[(3, 3)]\n", "")
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Files that two workers read while the command writes what they have read."""
+    folder = tmp_path_factory.mktemp("corpus")
+    for number in range(NUM_TAKES):
+        (folder / f"take-{number:02}.bvh").write_text(bvh_text(2000))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def seconds_of_all(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> float:
+    """How long the command takes that no signal stops."""
+    folder = tmp_path_factory.mktemp("whole")
+    outcome, seconds = run(ingest_of(corpus, folder / "store"), folder)
+    assert (outcome.code, outcome.stderr) == (0, "")
+    return seconds
+
+
+@pytest.mark.parametrize("to_group", [True, False], ids=["to the group", "to the process"])
+@pytest.mark.parametrize(("number", "num_moments"), [(signal.SIGINT, 12), (signal.SIGTERM, 4)], ids=["INT", "TERM"])
+def test_whenever_it_comes_the_store_stays_and_nothing_is_left(
+    corpus: Path, seconds_of_all: float, tmp_path: Path, number: signal.Signals, num_moments: int, to_group: bool
+) -> None:
+    temporary, store = tmp_path / "tmp", tmp_path / "store"
+    temporary.mkdir()
+    assert run(ingest_of(corpus / "take-00.bvh", store), temporary)[0].code == 0
+    before = contents(store)
+    for moment in range(num_moments):
+        sent = Sent(number, seconds_of_all * moment / num_moments, to_group)
+        outcome, _ = run(ingest_of(corpus, store), temporary, sent)
+        assert list(temporary.rglob("*")) == [], moment
+        if outcome.code == 0:  # this time it was faster
+            assert outcome.stderr == ""
+        else:
+            assert (outcome.code, outcome.stdout, outcome.stderr) == (130, "begun\n", STOPPED), moment
+        if contents(store) != before:  # one that comes with the commit comes too late
+            assert len(Store.open(store).sequences) == NUM_TAKES
+            break
+
+
+def ingest_of(source: Path, store: Path) -> list[str]:
+    """A command that prints no warnings."""
+    return ["ingest", str(source), "--store", str(store), "--workers", "2"]
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A signal for a command, or for it and all processes that it has started, so long after its begin."""
+
+    number: signal.Signals
+    after_seconds: float
+    to_group: bool
+
+
+def run(arguments: list[str], temporary: Path, sent: Sent | None = None) -> tuple[Outcome, float]:
+    """Run the command, which may be sent a signal; all its processes have ended when this returns."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, *arguments],
+        env=os.environ | {"TMPDIR": str(temporary)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        assert process.stdout is not None
+        begun, start = process.stdout.readline(), time.monotonic()
+        if sent is not None:
+            time.sleep(sent.after_seconds)
+            if process.poll() is None:
+                (os.killpg if sent.to_group else os.kill)(process.pid, sent.number)
+        stdout, stderr = process.communicate(timeout=60)
+        seconds = time.monotonic() - start
+        wait_for_group(process.pid)
+    finally:
+        for left in processes_of(process.pid):
+            os.kill(left, signal.SIGKILL)
+    return Outcome(process.returncode, begun + stdout, without_warnings(stderr)), seconds
+
+
+def without_warnings(stderr: str) -> str:
+    """All else that was told: the small BVH lacks a right side, which is warned of."""
+    return "".join(line for line in stderr.splitlines(keepends=True) if not line.startswith("warning: "))
+
+
+def wait_for_group(group: int) -> None:
+    """Until no process of it is left; the server of workers sees a moment later that its parent is gone."""
+    deadline = time.monotonic() + 10
+    while left := processes_of(group):
+        assert time.monotonic() < deadline, f"{left} of the command are still there"
+        time.sleep(0.01)
+
+
+def processes_of(group: int) -> list[int]:
+    """The running processes of a group; those that have ended may wait to be collected."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, _, of_group, *_ = path.read_text().rpartition(")")[2].split()
+            found += [int(path.parent.name)] * (int(of_group) == group and state != "Z")
+    return found
+
+
+def contents(store: Path) -> dict[str, bytes]:
+    """All files of a store, but for the lock."""
+    return {
+        str(path.relative_to(store)): path.read_bytes()
+        for path in sorted(store.rglob("*"))
+        if path.is_file() and path.name != ".writer.lock"
+    }

@@ -1,6 +1,8 @@
 """A map over processes: order, and what happens when one of them dies."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -64,6 +66,33 @@ def test_arrays_of_any_size_come_back_while_others_are_on_their_way() -> None:
             if isinstance(array, np.ndarray)
         ]
     assert same == [(size, True) for size in sizes]
+
+
+STUCK = """
+import time
+from motionkit.workers.process_engine import Processes
+
+def sleep(batch):
+    print("asleep", flush=True)
+    time.sleep(3600)
+
+if __name__ == "__main__":
+    with Processes(1) as engine:
+        engine.submit(sleep, [0])
+        input()
+        raise KeyboardInterrupt
+"""
+
+
+def test_what_a_worker_is_at_is_not_waited_for(tmp_path: Path) -> None:
+    program = tmp_path / "stuck.py"
+    program.write_text(STUCK)
+    process = subprocess.Popen(
+        [sys.executable, program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdout is not None and process.stdout.readline() == b"asleep\n"
+    _, stderr = process.communicate(b"\n", timeout=60)
+    assert process.returncode != 0 and stderr.splitlines()[-1] == b"KeyboardInterrupt"
 
 
 def test_few_inputs_are_in_flight() -> None:

@@ -1,0 +1,43 @@
+"""Ctrl-C and SIGTERM, which may come at any moment, held back while something must not stop halfway."""
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+STOPPING = (signal.SIGTERM, signal.SIGINT)
+
+
+@contextmanager
+def held_back() -> Iterator[None]:
+    """Deliver Ctrl-C and SIGTERM only after the block, however it ends; for what takes little time.
+
+    Blocks may be nested. Outside the main thread, where no signals are handled, nothing is done.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    # None: a handler that was not set from Python, which cannot be put back.
+    previous = {number: handler for number in STOPPING if (handler := signal.getsignal(number)) is not None}
+    try:
+        for number in previous:
+            signal.signal(number, lambda arrived, frame: came.append(arrived))
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        for arrived in came:
+            signal.raise_signal(arrived)
+
+
+def stop_like_ctrl_c() -> None:
+    """Let SIGTERM raise `KeyboardInterrupt`, as Ctrl-C does, so that what was begun is tidied up."""
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+def stop_no_more() -> None:
+    """Ignore Ctrl-C and SIGTERM from here on: for a process that has ended its work and only has to leave."""
+    for number in STOPPING:
+        signal.signal(number, signal.SIG_IGN)
