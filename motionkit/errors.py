@@ -1,10 +1,19 @@
 """The project's own errors: each says where, what was found, what was expected."""
 
+from os import PathLike
 from pathlib import Path
 
 
 class MotionkitError(Exception):
     """A fault that is explained to a person; the command line prints it as one line and exits with 1."""
+
+
+def describe(error: Exception) -> str:
+    """What to say of an error to a person; of the system's own, the file and the reason without numbers."""
+    if not isinstance(error, OSError) or not error.strerror:
+        return str(error)
+    names = [str(name) for name in (error.filename, error.filename2) if isinstance(name, (str, PathLike))]
+    return ": ".join((" to ".join(names), error.strerror)) if names else error.strerror
 
 
 class FormatError(MotionkitError):

@@ -1,10 +1,11 @@
-"""Values from text that a stranger may have written: TOML, JSON, whole numbers; and any value shown in a message.
+"""Values from text that a stranger may have written: TOML, JSON, whole numbers; and such text shown to a person.
 
 Python's own readers raise several kinds of error (nesting too deep, numbers of thousands of digits) and give back
 numbers that no array can hold, on which the next line of code fails. Here every fault is a `ValueError`.
 """
 
 import json
+import re
 import tomllib
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +14,8 @@ from typing import Any
 MOST_DIGITS = 18
 LARGEST_WHOLE = 2**63
 SHOWN_LETTERS = 80
+# C0 and C1 controls, marks and overrides of direction, line separators, letters without width, lone surrogates.
+UNSAFE_LETTERS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
 
 
 def whole_number(text: str) -> int | None:
@@ -51,6 +54,14 @@ def shown(value: object, limit: int = SHOWN_LETTERS) -> str:
     """A value for a message: its `repr`, cut at `limit` letters."""
     text = repr(value)
     return text if len(text) <= limit else f"{text[:limit]}…"
+
+
+def printable(text: str) -> str:
+    """A text as one line that a terminal shows and does not obey: control characters as their escapes (`\\x1b`, `\\n`).
+
+    So are marks that turn the direction of writing, and the bytes of a file's name that are no UTF-8.
+    """
+    return UNSAFE_LETTERS.sub(lambda found: found[0].encode("unicode_escape", "surrogatepass").decode("ascii"), text)
 
 
 def _bounded(digits: str) -> int | float:

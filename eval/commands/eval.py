@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eval.commands import eval_options as options
-from motionkit.console import print_json, stderr
+from motionkit.console import print_json, print_text, stderr
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 
@@ -97,7 +97,7 @@ def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
     rowless = [name for name in request.samples if name not in shown]
     for name in rowless:
         told = [line for line in result.missing if line.startswith(name)]
-        stderr.print(f"no row for {told[0] if told else name}", markup=False)
+        stderr.print(f"no row for {told[0] if told else name}")
     if rowless:
         raise SampleFolderError(f"the table was written without rows for {', '.join(map(repr, rowless))}")
 
@@ -109,11 +109,9 @@ def _refuse_broken(request: "TableRequest") -> None:
     incomplete = [folder for folder in request.sample_folders if folder.left_out]
     for folder in incomplete:
         for problem in folder.left_out[:SHOWN_PROBLEMS]:
-            stderr.print(f"left out of {folder.name!r}: {problem}", markup=False)
+            stderr.print(f"left out of {folder.name!r}: {problem}")
         if len(folder.left_out) > SHOWN_PROBLEMS:
-            stderr.print(
-                f"… and {len(folder.left_out) - SHOWN_PROBLEMS:,} more: motionkit samples FOLDER", markup=False
-            )
+            stderr.print(f"… and {len(folder.left_out) - SHOWN_PROBLEMS:,} more: motionkit samples FOLDER")
     if incomplete:
         names = ", ".join(f"{len(folder.left_out):,} of {folder.name!r}" for folder in incomplete)
         raise SampleFolderError(f"the table was built without broken samples ({names}); --allow-broken accepts that")
@@ -146,9 +144,9 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
     if as_json:
         print_json(asdict(result))
     else:
-        print(text, end="")
+        print_text(text)
     beside = " and ".join(filter(None, (path.with_suffix(".md").name, result.figure)))
-    stderr.print(f"written: {path}, beside it {beside}", markup=False)
+    stderr.print(f"written: {path}, beside it {beside}")
     return result
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.console import print_json, stderr
+from motionkit.console import print_json, print_text, stderr
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 
@@ -35,12 +35,12 @@ def report(
     if as_json:
         print_json([asdict(result) for result in found])
     elif format in printers:
-        print("\n".join(printers[format](result) for result in found), end="")
+        print_text("\n".join(printers[format](result) for result in found))
     elif format == "html":
         page = out or folder / "report.html"
         page.write_text(to_html(found), encoding="utf-8")
         print(page)
-        stderr.print(f"{len(found)} results", markup=False)
+        stderr.print(f"{len(found)} results")
     elif format == "png":
         for path in _pictures(found, out or folder):
             print(path)

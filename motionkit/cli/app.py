@@ -12,7 +12,7 @@ import typer
 
 import motionkit
 from motionkit.console import stderr, stdout
-from motionkit.errors import MotionkitError, UsageError
+from motionkit.errors import MotionkitError, UsageError, describe
 
 # The exit code of what Ctrl-C has ended.
 INTERRUPTED = 130
@@ -40,7 +40,7 @@ def build_app(only: str = "") -> typer.Typer:
 def _print_version(wanted: bool) -> bool:
     # What it returns becomes the option's value.
     if wanted:
-        stdout.print(f"motionkit {motionkit.__version__}", markup=False)
+        stdout.print(f"motionkit {motionkit.__version__}")
         raise typer.Exit
     return wanted
 
@@ -60,14 +60,11 @@ def main() -> None:
     try:
         build_app(*sys.argv[1:2])()
     except UsageError as error:
-        stderr.print(f"motionkit: {error}", markup=False)
+        stderr.print(f"motionkit: {error}")
         sys.exit(2)
-    except MotionkitError as error:
-        stderr.print(f"motionkit: {error}", markup=False)
-        sys.exit(1)
-    except OSError as error:
-        # A folder that may not be written, a disk that is full: the system's words name the file and the reason.
-        stderr.print(f"motionkit: {error}", markup=False)
+    except (MotionkitError, OSError) as error:
+        # A folder that may not be written, a disk that is full: the system names the file and the reason.
+        stderr.print(f"motionkit: {describe(error)}")
         sys.exit(1)
     except SystemExit as ended:
         # All that typer makes of an interrupt.

@@ -9,7 +9,7 @@ import typer
 
 from motionkit.cli import complete_options as option
 from motionkit.console import print_json, progress, stderr, stdout
-from motionkit.errors import MotionkitError
+from motionkit.errors import MotionkitError, describe
 from motionkit.settings import default_path
 
 if TYPE_CHECKING:
@@ -58,11 +58,11 @@ def complete(
     runs_folder = runs or default_path("runs")
     chosen = choose_encoder(model, run, runs_folder)
     compared = [choose_encoder(name.strip(), None, runs_folder) for name in compare.split(",")] if compare else []
-    stderr.print(f"motionkit: completing with {chosen.explanation}", markup=False)
+    stderr.print(f"motionkit: completing with {chosen.explanation}")
     job = Job(request, chosen, compared, None if file_format is None else f".{file_format}", overwrite=overwrite)
     failures = [(str(problem.path), str(problem)) for problem in problems]
     for problem in problems:
-        stderr.print(f"motionkit: {problem}", markup=False)
+        stderr.print(f"motionkit: {problem}")
     path_of = OutputPath(out, len(sources), [Path(each) for each in clips if Path(each).is_dir()])
     done, failed = _complete_each(job, sources, path_of, as_json)
     failures += failed
@@ -91,9 +91,10 @@ def _complete_each(
             try:
                 completed = job.complete(source, path_of, partial(display.advance, frames))
             except (MotionkitError, OSError) as error:
-                failures.append((source.name, str(error)))
-                named = str(error) if source.name in str(error) else f"{source.name}: {error}"
-                stderr.print(f"motionkit: {named}", markup=False)
+                message = describe(error)
+                failures.append((source.name, message))
+                named = message if source.name in message else f"{source.name}: {message}"
+                stderr.print(f"motionkit: {named}")
             else:
                 done.append(completed)
                 _tell(completed, as_json)
@@ -104,8 +105,8 @@ def _complete_each(
 
 def _tell(completed: "CompletedClip", as_json: bool) -> None:
     for warning in completed.warnings:
-        stderr.print(f"motionkit: warning: {completed.source}: {warning}", markup=False)
+        stderr.print(f"motionkit: warning: {completed.source}: {warning}")
     if not as_json:
         for path in (completed.path, completed.page):
             if path is not None:
-                stdout.print(str(path), markup=False)
+                stdout.print(str(path))

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 from motionkit.cli import ingest_options as option
 from motionkit.cli.ingest_options import Compat, OnError
 from motionkit.cli.reading import read_options
-from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.console import print_json, print_text, progress, stderr, stdout
 from motionkit.errors import FormatError, MotionkitError, UsageError
+from motionkit.plain_text import printable
 from motionkit.settings import default_path, optional_path
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ class _Teller:
         """Print one problem behind its `kind`, or where the others of its reason are to be found."""
         self._num_told[problem.reason] += 1
         if self._num_told[problem.reason] <= self.NUM_SHOWN:
-            stderr.print(_printable(f"{kind}{problem}"), markup=False)
+            stderr.print(f"{kind}{problem}")
         elif self._num_told[problem.reason] == self.NUM_SHOWN + 1:
             stderr.print(
                 f"{kind}more of the kind {problem.reason}: counted at the end, --json names them all", markup=False
@@ -160,7 +161,7 @@ def _print_summary(report: "IngestReport") -> None:
             reasons = ", ".join(f"{count:,} {reason}" for reason, count in counts.items())
             stdout.print(f"{name}: {sum(counts.values()):,} ({reasons})", markup=False)
     if report.datasets:
-        stdout.print(_dataset_table(report.datasets), markup=False)
+        print_text(_dataset_table(report.datasets))
 
 
 def _counted(number: int, noun: str) -> str:
@@ -168,7 +169,7 @@ def _counted(number: int, noun: str) -> str:
 
 
 def _dataset_table(counts: "Sequence[DatasetCount]") -> str:
-    rows = [(_printable(each.dataset) or "-", each.num_found, each.num_missing, each.num_failed) for each in counts]
+    rows = [(printable(each.dataset) or "-", each.num_found, each.num_missing, each.num_failed) for each in counts]
     rows.append(("all", sum(row[1] for row in rows), sum(row[2] for row in rows), sum(row[3] for row in rows)))
     width = max(len("dataset"), *(len(row[0]) for row in rows))
     lines = [f"{name:{width}} {found:7,} {missing:8,} {failed:7,}" for name, found, missing, failed in rows]
@@ -196,9 +197,4 @@ def _as_json(report: "IngestReport") -> dict[str, Any]:
 
 
 def _named(problems: Sequence[FormatError]) -> list[dict[str, str]]:
-    return [{"reason": problem.reason, "message": _printable(str(problem))} for problem in problems]
-
-
-def _printable(text: str) -> str:
-    """Bytes of a file's name that are no characters as `\\udcff`, which UTF-8 can hold."""
-    return text.encode("utf-8", "backslashreplace").decode()
+    return [{"reason": problem.reason, "message": str(problem)} for problem in problems]

@@ -1,6 +1,7 @@
 """`motionkit query`: SQL over a store."""
 
 import csv
+import io
 import json
 import math
 import sys
@@ -9,8 +10,9 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.console import print_json, stdout
+from motionkit.console import print_json, print_text, stdout
 from motionkit.errors import UsageError
+from motionkit.plain_text import printable
 from motionkit.settings import default_path
 
 LONG_LIST = 6
@@ -36,9 +38,15 @@ def query(
     if as_json:
         print_json(rows)
     elif as_csv:
-        writer = csv.writer(sys.stdout, lineterminator="\n")
+        # A file gets what is stored; a terminal would obey some of it.
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
         writer.writerow(result.column_names)
         writer.writerows([_cell(row[name]) for name in result.column_names] for row in rows)
+        if sys.stdout.isatty():
+            print_text(text.getvalue())
+        else:
+            sys.stdout.write(text.getvalue())
     else:
         _print_table(result.column_names, rows)
 
@@ -51,9 +59,9 @@ def _print_table(names: list[str], rows: list[dict[str, Any]]) -> None:
     table = Table()
     for name in names:
         numeric = all(isinstance(row[name], int | float) and not isinstance(row[name], bool) for row in rows)
-        table.add_column(Text(name), justify="right" if numeric and rows else "left", overflow="fold")
+        table.add_column(Text(printable(name)), justify="right" if numeric and rows else "left", overflow="fold")
     for row in rows:
-        table.add_row(*(Text(_short(row[name])) for name in names))
+        table.add_row(*(Text(printable(_short(row[name]))) for name in names))
     # In a pipe or a file nothing is folded to a terminal's width.
     console = stdout if stdout.is_terminal else Console(width=PIPE_WIDTH)
     console.print(table)

@@ -68,7 +68,7 @@ def write_page(path: Path, title: str, takes: Sequence[Take], *, note: str = "",
     }
     # In one pass, for a title may hold anything.
     page = re.sub("__(TITLE|STYLE|SCRIPTS|DATA)__", lambda place: contents[place[1]], page)
-    written = page.encode("utf-8")
+    written = page.encode("utf-8", "backslashreplace")  # bytes of a file's name may be no letters
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         temporary.write_bytes(written)

@@ -30,7 +30,7 @@ def query(views: Views, sql: str) -> pa.Table:
                 raise UsageError("one statement that only reads is expected: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE …")
             return _told_apart(connection.sql(sql).to_arrow_table())
         except duckdb.Error as error:
-            raise UsageError(f"duckdb: {error}") from None
+            raise UsageError(f"duckdb: {' '.join(str(error).split())}") from None
 
 
 def _told_apart(table: pa.Table) -> pa.Table:

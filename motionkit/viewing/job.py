@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.errors import MotionkitError, UsageError
+from motionkit.errors import MotionkitError, UsageError, describe
 from motionkit.named_motions.holes import ReadClip
 from motionkit.player.page import check_places, write_page
 from motionkit.player.take import Take, take_of
@@ -91,7 +91,7 @@ def read_takes(
             take = stretch.of(_take(source.read(), source.short if unique else source.name))
             check_places(take)
         except (MotionkitError, OSError) as error:
-            failures.append((source.name, str(error)))
+            failures.append((source.name, describe(error)))
         else:
             takes.append(take)
         advance()
@@ -110,7 +110,7 @@ def page_path(out: Path | None, sources: Sequence[ViewSource]) -> Path:
     """The page's file: `out`, a name in it where it is a folder, or NAME.view.html here."""
     first = sources[0].beside.name
     stem = first if len(sources) == 1 else f"{first}-and-{len(sources) - 1}-more"
-    short = stem.encode()[:LONGEST_STEM_BYTES].decode(errors="ignore")
+    short = stem.encode(errors="replace")[:LONGEST_STEM_BYTES].decode(errors="ignore")
     name = f"{short or 'motion'}{SUFFIX}"
     if out is None:
         return Path(name)
