@@ -123,6 +123,8 @@ def _file(value: Any, folder: Path) -> Path:
     if not isinstance(value, str):
         raise TypeError("expected the name of a file in this folder")
     path = Path(os.path.normpath(folder / _relative(value)))
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError("a link that leaves the folder; copy the file here")
     if not path.is_file():
         raise ValueError("there is no such file in this folder; copy it here")
     return path

@@ -6,12 +6,14 @@ call that was stopped goes on where it was, and `motionkit ingest` reads the fol
 
 import csv
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, TextIO
 
 from motionkit.errors import UsageError
 from motionkit.export.files import TABLE, captions_json
+from motionkit.plain_text import parse_json
 from motionkit.timegrid import format_fps
 from motionkit.training.run import write_json
 from nerm.generation.files import OUTPUTS, GeneratedSample
@@ -75,6 +77,7 @@ def resume_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
     """Go on with a folder that the same call began, or begin it; raises `UsageError` where another call made it."""
     if not (path / MANIFEST).is_file():
         return begin_folder(path, manifest)
+    _refuse_links(path)
     found, asked = _read_manifest(path), json.loads(json.dumps(dict(manifest)))
     differing = [
         name
@@ -94,6 +97,7 @@ def replace_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
     """Delete the files of a former call, and nothing else, then begin again."""
     if not (path / MANIFEST).is_file():
         return begin_folder(path, manifest)
+    _refuse_links(path)
     former = OUTPUTS[str(_read_manifest(path)["file_format"])]
     places = [PurePosixPath(name) for name in former.shared]
     for row in _complete_rows(path / TABLE):
@@ -108,10 +112,10 @@ def replace_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads((path / MANIFEST).read_text(encoding="utf-8"))
+        value = parse_json((path / MANIFEST).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise UsageError(f"{path / MANIFEST} cannot be read ({error}): name another folder with --out") from None
-    if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("file_format") not in OUTPUTS:
+    if not isinstance(value, dict) or value.get("format") != FORMAT or str(value.get("file_format")) not in OUTPUTS:
         raise UsageError(f"{path / MANIFEST} is not of `motionkit generate`: name another folder with --out")
     return value
 
@@ -124,7 +128,22 @@ def _complete_rows(table: Path) -> list[dict[str, str]]:
     whole = data[: data.rfind(b"\n") + 1]
     if len(whole) < len(data):
         table.write_bytes(whole)
-    return list(csv.DictReader(whole.decode("utf-8").splitlines()))
+    try:
+        rows = list(csv.DictReader(whole.decode("utf-8").splitlines()))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f"{table} cannot be read ({error}): name another folder with --out") from None
+    if not all(row.get("file") and "\0" not in row["file"] for row in rows):
+        raise UsageError(f"{table} has a row without a file: name another folder with --out")
+    return rows
+
+
+def _refuse_links(path: Path) -> None:
+    """Raise `UsageError` for a link below the folder: what is written or deleted there would be somebody else's."""
+    for folder, folders, files in os.walk(path):
+        entries = (Path(folder, name) for name in (*folders, *files))
+        link = next((entry for entry in entries if entry.is_symlink()), None)
+        if link is not None:
+            raise UsageError(f"{link} is a link: nothing is written or deleted through it; name another folder")
 
 
 def _short(value: Any) -> str:

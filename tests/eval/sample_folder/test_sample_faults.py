@@ -244,6 +244,26 @@ def test_manifests_that_cannot_be(tmp_path: Path, text: str, says: str) -> None:
     assert says in str(told.value)
 
 
+@pytest.mark.parametrize("key", ["prompts", "mean", "std"])
+def test_no_link_leads_out_of_the_folder(tmp_path: Path, key: str) -> None:
+    outside = tmp_path / "secret.txt"
+    outside.write_text("a secret\n")
+    folder = tmp_path / "samples"
+    folder.mkdir()
+    (folder / "link.txt").symlink_to(outside)
+    (folder / "up").symlink_to(tmp_path)
+    for name in ("link.txt", "up/secret.txt", "up/none.txt"):
+        (folder / "samples.toml").write_text(f'{key} = "{name}"')
+        with pytest.raises(FormatError, match="a link that leaves the folder; copy the file here") as told:
+            read_manifest(folder)
+        assert told.value.reason == "manifest"
+    (folder / "here.txt").write_text("walks\n")
+    (folder / "link.txt").unlink()
+    (folder / "link.txt").symlink_to(folder / "here.txt")
+    (folder / "samples.toml").write_text('prompts = "link.txt"')
+    assert read_manifest(folder).prompts == folder / "link.txt"
+
+
 def test_names_say_what_the_pattern_says(tmp_path: Path) -> None:
     found = parse_name_pattern("{action}-{group}_{repeat}_{any}_len{num_frames}").match("jump_up-12_3_x_len40")
     assert found == {"action": "jump_up", "group": "12", "repeat": "3", "num_frames": "40"}

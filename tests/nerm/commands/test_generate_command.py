@@ -298,6 +298,35 @@ def test_nothing_is_overwritten_unasked(run_command, tmp_path):
             run_command("a walk", "--seconds", "1", "--out", "other", option)
 
 
+@pytest.mark.parametrize("option", ["--resume", "--overwrite"])
+def test_nothing_outside_the_folder_is_written_or_deleted(run_command, tmp_path, option):
+    run_command("a walk", "--seconds", "1", "--out", "made", "--format", "humanml3d")
+    outside = tmp_path / "outside"
+    (tmp_path / "made" / "new_joints").rename(outside)
+    (tmp_path / "made" / "new_joints").symlink_to(outside)
+    before = {path.name: path.read_bytes() for path in outside.iterdir()}
+    assert before
+    with pytest.raises(UsageError, match="new_joints is a link: nothing is written or deleted through it"):
+        run_command("a walk", "--seconds", "1", "--out", "made", "--format", "humanml3d", option)
+    (tmp_path / "made" / "new_joints").unlink()
+    (tmp_path / "made" / "motions.csv").rename(outside / "table")
+    (tmp_path / "made" / "motions.csv").symlink_to(outside / "table")
+    (outside / "table").write_text("file\nnever cut")
+    with pytest.raises(UsageError, match=r"motions\.csv is a link"):
+        run_command("a walk", "--seconds", "1", "--out", "made", "--format", "humanml3d", option)
+    assert (outside / "table").read_text() == "file\nnever cut"
+    assert before == {path.name: path.read_bytes() for path in outside.iterdir() if path.name != "table"}
+
+
+@pytest.mark.parametrize("rows", [b"caption\nx\n", b"file\na\0b\n", b"file\n\xff\n", b'file\n""\n'])
+def test_a_table_that_is_none(run_command, tmp_path, rows):
+    run_command("a walk", "--seconds", "1", "--out", "made")
+    (tmp_path / "made" / "motions.csv").write_bytes(rows)
+    for option in ("--resume", "--overwrite"):
+        with pytest.raises(UsageError, match=r"motions\.csv (cannot be read|has a row without a file)"):
+            run_command("a walk", "--seconds", "1", "--out", "made", option)
+
+
 def test_what_was_generated_is_ingested_with_its_captions(run_command, tmp_path):
     run_command("a walk", "--seconds", "1", "--fps", "50", "--format", "bvh", "--out", "made")
     result = CliRunner().invoke(build_app(), ["ingest", str(tmp_path / "made"), "--store", "store", "--json"])
