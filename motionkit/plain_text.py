@@ -7,7 +7,7 @@ numbers that no array can hold, on which the next line of code fails. Here every
 import json
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 # Numbers of more digits are beyond 64 bits.
@@ -54,6 +54,16 @@ def shown(value: object, limit: int = SHOWN_LETTERS) -> str:
     """A value for a message: its `repr`, cut at `limit` letters."""
     text = repr(value)
     return text if len(text) <= limit else f"{text[:limit]}…"
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """` (did you mean fps?)` where a word is nearly a known one, or begins with one; else nothing."""
+    import difflib
+
+    plain, words = word.strip().casefold(), sorted(known)
+    begun = [each for each in words if each == plain or (len(each) > 2 and plain.startswith(each))]
+    near = begun or difflib.get_close_matches(plain, words, 1)
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def printable(text: str) -> str:

@@ -62,7 +62,7 @@ def list_samples(name: str, source: Path) -> Listing:
     only = None if source.is_dir() else root / source.name
     # What cannot be listed is one of the problems that `scan` finds below.
     folders = list(walk(root, _is_claimed, lambda error: None)) if only is None else [(root, [only])]
-    rows, problems = _rows(folders)
+    rows, problems, warnings = _rows(folders)
     items = _known_items(source, root, problems)
     taken = {item.path for item in items}
     arrays = [
@@ -77,6 +77,7 @@ def list_samples(name: str, source: Path) -> Listing:
     arrays, items, remarks = _without_copies(arrays, items, manifest)
     if not arrays and not items and not problems:
         raise SampleFolderError(f"--samples {name}: {_nothing(source, folders, manifest)}")
+    remarks += [f"{warning.path.name}: {warning.message}" for warning in warnings]
     absent = [path for path in rows if not path.exists()]
     if absent:
         remarks.append(f"{len(absent):,} rows of the CSV describe files that are not there, first {absent[0].name!r}")
@@ -104,20 +105,21 @@ def _is_claimed(folder: Path) -> bool:
     return any(entry.claims is not None and entry.claims(folder) for entry in FORMATS.values())
 
 
-def _rows(folders: Sequence[tuple[Path, list[Path]]]) -> tuple[dict[Path, Annotation], list[FormatError]]:
-    """All rows of the CSV files in these folders; one nearer to the file has the last word."""
+def _rows(
+    folders: Sequence[tuple[Path, list[Path]]],
+) -> tuple[dict[Path, Annotation], list[FormatError], list[FormatError]]:
+    """All rows of the CSV files in these folders, problems and warnings; one nearer to a file has the last word."""
     rows: dict[Path, Annotation] = {}
     problems: list[FormatError] = []
+    warnings: list[FormatError] = []
     for folder, _ in folders:
-        for path in annotations.find_annotations(folder):
-            try:
-                table = annotations.read_annotations(path)
-            except FormatError as problem:
-                problems.append(problem)
-                continue
+        tables, broken = annotations.tables_in(folder)
+        problems += broken
+        for table in tables:
             rows |= table.rows
             problems += table.problems
-    return rows, problems
+            warnings += table.warnings
+    return rows, problems, warnings
 
 
 def _known_items(source: Path, root: Path, problems: list[FormatError]) -> list[SourceItem]:

@@ -3,22 +3,24 @@
 The first row names the columns: `file` (path from the CSV's folder) and any of `caption`, `caption_kit` (a second
 caption), `captions` (any number, as JSON), `action`, `style`, `subject`, `split`, `fps`, `stated_fps`, `licence`,
 `source`, `subset`; of generated motions also `group` (those of one prompt share it) and `num_frames` (how many of the
-file's frames are motion, the rest being padding). Others are ignored.
+file's frames are motion, the rest being padding). Others are not read, which is a warning.
 """
 
 import csv
 import io
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
+from motionkit.formats.pose_folders.splits import SPLITS
 from motionkit.motion import Caption
-from motionkit.plain_text import parse_json, shown, whole_number
+from motionkit.plain_text import parse_json, shown, suggestion, whole_number
 from motionkit.timegrid import parse_fps
 
 COLUMNS = frozenset(
@@ -27,6 +29,9 @@ COLUMNS = frozenset(
         *("fps", "stated_fps", "licence", "source", "subset", "group", "num_frames"),
     )
 )
+# What motionkit itself writes beside these, for people.
+OTHER_COLUMNS = frozenset(("file", "sequence_id", "seconds"))
+SHOWN = 5
 CAPTION_COLUMNS = ("caption", "caption_kit")
 CAPTION_KEYS = frozenset(("text", "start_seconds", "end_seconds", "tokens"))
 MAX_LICENCE_LINE = 120
@@ -53,21 +58,38 @@ class Annotation:
 
 @dataclass(frozen=True)
 class AnnotationTable:
-    """The rows of one CSV by absolute path of the file they describe, and the rows that could not be used."""
+    """The rows of one CSV by absolute path of the file they describe, and the rows that could not be used.
+
+    `warnings` name the columns that are not read (`unknown-column`) and splits that no command knows (`unknown-split`).
+    """
 
     path: Path
     rows: Mapping[Path, Annotation]
     has_captions: bool
     problems: tuple[FormatError, ...] = field(default=())
+    warnings: tuple[FormatError, ...] = field(default=())
 
 
-def find_annotations(folder: Path) -> tuple[Path, ...]:
-    """The CSV files of a folder that have a `file` column and at least one other that is known.
+def tables_in(folder: Path) -> tuple[list[AnnotationTable], list[FormatError]]:
+    """The tables among a folder's CSV files, and what is wrong with those that cannot be read.
 
-    Those that are so in another encoding or with other separators are among them: reading them says what is wrong.
+    A table has a column `file` and at least one other that is known; in another encoding or with other separators it is
+    one of those that cannot be read. Where a column is only nearly known, the table has no rows and says so.
     """
-    headers = ((path, set(sourcefile.header_names(path))) for path in sorted(folder.glob("*.csv")))
-    return tuple(path for path, names in headers if "file" in names and COLUMNS & names)
+    tables: list[AnnotationTable] = []
+    problems: list[FormatError] = []
+    for path in sorted(folder.glob("*.csv")):
+        names = sourcefile.header_names(path)
+        if "file" not in names:
+            continue
+        if COLUMNS & set(names):
+            try:
+                tables.append(read_annotations(path))
+            except FormatError as problem:
+                problems.append(problem)
+        elif any(suggestion(name, COLUMNS) for name in names if name not in OTHER_COLUMNS):
+            tables.append(AnnotationTable(path, {}, False, warnings=tuple(_unknown_columns(names, path))))
+    return tables, problems
 
 
 def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
@@ -100,7 +122,30 @@ def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
     except csv.Error as error:
         raise FormatError(f"not a CSV table ({error})", path=path, reason="annotations", line=reader.line_num) from None
     has_captions = any(row.captions for row in rows.values())
-    return AnnotationTable(path, rows, has_captions, tuple(problems))
+    warnings = (*_unknown_columns(reader.fieldnames or (), path), *_unknown_splits(rows.values(), path))
+    return AnnotationTable(path, rows, has_captions, tuple(problems), warnings)
+
+
+def _unknown_columns(names: Sequence[str], path: Path) -> Iterator[FormatError]:
+    unknown = [name for name in names if name not in COLUMNS | OTHER_COLUMNS]
+    if unknown:
+        listed = ", ".join(f"{shown(name)}{suggestion(name, COLUMNS)}" for name in unknown[:SHOWN])
+        more = f" and {len(unknown) - SHOWN:,} more" if len(unknown) > SHOWN else ""
+        message = f"{'columns that are' if len(unknown) > 1 else 'a column that is'} not read: {listed}{more}"
+        yield FormatError(message, path=path, reason="unknown-column", line=1)
+
+
+def _unknown_splits(rows: Collection[Annotation], path: Path) -> Iterator[FormatError]:
+    unknown = Counter(row.split for row in rows if row.split and row.split not in SPLITS)
+    if unknown:
+        listed = ", ".join(
+            f"{shown(split)}{suggestion(split, SPLITS)} in {count:,} row{'s'[: count > 1]}"
+            for split, count in unknown.most_common(SHOWN)
+        )
+        more = f" and {len(unknown) - SHOWN:,} more" if len(unknown) > SHOWN else ""
+        message = f"split {listed}{more}; commands know {', '.join(SPLITS)}"
+        line = next(row.line for row in rows if row.split in unknown)
+        yield FormatError(message, path=path, reason="unknown-split", line=line)
 
 
 def find_licence(folder: Path) -> str:

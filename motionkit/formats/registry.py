@@ -35,10 +35,16 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     if options.format != "auto" and options.format not in FORMATS:
         raise UsageError(f"unknown format {options.format!r}, expected auto or one of {', '.join(FORMATS)}")
     if options.index is not None:
-        of_tables: list[FormatError] = []
-        found = search.scan_indexes(sources, options.index, _file_items(options, of_tables))
+        seen: list[AnnotationTable] = []
+        broken: list[FormatError] = []
+        found = search.scan_indexes(sources, options.index, _file_items(options, seen, broken))
         kept, duplicates = _unique(found.items)
-        return replace(found, items=kept, problems=(*found.problems, *of_tables, *duplicates))
+        return replace(
+            found,
+            items=kept,
+            problems=(*found.problems, *broken, *(each for table in seen for each in table.problems), *duplicates),
+            warnings=(*found.warnings, *(each for table in seen for each in table.warnings)),
+        )
     items: list[SourceItem] = []
     problems: list[FormatError] = []
     warnings: list[FormatError] = []
@@ -57,22 +63,26 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
         problems += found.problems
         warnings += found.warnings
     problems += _problems_of_given(given, {item.path for item in items})
+    warnings += given[0].warnings if given else ()
     kept, duplicates = _unique(items)
     return ScanResult(kept, (*problems, *duplicates), tuple(warnings))
 
 
-def _file_items(options: ReadOptions, of_tables: list[FormatError]) -> Callable[[Path, Path], SourceItem | None]:
+def _file_items(
+    options: ReadOptions, seen: list[AnnotationTable], broken: list[FormatError]
+) -> Callable[[Path, Path], SourceItem | None]:
     """Path and source folder → the motion that a file holds, with the framerate and licence that stand beside it.
 
-    What is wrong with the annotation tables beside the files is added to `of_tables`.
+    The annotation tables beside the files are added to `seen`, what is wrong with those that are none to `broken`.
     """
     candidates = [entry for entry in FORMATS.values() if options.format in ("auto", entry.name)]
 
     @cache
     def around(folder: Path, root: Path) -> tuple[str, tuple[AnnotationTable, ...]]:
         licence, above = around(folder.parent, root) if folder != root else ("", ())
-        tables, broken = _tables(folder)
-        of_tables.extend((*broken, *(problem for table in tables for problem in table.problems)))
+        tables, not_tables = annotations.tables_in(folder)
+        seen.extend(tables)
+        broken.extend(not_tables)
         return annotations.find_licence(folder) or licence, (*above, *tables)
 
     def item_of(path: Path, root: Path) -> SourceItem | None:
@@ -100,9 +110,9 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     for folder, files in one or walk(root, _is_claimed, lost.append):
         licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
         if given is None:
-            tables_here, broken = _tables(folder)
+            tables_here, broken = annotations.tables_in(folder)
             beside += tables_here
-            found.append(ScanResult((), broken))
+            found.append(ScanResult((), tuple(broken)))
         found.append(_scan_folder(folder, files, root, licences[folder], options))
         if source.is_file() and not found[-1].items and not found[-1].problems:
             found.append(_recognise(root / source.name, licences[folder], options))
@@ -110,6 +120,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     items = [_annotate(item, tables) for result in found for item in result.items]
     problems = [problem for result in found for problem in result.problems]
     warnings = [warning for result in found for warning in result.warnings]
+    warnings += [warning for table in beside for warning in table.warnings]
     problems += [problem for table in beside for problem in table.problems]
     problems += lost
     # Of a single file the other rows of its folder's table are not missing; where nothing is read, all of them are.
@@ -158,7 +169,7 @@ def with_tables_above(item: SourceItem, levels: int = 4) -> SourceItem:
     Tables that cannot be read say nothing.
     """
     for folder in item.path.parents[:levels]:
-        for table in _tables(folder)[0]:
+        for table in annotations.tables_in(folder)[0]:
             if item.path in table.rows:
                 return _stated(item, table.rows[item.path])
     return item
@@ -191,17 +202,6 @@ def _file_item(kind: Format, path: Path, root: Path, licence: str) -> SourceItem
 
 def _takes(entry: Format, path: Path) -> bool:
     return path.suffix.lower() in entry.suffixes and (entry.accepts is None or entry.accepts(path))
-
-
-def _tables(folder: Path) -> tuple[list[AnnotationTable], tuple[FormatError, ...]]:
-    tables: list[AnnotationTable] = []
-    problems: list[FormatError] = []
-    for path in annotations.find_annotations(folder):
-        try:
-            tables.append(annotations.read_annotations(path))
-        except FormatError as problem:
-            problems.append(problem)
-    return tables, tuple(problems)
 
 
 def _annotate(item: SourceItem, tables: Sequence[AnnotationTable]) -> SourceItem:

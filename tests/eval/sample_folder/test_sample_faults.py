@@ -283,6 +283,12 @@ def test_a_csv_row_without_its_file_is_told(tmp_path: Path) -> None:
     assert [problem.reason for problem in samples.left_out] == ["path", "annotations"]
 
 
+def test_a_column_that_is_not_read_is_told(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, a=JOINTS)
+    (folder / "texts.csv").write_text("file,caption,frames\na.npy,walks,9\n")
+    assert "texts.csv: a column that is not read: 'frames' (did you mean num_frames?)" in read(folder).describe()
+
+
 def test_an_empty_manifest_says_nothing(tmp_path: Path) -> None:
     folder = published.write_t2m_gpt(tmp_path / "gpt")
     (folder / "samples.toml").touch()
