@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pahires.network_settings import NetworkSettings
-from pahires.settings import TaskSettings, TemporalSettings
+from pahires.settings import TemporalSettings, base_training, nano_training
 
 
 @dataclass(frozen=True)
@@ -14,10 +14,6 @@ class PaHiResConfig:
 
     network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
     training: TemporalSettings = dataclasses.field(default_factory=TemporalSettings)
-
-
-# All tasks of `motionkit complete`: more frames, gaps filled, frames here and there, the ends continued.
-ALL_TASKS = TaskSettings(interpolate=0.45, gap=0.35, scattered=0.1, extend=0.1)
 
 
 def paper() -> PaHiResConfig:
@@ -32,40 +28,18 @@ def paper() -> PaHiResConfig:
 
 def nano() -> PaHiResConfig:
     """One CPU core, a quarter of an hour: every task, corrections of an interpolation that leave given frames alone."""
-    return PaHiResConfig(
-        network=NetworkSettings(code=96, hidden=192, decoder_layers=4),
-        training=TemporalSettings(
-            finer=True,
-            # Of two sources of which one has nine times the other's frames, three of four windows and not nine of ten.
-            source_evenness=0.5,
-            tasks=ALL_TASKS,
-            form="exact",
-            base="eased",
-            sizing="motion",
-            blended=("catmull-rom", "linear"),
-            balanced=True,
-            balance_floor=0.05,
-            steps=12_000,
-            batch=64,
-            rate=1e-3,
-            rate_warmup_fraction=0.02,
-            ema_decay=0.995,
-        ),
-    )
+    training = dataclasses.replace(_with_curves(nano_training()), steps=12_000)
+    return PaHiResConfig(network=NetworkSettings(code=96, hidden=192, decoder_layers=4), training=training)
 
 
 def base() -> PaHiResConfig:
     """One GPU of the H100's kind for an hour: `nano` at the paper's widths."""
-    training = dataclasses.replace(
-        nano().training,
-        tasks=dataclasses.replace(ALL_TASKS, num_frames=32, num_queries=32),
-        steps=60_000,
-        batch=512,
-        rate=4e-4,
-        ema_decay=0.999,
-        precision="auto",
-    )
-    return PaHiResConfig(network=NetworkSettings(code=256, embedding=128), training=training)
+    return PaHiResConfig(network=NetworkSettings(code=256, embedding=128), training=_with_curves(base_training()))
+
+
+def _with_curves(training: TemporalSettings) -> TemporalSettings:
+    """What PA-HiRes alone has: weights of other curves, and corrections sized by the motion."""
+    return dataclasses.replace(training, sizing="motion", blended=("catmull-rom", "linear"), balance_floor=0.05)
 
 
 def demo() -> PaHiResConfig:

@@ -128,3 +128,38 @@ class TemporalSettings:
     def framerate(self) -> Fraction:
         """The table's framerate, exactly."""
         return parse_fps(self.fps)
+
+
+# All tasks of completion: more frames, gaps filled, frames here and there, the ends continued.
+ALL_TASKS = TaskSettings(interpolate=0.45, gap=0.35, scattered=0.1, extend=0.1)
+
+
+def nano_training() -> TemporalSettings:
+    """A quarter of an hour on a CPU core: all tasks, corrections of an interpolation that leave given frames alone."""
+    return TemporalSettings(
+        finer=True,
+        # Of two sources of which one has nine times the other's frames, three of four windows and not nine of ten.
+        source_evenness=0.5,
+        tasks=ALL_TASKS,
+        form="exact",
+        base="eased",
+        balanced=True,
+        steps=8_000,
+        batch=64,
+        rate=1e-3,
+        rate_warmup_fraction=0.02,
+        ema_decay=0.995,
+    )
+
+
+def base_training() -> TemporalSettings:
+    """An hour on a GPU of the H100's kind: `nano_training` with longer windows, larger batches and more steps."""
+    return dataclasses.replace(
+        nano_training(),
+        tasks=dataclasses.replace(ALL_TASKS, num_frames=32, num_queries=32),
+        steps=60_000,
+        batch=512,
+        rate=4e-4,
+        ema_decay=0.999,
+        precision="auto",
+    )

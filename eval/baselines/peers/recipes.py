@@ -19,9 +19,7 @@ from eval.baselines.peers.config import (
     MetaSrNetworkConfig,
     TsFormerNetworkConfig,
 )
-from pahires.recipes import base as pahires_base
-from pahires.recipes import nano as pahires_nano
-from pahires.settings import TaskSettings, TemporalSettings
+from pahires.settings import TaskSettings, TemporalSettings, base_training, nano_training
 
 FAIR_WIDTH = 64
 MODULATED_RATE = 4e-4
@@ -106,12 +104,8 @@ INTERPOLATION = TaskSettings(interpolate=1.0, gap=0.0, scattered=0.0, extend=0.0
 IN_BETWEENING = TaskSettings(interpolate=0.0, gap=1.0, scattered=0.0, extend=0.0)
 
 
-# Steps of all four tasks, of which `nano` has its own task's share.
-NANO_STEPS = 8000
-
-
 def _on(task: TaskSettings, training: TemporalSettings) -> TemporalSettings:
-    """Those steps of a training that are of one task, with corrections as they were before PA-HiRes had its own."""
+    """Those steps of a training of all tasks that are of one task."""
     assert training.steps is not None
     kept = sum(share for share, wanted in zip(training.tasks.shares, task.shares, strict=True) if wanted)
     interpolate, gap, scattered, extend = task.shares
@@ -119,18 +113,15 @@ def _on(task: TaskSettings, training: TemporalSettings) -> TemporalSettings:
         training,
         tasks=replace(training.tasks, interpolate=interpolate, gap=gap, scattered=scattered, extend=extend),
         steps=round(training.steps * kept / sum(training.tasks.shares)),
-        sizing="gap",
-        blended=(),
-        balance_floor=1.0,
     )
 
 
 def _nano(task: TaskSettings) -> TemporalSettings:
-    return _on(task, replace(pahires_nano().training, steps=NANO_STEPS))
+    return _on(task, nano_training())
 
 
 def _base(task: TaskSettings) -> TemporalSettings:
-    return _on(task, pahires_base().training)
+    return _on(task, base_training())
 
 
 def _image_paper() -> TemporalSettings:
