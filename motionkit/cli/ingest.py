@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from motionkit.formats.items import IndexOptions
     from motionkit.store.ingest import DatasetCount, IngestReport
 
+# Of the files that were ignored.
+SHOWN_KINDS = 5
+
 
 def ingest(
     sources: option.Sources,
@@ -97,6 +100,8 @@ def _check_success(report: "IngestReport", on_error: OnError) -> None:
         raise MotionkitError(f"stopped at the first problem; the store {report.store} is as it was")
     if not report.num_in_store:
         raise MotionkitError(f"nothing could be stored in {report.store}")
+    if report.problems and not report.num_stored:
+        raise MotionkitError(f"nothing was stored; the store {report.store} is as it was")
 
 
 def _body_models(given: Path | None) -> Path | None:
@@ -160,8 +165,19 @@ def _print_summary(report: "IngestReport") -> None:
         if counts:
             reasons = ", ".join(f"{count:,} {reason}" for reason, count in counts.items())
             stdout.print(f"{name}: {sum(counts.values()):,} ({reasons})", markup=False)
+    if report.ignored:
+        stdout.print(_ignored_line(report))
     if report.datasets:
         print_text(_dataset_table(report.datasets))
+
+
+def _ignored_line(report: "IngestReport") -> str:
+    kinds = list(report.ignored_by_suffix.items())
+    shown = ", ".join(f"{count:,} {kind}" for kind, count in kinds[:SHOWN_KINDS])
+    more = ", …" if len(kinds) > SHOWN_KINDS else ""
+    line = f"ignored: {len(report.ignored):,} ({shown}{more}; the first: {report.ignored[0]})"
+    has_arrays = any(path.suffix.lower() in (".npy", ".npz") for path in report.ignored)
+    return f"{line}; ingest an array alone to be told what it holds" if has_arrays else line
 
 
 def _counted(number: int, noun: str) -> str:
@@ -191,6 +207,8 @@ def _as_json(report: "IngestReport") -> dict[str, Any]:
             count.dataset: {"found": count.num_found, "missing": count.num_missing, "failed": count.num_failed}
             for count in report.datasets
         },
+        "ignored": report.ignored_by_suffix,
+        "ignored_paths": [str(path) for path in report.ignored],
         "problems": _named(report.problems),
         "warned": _named(report.warnings),
     }

@@ -148,9 +148,14 @@ def _unknown_splits(rows: Collection[Annotation], path: Path) -> Iterator[Format
         yield FormatError(message, path=path, reason="unknown-split", line=line)
 
 
+def licence_files(folder: Path) -> list[Path]:
+    """The files of a folder that say its licence, by their names."""
+    return sorted(entry for entry in folder.iterdir() if entry.name.upper().startswith(("LICENSE", "LICENCE")))
+
+
 def find_licence(folder: Path) -> str:
     """First line of the folder's LICENSE file (or their names, where there are several); empty where there is none."""
-    files = sorted(entry for entry in folder.iterdir() if entry.name.upper().startswith(("LICENSE", "LICENCE")))
+    files = licence_files(folder)
     lines = list(dict.fromkeys(line for entry in files if entry.is_file() for line in _first_line(entry)))
     if len(lines) == 1:
         return lines[0]

@@ -1,6 +1,6 @@
 """All formats in one table: how each is found, read, and what people are told about it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,8 @@ class Format:
     A file format has `suffixes`, and `accepts` where the suffix alone does not tell; a single file of another name is
     known by a word that it `begins` with, comments aside. A folder format has `claims`,
     which says whether a folder is one, and `find`, which lists its sequences; a claimed folder is not searched further.
+    `beside` lists the files of a folder, there or not, that belong to its sequences without being one: what is read
+    with them, and what a data set is known to put there.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Format:
     begins: bytes = b""
     claims: Callable[[Path], bool] | None = None
     find: Callable[[Path, Path], ScanResult] | None = None
+    beside: Callable[[Path], Iterable[Path]] = lambda folder: ()
     writes: bool = False
 
 
@@ -63,6 +66,7 @@ FORMATS: Mapping[str, Format] = {
             read=_of_path(style100.read_100style),
             suffixes=(".bvh",),
             accepts=style100.accepts,
+            beside=style100.tables_of_cuts,
         ),
         Format(
             name="bvh",
@@ -81,6 +85,7 @@ FORMATS: Mapping[str, Format] = {
             rotations=True,
             read=_of_path(asfamc.read_asfamc),
             suffixes=(".amc",),
+            beside=asfamc.skeletons,
             begins=b":FULLY-SPECIFIED",
         ),
         Format(
@@ -117,6 +122,7 @@ FORMATS: Mapping[str, Format] = {
             read=amass.read_amass,
             suffixes=(".npz",),
             accepts=amass.accepts,
+            beside=amass.shapes,
         ),
         Format(
             name="humanml3d",
@@ -126,6 +132,7 @@ FORMATS: Mapping[str, Format] = {
             read=humanml3d.read_humanml3d,
             claims=humanml3d.claims,
             find=humanml3d.find,
+            beside=humanml3d.files_of_folder,
             writes=True,
         ),
         Format(
@@ -136,6 +143,7 @@ FORMATS: Mapping[str, Format] = {
             read=kit.read_kit,
             claims=kit.claims,
             find=kit.find,
+            beside=humanml3d.files_of_folder,
             writes=True,
         ),
         Format(
@@ -146,6 +154,7 @@ FORMATS: Mapping[str, Format] = {
             read=_of_path(humanact12.read_humanact12),
             suffixes=(".npy",),
             accepts=humanact12.accepts,
+            beside=joints_npy.manifests,
         ),
         Format(
             name="joints-npy",
@@ -155,6 +164,7 @@ FORMATS: Mapping[str, Format] = {
             read=_of_path(joints_npy.read_joints_npy),
             suffixes=(".npy",),
             accepts=joints_npy.accepts,
+            beside=joints_npy.manifests,
             begins=npy.MAGIC,
             writes=True,
         ),

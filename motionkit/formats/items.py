@@ -79,13 +79,22 @@ class SourceItem:
         return f"{self.path} ({self.key})" if self.key else str(self.path)
 
 
+@dataclass(frozen=True, eq=False)
+class Spare:
+    """A sequence whose id an earlier one has: to be read where that one cannot be, and otherwise the `problem`."""
+
+    item: SourceItem
+    problem: FormatError
+
+
 @dataclass(frozen=True)
 class ScanResult:
     """What a scan found: `items` to read, `problems` that cost a sequence, and `warnings` that cost none.
 
     A motion without a caption, in a source that has captions, is a warning: the motion is kept. `missing` counts, by
     dataset, the sequences of an index whose files are not there, `refused` those whose captions cannot be read; each is
-    one of the problems too.
+    one of the problems too, as are those of the `spares`. `ignored` are the files of a folder that are no sequences and
+    belong to none; of an index's folders there are none.
     """
 
     items: tuple[SourceItem, ...]
@@ -93,3 +102,5 @@ class ScanResult:
     warnings: tuple[FormatError, ...] = field(default=())
     missing: Mapping[str, int] = field(default_factory=dict)
     refused: Mapping[str, int] = field(default_factory=dict)
+    spares: tuple[Spare, ...] = ()
+    ignored: tuple[Path, ...] = ()

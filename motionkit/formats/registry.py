@@ -3,26 +3,21 @@
 `scan` looks at names and folders only, `read` opens one sequence: so ingest can scan once and read in many processes.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import islice
 from pathlib import Path
 
 from motionkit.errors import FormatError, UsageError
-from motionkit.formats import annotations
+from motionkit.formats import annotations, unread
 from motionkit.formats.annotations import Annotation, AnnotationTable
 from motionkit.formats.catalogue import FORMATS, Format
 from motionkit.formats.folders import dangling, walk
 from motionkit.formats.indexes import search
-from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
+from motionkit.formats.items import ReadOptions, ScanResult, SourceItem, Spare
 from motionkit.formats.reading import read
 
 __all__ = ["FORMATS", "Format", "ReadOptions", "ScanResult", "SourceItem", "read", "scan"]
-
-# What a folder without motions is said to hold.
-SEEN_FILES, SHOWN_KINDS = 1_000, 3
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
@@ -38,16 +33,16 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
         seen: list[AnnotationTable] = []
         broken: list[FormatError] = []
         found = search.scan_indexes(sources, options.index, _file_items(options, seen, broken))
-        kept, duplicates = _unique(found.items)
-        return replace(
+        found = replace(
             found,
-            items=kept,
-            problems=(*found.problems, *broken, *(each for table in seen for each in table.problems), *duplicates),
+            problems=(*found.problems, *broken, *(each for table in seen for each in table.problems)),
             warnings=(*found.warnings, *(each for table in seen for each in table.warnings)),
         )
+        return _unique(found)
     items: list[SourceItem] = []
     problems: list[FormatError] = []
     warnings: list[FormatError] = []
+    ignored: list[Path] = []
     given: list[AnnotationTable] = []
     for source in sources:
         if not source.exists():
@@ -58,14 +53,14 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
         given += [table] if table else []
         found = _scan_source(source, options, table)
         if not found.items and not found.problems:
-            found = replace(found, problems=(_nothing(source, options),))
+            found = replace(found, problems=(unread.no_motion(source, options),))
         items += found.items
         problems += found.problems
         warnings += found.warnings
+        ignored += found.ignored
     problems += _problems_of_given(given, {item.path for item in items})
     warnings += given[0].warnings if given else ()
-    kept, duplicates = _unique(items)
-    return ScanResult(kept, (*problems, *duplicates), tuple(warnings))
+    return _unique(ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=tuple(dict.fromkeys(ignored))))
 
 
 def _file_items(
@@ -103,23 +98,26 @@ def _root(source: Path) -> Path:
 def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | None) -> ScanResult:
     root = _root(source)
     beside: list[AnnotationTable] = []
-    found: list[ScanResult] = []
+    found: list[tuple[Path, ScanResult]] = []
     licences: dict[Path, str] = {}
     lost: list[FormatError] = []
+    seen: list[Path] = []
     one = [(root, [root / source.name])] if source.is_file() else None
     for folder, files in one or walk(root, _is_claimed, lost.append):
         licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
         if given is None:
             tables_here, broken = annotations.tables_in(folder)
             beside += tables_here
-            found.append(ScanResult((), tuple(broken)))
-        found.append(_scan_folder(folder, files, root, licences[folder], options))
-        if source.is_file() and not found[-1].items and not found[-1].problems:
-            found.append(_recognise(root / source.name, licences[folder], options))
+            found.append((folder, ScanResult((), tuple(broken))))
+        found.append((folder, _scan_folder(folder, files, root, licences[folder], options)))
+        if source.is_dir():
+            seen += _files_below(folder) if _is_claimed(folder) else files
+        elif not found[-1][1].items and not found[-1][1].problems:
+            found.append((folder, _recognise(root / source.name, licences[folder], options)))
     tables = beside if given is None else [given]
-    items = [_annotate(item, tables) for result in found for item in result.items]
-    problems = [problem for result in found for problem in result.problems]
-    warnings = [warning for result in found for warning in result.warnings]
+    items = [_annotate(item, tables) for _, result in found for item in result.items]
+    problems = [problem for _, result in found for problem in result.problems]
+    warnings = [warning for _, result in found for warning in result.warnings]
     warnings += [warning for table in beside for warning in table.warnings]
     problems += [problem for table in beside for problem in table.problems]
     problems += lost
@@ -132,7 +130,9 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     captioned += [table.path.parent for table in beside if table.has_captions]
     told = {warning.path for warning in warnings if warning.reason == "no-caption"}
     silent = [item for item in items if not item.captions and item.path not in told]
-    return ScanResult(tuple(items), tuple(problems), (*warnings, *_motions_without_caption(silent, captioned)))
+    ignored = unread.ignored(seen, found, (table.path.resolve() for table in tables))
+    warnings += _motions_without_caption(silent, captioned)
+    return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=ignored)
 
 
 def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> list[FormatError]:
@@ -147,6 +147,10 @@ def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> l
 def _no_motion(table: AnnotationTable, path: Path, row: Annotation) -> FormatError:
     message = f"describes {path.name}, but there is no such motion in the source"
     return FormatError(message, path=table.path, reason="caption-without-motion", line=row.line)
+
+
+def _files_below(folder: Path) -> list[Path]:
+    return [path for _, files in walk(folder, lambda _: False, lambda _: None) for path in files]
 
 
 def _is_claimed(folder: Path) -> bool:
@@ -181,7 +185,8 @@ def _recognise(path: Path, licence: str, options: ReadOptions) -> ScanResult:
         head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
     words = next((line.strip() for line in head.splitlines() if line.strip() and not line.startswith(b"#")), b"")
     for entry in FORMATS.values():
-        if options.format in ("auto", entry.name) and entry.begins and words.upper().startswith(entry.begins):
+        fits = options.format in ("auto", entry.name) and (entry.accepts is None or entry.accepts(path))
+        if fits and entry.begins and words.upper().startswith(entry.begins):
             return ScanResult((_file_item(entry, path, path.parent, licence),))
     return ScanResult(())
 
@@ -239,28 +244,16 @@ def _motions_without_caption(items: Iterable[SourceItem], folders: Sequence[Path
     ]
 
 
-def _nothing(source: Path, options: ReadOptions) -> FormatError:
-    expected = options.format if options.format != "auto" else ", ".join(FORMATS)
-    if source.is_file():
-        return FormatError(f"of no known format, expected {expected}", path=source, reason="unknown-format")
-    files = (path for path in source.rglob("*") if path.is_file())
-    kinds = Counter(path.suffix.lower() or path.name for path in islice(files, SEEN_FILES)).most_common(SHOWN_KINDS)
-    there = ", ".join(f"{count} {kind}" for kind, count in kinds) or "no files"
-    message = f"no motions in this folder (it has {there}), expected {expected}"
-    return FormatError(message, path=source, reason="empty-folder")
-
-
-def _unique(items: Iterable[SourceItem]) -> tuple[tuple[SourceItem, ...], list[FormatError]]:
+def _unique(found: ScanResult) -> ScanResult:
+    # Of sequences with one id all but the first are spares.
     kept: dict[str, SourceItem] = {}
-    problems: list[FormatError] = []
-    for item in items:
+    spares: list[Spare] = []
+    for item in found.items:
         first = kept.setdefault(item.sequence_id, item)
         if first is not item:
-            problems.append(
-                FormatError(
-                    f"its id {item.sequence_id!r} is already taken by {first.path.name}; rename the file or its folder",
-                    path=item.path,
-                    reason="duplicate-id",
-                )
+            message = (
+                f"its id {item.sequence_id!r} is already taken by {first.path.name}; rename the file or its folder"
             )
-    return tuple(kept.values()), problems
+            spares.append(Spare(item, FormatError(message, path=item.path, reason="duplicate-id")))
+    problems = (*found.problems, *(spare.problem for spare in spares))
+    return replace(found, items=tuple(kept.values()), problems=problems, spares=tuple(spares))

@@ -12,8 +12,10 @@ from typing import Literal
 
 from motionkit.errors import FormatError, StoreError
 from motionkit.formats.cuts import missing_seconds, unlike_stated_seconds
+from motionkit.formats.items import Spare
 from motionkit.formats.registry import ReadOptions, ScanResult, SourceItem, scan
 from motionkit.formats.smpl.body import substituted_body
+from motionkit.formats.unread import kinds_of
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeletons.families import parse_layout_map
 from motionkit.skeletons.mapping import SkeletonMapError, joint_map
@@ -50,7 +52,8 @@ class DatasetCount:
 class IngestReport:
     """What an ingest did: sequences stored, those the store already held, problems that cost a sequence, warnings.
 
-    `datasets` says it by dataset where the sequences are an index's.
+    `datasets` says it by dataset where the sequences are an index's. `ignored` are the files of the sources' folders
+    that are no sequences and belong to none.
     `committed` is False where the store was left as it was: after a problem under `stop`, or with nothing to store.
     """
 
@@ -64,6 +67,7 @@ class IngestReport:
     problems: tuple[FormatError, ...]
     warnings: tuple[FormatError, ...]
     datasets: tuple[DatasetCount, ...] = ()
+    ignored: tuple[Path, ...] = ()
 
     @property
     def problems_by_reason(self) -> dict[str, int]:
@@ -75,13 +79,18 @@ class IngestReport:
         """Number of warnings by their reason, most frequent first."""
         return dict(Counter(warning.reason for warning in self.warnings).most_common())
 
+    @property
+    def ignored_by_suffix(self) -> dict[str, int]:
+        """Number of ignored files by their suffix, most frequent first; by their name where they have none."""
+        return kinds_of(self.ignored)
+
 
 @dataclass(frozen=True)
 class Listener:
     """Who is told what during an ingest.
 
-    `on_start` the number of sequences, `on_item` after each, `on_problem` what cost a sequence, `on_warning` what looks
-    odd and cost none.
+    `on_start` the number of sequences, again where it grows, `on_item` after each, `on_problem` what cost a sequence,
+    `on_warning` what looks odd and cost none.
     """
 
     on_start: Callable[[int], None] = lambda num_items: None
@@ -107,7 +116,8 @@ def ingest(
     `ray://HOST:PORT`) runs them; without a number given, all cores read, or one where the sources are so small that
     starting processes would take longer. Under `skip` the good sequences are
     stored; under `stop` the first problem ends the ingest and the store stays as it was. A sequence that the store
-    holds from an equal file is counted and left alone; one with the same id from another file is a problem. Raises
+    holds from an equal file is counted and left alone; one with the same id from another file is a problem. So is one
+    whose id an earlier sequence of the sources has, unless that one cannot be read: then it takes its place. Raises
     `UsageError` for sources or options that make no sense and `StoreError` for a store that cannot be written.
     """
     check_engine(engine)
@@ -142,6 +152,7 @@ class _Run:
         self._rigs: set[tuple[tuple[str, ...], str]] = set()
         self._sizes = BodySizes(())
         self._failed_by_dataset: Counter[str] = Counter()
+        self._failed_ids: set[str] = set()
         self._num_stored = 0
         self._num_frames = 0
         self._num_already_stored = 0
@@ -155,8 +166,11 @@ class _Run:
         try:
             for warning in found.warnings:
                 self._warn(warning)
+            # Of a spare it turns out later whether it is one.
+            later = {spare.problem for spare in found.spares} if self._on_error == "skip" else set()
             for problem in found.problems:
-                self._fail(problem)
+                if problem not in later:
+                    self._fail(problem)
             if found.items:
                 self._write(writer, found)
                 self._check_maps()
@@ -179,21 +193,43 @@ class _Run:
             problems=tuple(self._problems),
             warnings=tuple(self._warnings),
             datasets=self._datasets(found) if self._options.index else (),
+            ignored=tuple(path for path in found.ignored if not path.is_relative_to(self._store.resolve())),
         )
 
     def _write(self, writer: StoreWriter, found: ScanResult) -> None:
-        self._listener.on_start(len(found.items))
         with ExitStack() as held:
             held.enter_context(writer)
             self._sizes = BodySizes(writer.skeletons)
             engine = held.enter_context(self._engine(found.items))
-            function = partial(read_batch, options=self._options)
-            results = held.enter_context(closing(map_in_order(engine, function, batches(found.items))))
-            for item, result in results:
-                self._take(writer, item, result)
-                self._listener.on_item()
+            self._read_all(writer, engine, found)
             if not self._num_stored:
                 raise _Stopped
+
+    def _read_all(self, writer: StoreWriter, engine: Engine, found: ScanResult) -> None:
+        function = partial(read_batch, options=self._options)
+        items, spares, total = found.items, found.spares, 0
+        while items:
+            total += len(items)
+            self._listener.on_start(total)
+            with closing(map_in_order(engine, function, batches(items))) as results:
+                for item, result in results:
+                    self._take(writer, item, result)
+                    self._listener.on_item()
+            items, spares = self._wanted(spares)
+        for spare in spares:
+            self._fail(spare.problem)
+
+    def _wanted(self, spares: Sequence[Spare]) -> tuple[tuple[SourceItem, ...], tuple[Spare, ...]]:
+        # For each id that has failed its first spare, which is to be read, and the other spares.
+        wanted: list[SourceItem] = []
+        others: list[Spare] = []
+        for spare in spares:
+            if spare.item.sequence_id in self._failed_ids:
+                self._failed_ids.remove(spare.item.sequence_id)
+                wanted.append(spare.item)
+            else:
+                others.append(spare)
+        return tuple(wanted), tuple(others)
 
     def _engine(self, items: Sequence[SourceItem]) -> Engine:
         if self._engine_name != LOCAL:
@@ -268,6 +304,7 @@ class _Run:
     def _fail(self, problem: FormatError, item: SourceItem | None = None) -> None:
         if item is not None:
             self._failed_by_dataset[item.subset] += 1
+            self._failed_ids.add(item.sequence_id)
         self._problems.append(problem)
         self._listener.on_problem(problem)
         if self._on_error == "stop":

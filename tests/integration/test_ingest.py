@@ -210,7 +210,7 @@ def test_duplicate_ids(motionkit, takes, tmp_path):
     other.mkdir(parents=True)
     (other / "beta.bvh").write_text(bvh_text(9))
     second = motionkit("ingest", other, "--store", store, "--workers", 1)
-    assert second.code == 0
+    assert second.code == 1
     assert "already holds a sequence with the id 'takes/beta'" in second.error_lines[0]
     assert Store.open(store).read("takes/beta").num_frames == 5
 

@@ -73,21 +73,26 @@ def read_asfamc(path: Path, options: ReadOptions | None = None, skeleton_path: P
 
 def find_skeleton(path: Path) -> Path:
     """The ASF file of an AMC file; raises `FormatError` (`no-skeleton`, `two-skeletons`)."""
-    skeletons = sorted(entry for entry in path.parent.iterdir() if entry.suffix.lower() == ".asf")
+    found = skeletons(path.parent)
     subjects = {path.stem.lower(), path.stem.rsplit("_", 1)[0].lower()}
-    named = [entry for entry in skeletons if entry.stem.lower() in subjects]
+    named = [entry for entry in found if entry.stem.lower() in subjects]
     if len(named) == 1:
         return named[0]
-    if len(skeletons) == 1:
-        return skeletons[0]
-    if not skeletons:
+    if len(found) == 1:
+        return found[0]
+    if not found:
         raise FormatError("no ASF skeleton in its folder, expected one", path=path, reason="no-skeleton")
     raise FormatError(
-        f"its folder holds {len(skeletons)} skeletons ({', '.join(entry.name for entry in skeletons)}), expected one "
+        f"its folder holds {len(found)} skeletons ({', '.join(entry.name for entry in found)}), expected one "
         f"or {path.stem.rsplit('_', 1)[0]}.asf",
         path=path,
         reason="two-skeletons",
     )
+
+
+def skeletons(folder: Path) -> list[Path]:
+    """The ASF files of a folder."""
+    return sorted(entry for entry in folder.iterdir() if entry.suffix.lower() == ".asf")
 
 
 def parse_amc(data: bytes, path: Path) -> AmcTable:

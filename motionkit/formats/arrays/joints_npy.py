@@ -39,6 +39,11 @@ def accepts(path: Path) -> bool:
     return shape is None or (len(shape) == 3 and shape[2] == 3)
 
 
+def manifests(folder: Path) -> tuple[Path, ...]:
+    """What says something about the arrays of a folder."""
+    return (folder / MANIFEST,)
+
+
 def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one array as positions in metres, turned to y up where the body stands along z.
 

@@ -22,9 +22,15 @@ STRINGS = re.compile(r"[<>|=]?[US][1-9]\d*")
 
 def peek_shape(path: Path) -> tuple[int, ...] | None:
     """Shape that a .npy file's header states, None where there is no such header; reads no data."""
+    found = peek_header(path)
+    return None if found is None else found[0]
+
+
+def peek_header(path: Path) -> tuple[tuple[int, ...], bool, str] | None:
+    """What a .npy file's header states (`read_header`), None where there is no such header; reads no data."""
     try:
         with path.open("rb") as file:
-            return read_header(io.BytesIO(file.read(HEADER_BYTES)))[0]
+            return read_header(io.BytesIO(file.read(HEADER_BYTES)))
     except (OSError, ValueError):
         return None
 

@@ -68,13 +68,18 @@ def open_archive(path: Path, data: bytes) -> NpzArchive:
     return NpzArchive(path, len(data), zipped, members)
 
 
-def read_shape(archive: NpzArchive, key: str) -> tuple[int, ...]:
-    """Shape that a member's header states; raises `FormatError` (`missing-key`, `truncated`, `too-large`)."""
+def read_header(archive: NpzArchive, key: str) -> tuple[tuple[int, ...], bool, str]:
+    """What a member's header states (`npy.read_header`); raises `FormatError` as `read_shape` does."""
     info = _checked_info(archive, key)
     try:
-        return npy.read_header(io.BytesIO(_unpack(archive, info, npy.HEADER_BYTES)))[0]
+        return npy.read_header(io.BytesIO(_unpack(archive, info, npy.HEADER_BYTES)))
     except ValueError as error:
         raise _broken(archive, key, error) from None
+
+
+def read_shape(archive: NpzArchive, key: str) -> tuple[int, ...]:
+    """Shape that a member's header states; raises `FormatError` (`missing-key`, `truncated`, `too-large`)."""
+    return read_header(archive, key)[0]
 
 
 def read_numbers(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -> Float32[np.ndarray, "..."]:

@@ -47,8 +47,12 @@ def accepts(path: Path) -> bool:
 
 def find_cuts(path: Path) -> Path | None:
     """The table of cuts that counts for a file: in its folder, or in the one above."""
-    found = (folder / CUTS_FILE for folder in (path.parent, path.parent.parent))
-    return next((table for table in found if table.is_file()), None)
+    return next((table for table in tables_of_cuts(path.parent) if table.is_file()), None)
+
+
+def tables_of_cuts(folder: Path) -> tuple[Path, ...]:
+    """Where a folder's takes may have their table of cuts, the nearest first."""
+    return folder / CUTS_FILE, folder.parent / CUTS_FILE
 
 
 def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:

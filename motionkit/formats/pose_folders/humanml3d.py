@@ -4,7 +4,7 @@ A folder has `new_joints/ID.npy` [T, J, 3] and/or `new_joint_vecs/ID.npy` [T, 12
 `val.txt`, `test.txt`, `Mean.npy` and `Std.npy`. Source: https://github.com/EricGuo5513/HumanML3D.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -103,6 +103,15 @@ def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
             if key not in described
         ]
     return ScanResult(items, problems, tuple(warnings))
+
+
+def files_of_folder(folder: Path) -> Iterator[Path]:
+    """The files of a folder's arrays, texts, splits and statistics, and what says its framerate."""
+    for name in (JOINTS_FOLDER, VECTORS_FOLDER):
+        yield from (folder / name).glob("*.npy")
+    yield from (folder / TEXTS_FOLDER).glob("*.txt")
+    yield from (folder / f"{split}.txt" for split in ("all", "train_val", *SPLITS))
+    yield from (folder / name for name in ("Mean.npy", "Std.npy", joints_npy.MANIFEST))
 
 
 def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMANML3D) -> Motion:

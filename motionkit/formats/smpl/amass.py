@@ -35,12 +35,21 @@ UPRIGHT = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0], np.float32)
 
 def accepts(path: Path) -> bool:
     """Whether an .npz file is an AMASS motion; the shapes beside them (`shape.npz`, `…_stagei.npz`) are not."""
-    if path.stem == "shape" or path.stem.endswith("_stagei"):
+    if _is_shape(path):
         return False
     if path.stem.endswith(MOTION_NAMES):
         return True
     keys = npz_archive.peek_keys(path)
     return "trans" in keys and ("poses" in keys or {"root_orient", "pose_body"} <= keys)
+
+
+def shapes(folder: Path) -> list[Path]:
+    """The files of a folder that hold a subject's shape and no motion."""
+    return [path for path in folder.glob("*.npz") if _is_shape(path)]
+
+
+def _is_shape(path: Path) -> bool:
+    return path.stem == "shape" or path.stem.endswith("_stagei")
 
 
 def read_amass(item: SourceItem, options: ReadOptions) -> Motion:

@@ -1,0 +1,102 @@
+"""`motionkit ingest` says what it has not read, and exits with 1 where it has stored nothing and something was bad."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_bvh import bvh_text
+
+from motionkit.store import Store
+from tests.motionkit.formats.every_format import SOURCES
+
+
+@pytest.fixture
+def arrays(tmp_path: Path) -> Path:
+    """Ten arrays of which one is a motion."""
+    folder = tmp_path / "arrays"
+    folder.mkdir()
+    np.savez(folder / "motion.npz", joint_positions=np.random.default_rng(0).random((5, 22, 3)), fps=30)
+    for number in range(6):
+        np.savez(folder / f"unknown-{number}.npz", xyz=np.zeros((5, 22, 3)))
+    for number in range(3):
+        np.save(folder / f"unknown-{number}.npy", np.zeros((5, 66)))
+    return folder
+
+
+def test_the_last_line_counts_what_was_ignored(motionkit, arrays, tmp_path):
+    outcome = motionkit("ingest", arrays, "--store", tmp_path / "store")
+    assert outcome.code == 0 and outcome.stdout.startswith("stored 1 sequence")
+    (line,) = [line for line in outcome.stdout.splitlines() if line.startswith("ignored")]
+    counts, _, hint = line.partition("; ingest an array alone")
+    assert counts == f"ignored: 9 (6 .npz, 3 .npy; the first: {arrays}/unknown-0.npy)"
+    assert hint == " to be told what it holds"
+    summary = json.loads(motionkit("ingest", arrays, "--store", tmp_path / "store", "--json").stdout)
+    assert summary["ignored"] == {".npz": 6, ".npy": 3}
+    assert sorted(summary["ignored_paths"]) == sorted(map(str, arrays.glob("unknown*")))
+
+
+def test_nothing_is_said_where_nothing_was_ignored(motionkit, takes, tmp_path):
+    store = takes / "store"  # what is in it is no source
+    motionkit("ingest", takes, "--store", store)
+    again = motionkit("ingest", takes, "--store", store)
+    assert (again.code, "ignored" in again.stdout) == (0, False)
+    summary = json.loads(motionkit("ingest", takes, "--store", store, "--json").stdout)
+    assert (summary["ignored"], summary["ignored_paths"]) == ({}, [])
+
+
+def test_an_array_named_singly_is_told_with_the_line_that_mends_it(motionkit, arrays, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    outcome = motionkit("ingest", "arrays/unknown-0.npz", "--store", tmp_path / "store")
+    assert outcome.code == 1
+    assert outcome.error_lines[0] == (
+        "arrays/unknown-0.npz: no motion as it is: it holds xyz (5, 22, 3) float64; write one that can be read with "
+        "np.savez('arrays/unknown-0-motion.npz', joint_positions=np.load('arrays/unknown-0.npz')['xyz'], fps=30), "
+        "if these are metres, y up, and 30 is their framerate"
+    )
+
+
+@pytest.mark.parametrize("on_error", ["skip", "stop"])
+def test_an_ingest_that_stored_nothing_and_failed_exits_1(motionkit, takes, tmp_path, on_error):
+    store = tmp_path / "store"
+    motionkit("ingest", takes, "--store", store)
+    (takes / "broken.bvh").write_text(bvh_text()[:-30])
+    outcome = motionkit("ingest", takes, "--store", store, "--on-error", on_error)
+    assert outcome.code == 1
+    assert outcome.error_lines[-1].endswith(f"the store {store} is as it was")
+    assert len(Store.open(store).sequences) == 3
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_broken_file_costs_only_itself_where_another_has_its_name(motionkit, tmp_path, workers):
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    SOURCES["c3d"](folder)
+    SOURCES["npz"](folder)
+    (folder / "take.bvh").write_text(bvh_text()[:-30])
+    outcome = motionkit("ingest", folder, "--store", tmp_path / "store", "--workers", workers)
+    assert outcome.code == 0
+    assert "stored 1 sequence" in outcome.stdout and "failed: 2 (1 truncated, 1 duplicate-id)" in outcome.stdout
+    stored = Store.open(tmp_path / "store").sequences
+    assert list(stored["source_path"]) == ["take.c3d"]
+    assert f"{folder}/take.npz: its id 'takes/take' is already taken" in outcome.error_lines[1]
+
+    (folder / "take.bvh").write_text(bvh_text())
+    again = motionkit("ingest", folder, "--store", tmp_path / "store", "--workers", workers)
+    assert "already there: 1" in again.stdout and "failed: 2 (2 duplicate-id)" in again.stdout
+    assert "take.bvh: the store already holds a sequence with the id 'takes/take'" in again.error_lines[0]
+
+
+def test_all_files_of_one_name_may_be_broken(motionkit, tmp_path):
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    (folder / "take.bvh").write_text(bvh_text()[:-30])
+    (folder / "take.npz").write_bytes(b"no archive")
+    outcome = motionkit("ingest", folder, "--store", tmp_path / "store")
+    assert outcome.code == 1 and "failed: 2 (1 truncated, 1 not-what-it-says)" in outcome.stdout
+
+
+def test_under_stop_two_files_of_one_name_are_a_problem(motionkit, takes, tmp_path):
+    np.savez(takes / "alpha.npz", joint_positions=np.zeros((5, 22, 3)), fps=30)
+    outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--on-error", "stop")
+    assert outcome.code == 1 and "is already taken by alpha.bvh" in outcome.error_lines[0]
