@@ -18,8 +18,15 @@ from motionkit.cli import app, start
 from motionkit.store import Store
 
 STOPPED = "motionkit: stopped\n"
-# What the installed script does, which says when it begins.
-SCRIPT = "import sys; from motionkit.cli.start import main; print('begun', flush=True); sys.exit(main())"
+# What the installed script does; it says when a signal would no longer meet Python alone.
+SCRIPT = """
+import sys
+from motionkit.cli import start
+
+prepare = start.interrupts.stop_like_ctrl_c
+start.interrupts.stop_like_ctrl_c = lambda: (prepare(), print("begun", flush=True))
+sys.exit(start.main())
+"""
 NUM_TAKES = 24
 
 
