@@ -18,11 +18,11 @@ from motionkit.motionfield import MotionField
 from motionkit.skeleton import Skeleton
 from motionkit.training.device import resolve_device
 from motionkit.training.run import RunError, RunFolder
+from motionkit.training.text_encoders import TextEncoder, load_text_encoder
 from nerm.conditions.batch import Conditions, unit_rows
 from nerm.denoiser.saved import load_denoiser
 from nerm.denoiser.trained import TrainedDenoiser
 from nerm.field.saved import load_field
-from nerm.text.encoders import TextEncoder, load_text_encoder
 
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
 

@@ -1,6 +1,7 @@
 """Shared fixtures: real captures are optional; tests that need them skip with a reason."""
 
 import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -35,3 +36,20 @@ def golden_humanml3d(captures: Path) -> Path:
     if not folder.is_dir():
         pytest.skip(f"needs the published HumanML3D clip in {folder}")
     return folder
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, Mapping[str, str]], None]:
+    """`install(module, source, {"GROUP": "NAME = MODULE:ATTRIBUTE"})`: a package as an installer would leave it."""
+
+    def bring(module: str, source: str, entries: Mapping[str, str]) -> None:
+        site = tmp_path / f"site-{module}"
+        metadata = site / f"{module}-1.0.dist-info"
+        metadata.mkdir(parents=True)
+        (site / f"{module}.py").write_text(source, encoding="utf-8")
+        (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n", encoding="utf-8")
+        groups = "\n".join(f"[{group}]\n{entry}\n" for group, entry in entries.items())
+        (metadata / "entry_points.txt").write_text(groups, encoding="utf-8")
+        monkeypatch.syspath_prepend(str(site))
+
+    return bring

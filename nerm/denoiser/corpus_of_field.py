@@ -12,12 +12,12 @@ from jaxtyping import Float32
 from motionkit.clips.windows import Windows
 from motionkit.store.reader import Store
 from motionkit.store.schema import CACHE_FOLDER
+from motionkit.training.text_embeddings import embed_texts
+from motionkit.training.text_encoders import TextEncoder
 from nerm.conditions.batch import unit_rows
 from nerm.conditions.captions import mirrored_text, overlapping_captions
 from nerm.denoiser.corpus import LatentCorpus, latent_corpus
 from nerm.latents.local import LocalLatents
-from nerm.text.cache import embed_texts
-from nerm.text.encoders import TextEncoder
 
 
 def corpus_of(

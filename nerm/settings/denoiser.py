@@ -71,7 +71,7 @@ class TransformerConfig:
 class DenoiserConfig:
     """The stage `denoiser`.
 
-    `text_encoder` is what `nerm.text.encoders.load_text_encoder` takes, or "none" to train without texts;
+    `text_encoder` is what `motionkit.training.text_encoders.load_text_encoder` takes, or "none" to train without texts;
     `text_dimension` the size its embeddings must have (None: any). A share `condition_drop` of the batch is trained
     unconditionally; of the windows that have a caption and an action, `action_share` are trained on the action. Exactly
     one of `steps` and `epochs` says how long; `guidance_scale` is r of Eq. 6 at inference.

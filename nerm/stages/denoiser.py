@@ -4,13 +4,14 @@ import dataclasses
 import time
 
 from motionkit.checksums import sha256_of
-from motionkit.errors import UsageError
+from motionkit.errors import MotionkitError, UsageError
 from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
 from motionkit.training.precision import float32_products, with_precision_of
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
+from motionkit.training.text_encoders import TextEncoder, load_text_encoder
 from nerm.denoiser.corpus_of_field import corpus_of
 from nerm.denoiser.saved import STAGE_NAME, save_denoiser
 from nerm.denoiser.training import DenoiserTraining
@@ -18,7 +19,6 @@ from nerm.field.saved import load_field
 from nerm.latents.local import local_latents
 from nerm.recipes import NermConfig
 from nerm.settings.denoiser import DenoiserConfig
-from nerm.text.encoders import TextEncoder, load_text_encoder
 
 
 def train_denoiser(context: StageContext, config: NermConfig) -> None:
@@ -84,7 +84,15 @@ def check_denoiser(context: StageContext, config: NermConfig) -> None:
 def _encoder(settings: DenoiserConfig) -> TextEncoder | None:
     if settings.text_encoder == "none":
         return None
-    return load_text_encoder(settings.text_encoder, settings.text_dimension)
+    name, expected = settings.text_encoder, settings.text_dimension
+    encoder = load_text_encoder(name)
+    if encoder.dimension != expected:
+        raise MotionkitError(
+            f"the text encoder {name!r} gives {encoder.dimension} numbers, {expected} are expected (the paper's CLIP "
+            f"ViT-L/14 has 768): give another with denoiser.text_encoder, or set denoiser.text_dimension="
+            f"{encoder.dimension}"
+        )
+    return encoder
 
 
 def _without_captions(who: str, settings: DenoiserConfig) -> UsageError:

@@ -1,6 +1,7 @@
 """Encoders found by name: interpolators, and what packages register."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,16 +24,8 @@ def load(run):
 
 
 @pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    site = tmp_path / "site"
-    metadata = site / "borrowed-1.0.dist-info"
-    metadata.mkdir(parents=True)
-    (site / "borrowed_encoder.py").write_text(MODULE, encoding="utf-8")
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: borrowed\nVersion: 1.0\n", encoding="utf-8")
-    (metadata / "entry_points.txt").write_text(
-        "[motionkit.encoders]\nborrowed = borrowed_encoder:load\n", encoding="utf-8"
-    )
-    monkeypatch.syspath_prepend(str(site))
+def package(install: Callable[..., None]) -> None:
+    install("borrowed_encoder", MODULE, {"motionkit.encoders": "borrowed = borrowed_encoder:load"})
 
 
 def test_interpolators_need_no_run(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from motionkit.errors import MotionkitError
 from motionkit.training.config import from_plain
 from motionkit.training.run import RunFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, unprefixed
-from nerm.text.encoders import TextEncoder, load_text_encoder
+from motionkit.training.text_encoders import TextEncoder, load_text_encoder
 
 VERSION = "native/2"
 STAGE_NAME = "evaluator"

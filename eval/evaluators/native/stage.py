@@ -30,8 +30,8 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     from motionkit.training.device import resolve_device
     from motionkit.training.loop import train_loop
     from motionkit.training.tensors import save_tensors
-    from nerm.text.cache import embed_texts
-    from nerm.text.encoders import load_text_encoder
+    from motionkit.training.text_embeddings import embed_texts
+    from motionkit.training.text_encoders import load_text_encoder
 
     store = Store.open(context.store)
     takes = takes_of_cache(store, open_cache(store, layout=LAYOUT, where=config.training.where or None))

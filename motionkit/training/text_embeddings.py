@@ -11,7 +11,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from motionkit.errors import MotionkitError
-from nerm.text.encoders import TextEncoder
+from motionkit.training.text_encoders import TextEncoder
 
 
 def embed_texts(encoder: TextEncoder, texts: Sequence[str], folder: Path) -> Float32[np.ndarray, "texts dimension"]:
