@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import duckdb
@@ -11,6 +12,8 @@ from motionkit.errors import UsageError
 
 # Arrow tables and datasets.
 Views = Mapping[str, Any]
+# How long to wait before telling duckdb again: what it is told between two statements it forgets.
+INTERRUPT_SECONDS = 0.05
 
 
 def query(views: Views, sql: str) -> pa.Table:
@@ -18,19 +21,31 @@ def query(views: Views, sql: str) -> pa.Table:
 
     The statement can neither read nor write files: duckdb's access to them is switched off, and the views live in this
     process. Raises `UsageError` for anything but one reading statement, and with duckdb's words where
-    it cannot run.
+    it cannot run. Ctrl-C stops a statement that runs.
     """
-    with duckdb.connect() as connection:
-        for name, view in views.items():
-            connection.register(name, view)
-        connection.execute("SET enable_external_access = false; SET lock_configuration = true")
+    with duckdb.connect() as connection, ThreadPoolExecutor(1, "query") as thread:
+        # Within duckdb, Ctrl-C would be ignored until the statement ends, or become an error of the statement.
+        running = thread.submit(_query, connection, views, sql)
         try:
-            kinds = [statement.type for statement in connection.extract_statements(sql)]
-            if len(kinds) != 1 or kinds[0] not in (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN):
-                raise UsageError("one statement that only reads is expected: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE …")
-            return _told_apart(connection.sql(sql).to_arrow_table())
-        except duckdb.Error as error:
-            raise UsageError(f"duckdb: {' '.join(str(error).split())}") from None
+            return running.result()
+        except KeyboardInterrupt:
+            while not running.done():
+                connection.interrupt()
+                wait([running], INTERRUPT_SECONDS)
+            raise
+
+
+def _query(connection: duckdb.DuckDBPyConnection, views: Views, sql: str) -> pa.Table:
+    for name, view in views.items():
+        connection.register(name, view)
+    connection.execute("SET enable_external_access = false; SET lock_configuration = true")
+    try:
+        kinds = [statement.type for statement in connection.extract_statements(sql)]
+        if len(kinds) != 1 or kinds[0] not in (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN):
+            raise UsageError("one statement that only reads is expected: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE …")
+        return _told_apart(connection.sql(sql).to_arrow_table())
+    except duckdb.Error as error:
+        raise UsageError(f"duckdb: {' '.join(str(error).split())}") from None
 
 
 def _told_apart(table: pa.Table) -> pa.Table:
