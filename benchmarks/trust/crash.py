@@ -4,6 +4,7 @@ After each fault the store must be in its old or its new state and `validate` ag
 whole, and the command, repeated, must end with the very files of an undisturbed run and no other ones.
 """
 
+import math
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -36,18 +37,23 @@ KINDS = {
 }
 
 
-def run(seed: int, seconds: float, folder: Path, names: Sequence[str] = tuple(SCENARIOS)) -> Report:
-    """Try faults in each scenario in turn until all are tried or the time is up; those that took least go first."""
+def run(
+    seed: int, seconds: float, folder: Path, names: Sequence[str] = tuple(SCENARIOS), most: int | None = None
+) -> Report:
+    """Try faults in each scenario in turn until all are tried or the time is up; those that took least go first.
+
+    `names` chooses scenarios, `most` is how many faults each is tried with at most.
+    """
     started = time.perf_counter()
     with ExitStack() as held:
         commands, display = held.enter_context(Commands()), held.enter_context(progress())
-        task = display.add_task("crash", total=seconds, note="")
+        task = display.add_task("crash", total=None if math.isinf(seconds) else seconds, note="")
         try:
             disk, no_disk = held.enter_context(SmallDisk(folder / "disk")), ()
         except NoDiskError as error:
             disk, no_disk = None, (Case("disk full, read-only", 0, skipped=str(error)),)
         drill = Drill(commands, folder, disk)
-        trials = [_Trials(SCENARIOS[name], drill, seed) for name in names]
+        trials = [_Trials(SCENARIOS[name], drill, seed, most) for name in names]
         while (waiting := [each for each in trials if not each.finished]) and (
             (passed := time.perf_counter() - started) < seconds
         ):
@@ -61,12 +67,12 @@ def run(seed: int, seconds: float, folder: Path, names: Sequence[str] = tuple(SC
 class _Trials:
     """The trials of one scenario in a random order; owns what came of them."""
 
-    def __init__(self, scenario: Scenario, drill: Drill, seed: int) -> None:
+    def __init__(self, scenario: Scenario, drill: Drill, seed: int, most: int | None) -> None:
         self.scenario = scenario
         self.seconds = 0.0
         self.finished = False
         self._drill = drill
-        self._seed = seed
+        self._seed, self._most = seed, most
         self._left: Iterator[tuple[Fault, str]] = iter(())
         self._prepared = False
         self._tried: list[Fault] = []
