@@ -84,14 +84,9 @@ class _Trials:
         if not self._prepared:
             self._prepared = True
             try:
-                self._left = iter(
-                    faults(
-                        self.scenario,
-                        self._drill.prepare(self.scenario),
-                        self._seed,
-                        has_disk=self._drill.disk is not None,
-                    )
-                )
+                expected, has_disk = self._drill.prepare(self.scenario), self._drill.disk is not None
+                found = faults(self.scenario, expected, self._seed, has_disk=has_disk)
+                self._left = iter(found[: self._most])
             except UndisturbedError as error:
                 self._failures.append(str(error))
         elif (following := next(self._left, None)) is None:
