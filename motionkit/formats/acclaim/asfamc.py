@@ -8,6 +8,7 @@ about its framerate. Source: http://mocap.cs.cmu.edu, and the page named in `asf
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -169,9 +170,9 @@ def _same_words(words: Words, expected: Words) -> bool:
 
 def _parse_slowly(data: bytes, bones: Sequence[tuple[str, int]], path: Path) -> AmcTable:
     expected = dict(bones)
-    columns = {name: sum(count for _, count in bones[:index]) for index, (name, _) in enumerate(bones)}
     if len(expected) != len(bones):
         raise FormatError("a bone is listed twice in the first frame", path=path, reason="bones")
+    columns = dict(zip(expected, accumulate(expected.values(), initial=0), strict=False))
     frames: list[list[float]] = []
     numbers: list[int] = []
     seen: set[str] = set()

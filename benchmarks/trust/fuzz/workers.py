@@ -1,0 +1,208 @@
+"""Inputs tried in forked processes with limits: memory above what the process has already, and processor time.
+
+A process tries a block of inputs; where it dies (its time spent, a crash in a library) the parent knows at which input,
+notes it, and goes on behind it with another process.
+"""
+
+import mmap
+import os
+import resource
+import signal
+import struct
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+from benchmarks.trust.fuzz.mutate import generator, mutate
+from benchmarks.trust.fuzz.target import Target
+from motionkit.errors import MotionkitError
+
+MOST_BYTES = 1 << 30
+MOST_SECONDS = 2.0
+SHOWN_CHARACTERS = 300
+PAGE_BYTES = resource.getpagesize()
+# What a child has done, where its parent sees it: the next input, refused, read, seconds of the slowest, its number.
+PROGRESS = struct.Struct("<qqqdq")
+
+
+@dataclass
+class Tally:
+    """What became of the inputs of one reader: `read` without complaint, `refused` by own errors, or failed.
+
+    `next_number` is that of its next input, `seconds` the time that its processes took.
+    """
+
+    next_number: int = 0
+    refused: int = 0
+    read: int = 0
+    seconds: float = 0.0
+    slowest_seconds: float = 0.0
+    slowest_number: int = -1
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def tried(self) -> int:
+        """Number of inputs."""
+        return self.refused + self.read + len(self.failures)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Inputs of one target under way in a child process."""
+
+    target: Target
+    seed: int
+    child: int
+    begun: float
+    progress: mmap.mmap
+    told: IO[bytes]
+
+    @classmethod
+    def start(cls, target: Target, seed: int, numbers: range, seconds: float, folder: Path) -> "Block":
+        """Fork a child that tries these inputs until the seconds are over; `folder` holds the prepared sources.
+
+        The process that forks may have no threads that hold locks.
+        """
+        progress, told, begun = mmap.mmap(-1, PROGRESS.size), tempfile.TemporaryFile(), time.monotonic()  # noqa: SIM115
+        progress[:] = PROGRESS.pack(numbers.start, 0, 0, 0.0, -1)
+        child = os.fork()
+        if child == 0:
+            _work(target, seed, numbers, begun + seconds, folder, progress, told.fileno())
+        return cls(target, seed, child, begun, progress, told)
+
+    def add_to(self, tally: Tally, status: int) -> None:
+        """Add what became of the inputs, after the child has ended with a status of `os.wait`."""
+        number, refused, read, slowest, slowest_number = PROGRESS.unpack(self.progress[:])
+        tally.refused, tally.read = tally.refused + refused, tally.read + read
+        if slowest > tally.slowest_seconds:
+            tally.slowest_seconds, tally.slowest_number = slowest, slowest_number
+        with self.told as told:
+            told.seek(0)
+            tally.failures += told.read().decode().splitlines()
+        if status:
+            ended = signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else f"exit {status >> 8}"
+            reason = f"more than {MOST_SECONDS:g} s of processor time" if ended == "SIGPROF" else f"ended by {ended}"
+            tally.failures.append(f"{self.target.name}:{self.seed}:{number}: {reason}")
+            number += 1
+        tally.next_number, tally.seconds = number, tally.seconds + time.monotonic() - self.begun
+
+
+def _work(
+    target: Target, seed: int, numbers: range, until: float, folder: Path, progress: mmap.mmap, told: int
+) -> None:
+    """The child: it never returns."""
+    code = 1
+    try:
+        # Its own limit ends it; what is printed meanwhile is nobody's.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        os.dup2(1, 2)
+        signal.signal(signal.SIGPROF, signal.SIG_DFL)
+        warnings.simplefilter("error")
+        refused = read = 0
+        slowest, slowest_number = 0.0, -1
+        for number in numbers:
+            progress[:] = PROGRESS.pack(number, refused, read, slowest, slowest_number)
+            outcome = try_input(target, seed, number, folder)
+            if outcome.seconds > slowest:
+                slowest, slowest_number = outcome.seconds, number
+            if outcome.fault is None:
+                read += 1
+            elif outcome.fault:
+                os.write(told, f"{target.name}:{seed}:{number}: {outcome.fault}\n".encode("utf-8", "replace"))
+            else:
+                refused += 1
+            progress[:] = PROGRESS.pack(number + 1, refused, read, slowest, slowest_number)
+            if time.monotonic() > until:
+                break
+        code = 0
+    except BaseException as error:
+        os.write(told, f"{target.name}:{seed}: the drill itself: {_described(error)}\n".encode("utf-8", "replace"))
+    finally:
+        os._exit(code)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one input: `fault` is None where it was read, "" where it was refused; processor time of that."""
+
+    fault: str | None
+    seconds: float
+
+
+def try_input(target: Target, seed: int, number: int, folder: Path) -> Outcome:
+    """Damage a source by (reader, seed, number), read it within the limits, and put the source in order again."""
+    with damaged_source(target, seed, number, folder) as place:
+        begun = time.process_time()
+        try:
+            _use_limited(target, place)
+            fault = None
+        except MotionkitError as error:
+            fault = "" if str(error).strip() else f"{type(error).__name__} without a message"
+        except BaseException as error:
+            fault = _described(error)
+        seconds = time.process_time() - begun
+    return Outcome(fault, seconds)
+
+
+@contextmanager
+def damaged_source(target: Target, seed: int, number: int, folder: Path) -> Iterator[Path]:
+    """The source of one input, damaged as long as the block runs, under a name of its own."""
+    rng = generator(target.name, seed, number)
+    source = rng.choice(sorted(folder.iterdir()))
+    victim = rng.choice(target.victims(source))
+    # Readers may remember what lay at a path.
+    place = source.with_name(f"{source.name}.{number}")
+    original = victim.read_bytes()
+    damaged = mutate(rng, victim.name, original)
+    victim.write_bytes(target.sealed(victim, damaged) if target.sealed else damaged)
+    source.rename(place)
+    try:
+        yield place
+    finally:
+        place.rename(source)
+        victim.write_bytes(original)
+        if target.after is not None:
+            target.after(source)
+
+
+def _use_limited(target: Target, place: Path) -> None:
+    """Read with limits on memory and processor time; the time's ends the process."""
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * PAGE_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (used + MOST_BYTES, before[1]))
+    signal.setitimer(signal.ITIMER_PROF, MOST_SECONDS)
+    try:
+        target.use(place)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def _described(error: BaseException) -> str:
+    frames = [
+        frame for frame in traceback.extract_tb(error.__traceback__) if "/benchmarks/trust/" not in frame.filename
+    ]
+    where = " < ".join(f"{'/'.join(Path(each.filename).parts[-2:])}:{each.lineno}" for each in reversed(frames[-4:]))
+    told = " ".join(f"{type(error).__name__}: {error}".split())[:SHOWN_CHARACTERS]
+    return f"{told} at {where}" if where else told
+
+
+def prepare(targets: Sequence[Target], folder: Path) -> None:
+    """Write the sources of all targets, each into a folder of its own, and read each undamaged.
+
+    Libraries that reserve memory once do so here. Raises what the reader raises where a source is not valid.
+    """
+    for target in targets:
+        for index, make in enumerate(target.makes):
+            place = folder / target.name / f"source-{index}"
+            place.mkdir(parents=True)
+            make(place)
+            target.use(place)
+            if target.after is not None:
+                target.after(place)
