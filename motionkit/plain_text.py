@@ -16,6 +16,9 @@ LARGEST_WHOLE = 2**63
 SHOWN_LETTERS = 80
 # C0 and C1 controls, marks and overrides of direction, line separators, letters without width, lone surrogates.
 UNSAFE_LETTERS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
+# `a.b.c…`: Python's reader takes a time that grows with the square of the parts.
+MOST_KEY_PARTS = 32
+LONG_KEY = re.compile(rf"(?:\.\s{{0,9}}[\w\"'-]{{1,200}}\s{{0,9}}){{{MOST_KEY_PARTS}}}")
 
 
 def whole_number(text: str) -> int | None:
@@ -25,6 +28,8 @@ def whole_number(text: str) -> int | None:
 
 def parse_toml(text: str) -> dict[str, Any]:
     """The table of a TOML text; raises `ValueError` for what is none, and for numbers beyond 64 bits."""
+    if LONG_KEY.search(text):
+        raise ValueError(f"a key of more than {MOST_KEY_PARTS} parts")
     try:
         table = tomllib.loads(text)
         _check_numbers(table)

@@ -75,7 +75,7 @@ def read_manifest(folder: Path) -> Manifest:
     for key, value in stated.items():
         try:
             values[key] = READERS[key](value, folder)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OSError) as error:
             raise FormatError(f"{key} = {shown(value)}: {error}"[:400], path=path, reason="manifest") from None
     manifest = Manifest(**values)
     if (manifest.statistics == NORMALISED) != (manifest.mean is not None and manifest.std is not None):

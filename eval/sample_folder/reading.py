@@ -243,10 +243,14 @@ class _Reader:
 
 def _check_finite(numbers: np.ndarray, path: Path, index: int | None) -> None:
     """Raise `FormatError` (`nan`, `range`) with the first frame that is no pose."""
-    if np.isfinite(numbers.sum(dtype=np.float64)) and max(numbers.max(), -numbers.min()) <= MAX_NUMBER:
+    if numbers.dtype == np.float16:
+        numbers = numbers.astype(np.float32)  # a million is beyond what float16 can be compared with
+    with np.errstate(invalid="ignore", over="ignore"):
+        total = numbers.sum(dtype=np.float64)
+    if np.isfinite(total) and numbers.max() <= MAX_NUMBER and numbers.min() >= -MAX_NUMBER:
         return
     flat = numbers.reshape(len(numbers), -1)
-    bad = ~(np.abs(flat) <= MAX_NUMBER)
+    bad = ~((flat <= MAX_NUMBER) & (flat >= -MAX_NUMBER))
     frame = int(np.flatnonzero(bad.any(axis=1))[0])
     value = flat[frame][bad[frame]][0]
     which = "" if index is None else f"motion {index}: "

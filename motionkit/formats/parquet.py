@@ -41,7 +41,7 @@ def claims(folder: Path) -> bool:
     first = next(iter(_files(folder)), None)
     try:
         return first is not None and set(pq.read_schema(first).names) >= REQUIRED
-    except (pa.ArrowException, OSError):
+    except FAULTS:
         return False
 
 

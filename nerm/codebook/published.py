@@ -14,8 +14,11 @@ import numpy as np
 import torch
 from jaxtyping import Float32
 
+from motionkit.errors import FormatError
 from motionkit.features.layout import vector_layout
 from motionkit.features.statistics import Statistics, check_statistics
+from motionkit.formats import sourcefile
+from motionkit.formats.arrays import npy
 from motionkit.training.foreign import fill_checked, foreign_tensors, read_foreign
 from motionkit.training.tensors import CheckpointError
 from nerm.codebook.network import DOWNSAMPLINGS, CodebookNetwork
@@ -73,14 +76,11 @@ def load_evaluator_statistics(folder: Path, num_joints: int) -> Statistics:
     arrays, numbers = [], vector_layout(num_joints).size
     for name in ("mean.npy", "std.npy"):
         try:
-            array = np.load(folder / name, allow_pickle=False)
-            if array.shape != (numbers,):
-                raise ValueError(f"an array of shape {array.shape}, expected ({numbers},)")
-            arrays.append(array.astype(np.float64))
-        except (OSError, ValueError) as error:
+            data = sourcefile.read_bytes(folder / name)
+            arrays.append(npy.parse_npy(folder / name, data, (numbers,)).astype(np.float64))
+        except FormatError as error:
             raise CheckpointError(
-                f"{folder / name}: {error}; expected the folder `meta` of the evaluator's checkpoint "
-                "(VQVAEV3_CB1024_CMT_H1024_NRES3)"
+                f"{error}; expected the folder `meta` of the evaluator's checkpoint (VQVAEV3_CB1024_CMT_H1024_NRES3)"
             ) from None
     try:
         found = Statistics("humanml3d", *arrays)

@@ -32,6 +32,7 @@ def test_whole_numbers(text: str, number: int | None) -> None:
         (f"a = 0x{DIGITS}", "beyond 64 bits"),
         (f"[[a]]\nb = [1, {{c = {2**63}}}]", "beyond 64 bits"),
         (f"a = {'[' * 3000}", "nested too deep"),
+        (f"{'a.' * 60_000}b = 1", "a key of more than 32 parts"),
     ],
 )
 def test_every_fault_of_toml_is_a_value_error(text: str, says: str) -> None:

@@ -7,6 +7,7 @@ READER:SEED:NUMBER; that input is made again by
 """
 
 import os
+import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +29,7 @@ def run(seed: int, seconds: float, folder: Path) -> Report:
     begun = time.monotonic()
     targets = all_targets()
     prepare(targets, folder)
-    tallies = fuzz(targets, seed, folder, until=time.monotonic() + seconds)
+    tallies = fuzz(targets, seed, folder, until=begun + seconds)
     return report(targets, tallies, seed, time.monotonic() - begun)
 
 
@@ -84,8 +85,13 @@ def fuzz(
             block = Block.start(target, seed, numbers, min(BLOCK_SECONDS, left), folder / target.name)
             running[block.child] = (index, block)
         elif running:
-            child, status = os.wait()
-            index, block = running.pop(child)
-            block.add_to(tallies[index], status)
+            for child in list(running):
+                ended, status = os.waitpid(child, os.WNOHANG)
+                if ended:
+                    index, block = running.pop(child)
+                    block.add_to(tallies[index], status)
+                elif running[child][1].is_stuck():
+                    os.kill(child, signal.SIGKILL)
+            time.sleep(0.02)
         else:
             return tallies

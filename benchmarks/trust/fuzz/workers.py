@@ -4,6 +4,7 @@ A process tries a block of inputs; where it dies (its time spent, a crash in a l
 notes it, and goes on behind it with another process.
 """
 
+import faulthandler
 import mmap
 import os
 import resource
@@ -19,13 +20,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
+import torch
+
+from benchmarks.trust.fuzz.archives import prepare_bombs
 from benchmarks.trust.fuzz.mutate import generator, mutate
 from benchmarks.trust.fuzz.target import Target
 from motionkit.errors import MotionkitError
 
 MOST_BYTES = 1 << 30
 MOST_SECONDS = 2.0
+# A process that waits uses no processor time; after so long at one input it counts as hanging.
+STUCK_SECONDS = 60.0
 SHOWN_CHARACTERS = 300
+# An input whose time is spent is tried again so often before it counts as failed.
+RETRIES = 2
 PAGE_BYTES = resource.getpagesize()
 # What a child has done, where its parent sees it: the next input, refused, read, seconds of the slowest, its number.
 PROGRESS = struct.Struct("<qqqdq")
@@ -35,10 +43,12 @@ PROGRESS = struct.Struct("<qqqdq")
 class Tally:
     """What became of the inputs of one reader: `read` without complaint, `refused` by own errors, or failed.
 
-    `next_number` is that of its next input, `seconds` the time that its processes took.
+    `next_number` is that of its next input, which had to be tried `retries` times already, `seconds` the time that its
+    processes took.
     """
 
     next_number: int = 0
+    retries: int = 0
     refused: int = 0
     read: int = 0
     seconds: float = 0.0
@@ -62,6 +72,14 @@ class Block:
     begun: float
     progress: mmap.mmap
     told: IO[bytes]
+    last: list[tuple[int, float]] = field(default_factory=list)
+
+    def is_stuck(self) -> bool:
+        """Whether the child has been at one input for a minute of the wall's clock."""
+        number, now = PROGRESS.unpack(self.progress[:])[0], time.monotonic()
+        if not self.last or self.last[0][0] != number:
+            self.last[:] = [(number, now)]
+        return now - self.last[0][1] > STUCK_SECONDS
 
     @classmethod
     def start(cls, target: Target, seed: int, numbers: range, seconds: float, folder: Path) -> "Block":
@@ -85,12 +103,19 @@ class Block:
         with self.told as told:
             told.seek(0)
             tally.failures += told.read().decode().splitlines()
+        tally.seconds += time.monotonic() - self.begun
+        if number != tally.next_number:
+            tally.retries = 0
+        tally.next_number = number
         if status:
             ended = signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else f"exit {status >> 8}"
+            # A machine that others use may count its own pauses as processor time.
+            if ended == "SIGPROF" and tally.retries < RETRIES:
+                tally.retries += 1
+                return
             reason = f"more than {MOST_SECONDS:g} s of processor time" if ended == "SIGPROF" else f"ended by {ended}"
             tally.failures.append(f"{self.target.name}:{self.seed}:{number}: {reason}")
-            number += 1
-        tally.next_number, tally.seconds = number, tally.seconds + time.monotonic() - self.begun
+            tally.next_number, tally.retries = number + 1, 0
 
 
 def _work(
@@ -102,6 +127,7 @@ def _work(
         # Its own limit ends it; what is printed meanwhile is nobody's.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         os.dup2(1, 2)
+        faulthandler.disable()
         signal.signal(signal.SIGPROF, signal.SIG_DFL)
         warnings.simplefilter("error")
         refused = read = 0
@@ -198,6 +224,9 @@ def prepare(targets: Sequence[Target], folder: Path) -> None:
 
     Libraries that reserve memory once do so here. Raises what the reader raises where a source is not valid.
     """
+    # Threads do not survive a fork, and who waits for them waits for ever.
+    torch.set_num_threads(1)
+    prepare_bombs()
     for target in targets:
         for index, make in enumerate(target.makes):
             place = folder / target.name / f"source-{index}"

@@ -12,9 +12,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from motionkit.errors import MotionkitError
+from motionkit.errors import FormatError, MotionkitError
 from motionkit.features.layout import pose_layout
 from motionkit.features.statistics import Statistics, check_statistics
+from motionkit.formats import sourcefile
+from motionkit.formats.arrays import npy
 from motionkit.formats.pose_folders import kit
 
 STATISTICS_NAMES = (("mean.npy", "std.npy"), ("eval_mean.npy", "eval_std.npy"))
@@ -109,12 +111,9 @@ def read_statistics(folder: Path, kind: GuoKind) -> Statistics:
 
 def _read_array(path: Path, size: int) -> Float64[np.ndarray, "numbers"]:
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-        if array.shape != (size,):
-            raise ValueError(f"an array of shape {array.shape}, expected ({size},)")
-        return np.asarray(array, dtype=np.float64)
-    except (OSError, ValueError, EOFError, TypeError) as error:
-        raise GuoError(f"{path}: {error}") from None
+        return npy.parse_npy(path, sourcefile.read_bytes(path), (size,)).astype(np.float64)
+    except FormatError as error:
+        raise GuoError(str(error)) from None
 
 
 def _check_signature(found: Statistics, kind: GuoKind, folder: Path) -> None:

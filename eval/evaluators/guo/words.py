@@ -13,6 +13,9 @@ from jaxtyping import Float64
 
 from eval.evaluators.guo.kind import GuoError
 from eval.evaluators.plain_pickle import PlainPickleError, read_plain_pickle
+from motionkit.errors import FormatError
+from motionkit.formats import sourcefile
+from motionkit.formats.arrays import npy
 from motionkit.motion import Caption
 
 PREFIX = "our_vab"
@@ -104,14 +107,14 @@ def read_word_vectors(folder: Path) -> WordVectors:
     words, places = _read_words(folder / f"{PREFIX}_words.pkl"), _read_places(folder / f"{PREFIX}_idx.pkl")
     path = folder / f"{PREFIX}_data.npy"
     try:
-        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-        if mapped.ndim != 2 or mapped.shape[1] != NUM_NUMBERS or mapped.dtype.kind != "f":
-            raise ValueError(f"{mapped.dtype} numbers of shape {mapped.shape}, expected (words, {NUM_NUMBERS})")
-        vectors = np.asarray(mapped, dtype=np.float64)
-        if not np.isfinite(vectors).all():
-            raise ValueError("holds numbers that are not finite")
-    except (OSError, ValueError, EOFError, TypeError) as error:
-        raise GuoError(f"{path}: {error}") from None
+        vectors = npy.parse_npy(path, sourcefile.read_bytes(path), (None, NUM_NUMBERS))
+    except FormatError as error:
+        raise GuoError(str(error)) from None
+    if vectors.dtype.kind != "f":
+        raise GuoError(f"{path}: {vectors.dtype} numbers, expected floating-point ones")
+    vectors = vectors.astype(np.float64)
+    if not np.isfinite(vectors).all():
+        raise GuoError(f"{path}: holds numbers that are not finite")
     for word in (START, END, UNKNOWN, *words):
         if word not in places:
             raise GuoError(f"{folder}: the word {word!r} is missing in {PREFIX}_idx.pkl")

@@ -17,7 +17,7 @@ MAGIC = b"\x93NUMPY"
 HEADER_BYTES = 10_000
 LARGEST_SIZE = 2**48
 NUMBERS = re.compile(r"[<>|=]?(f[248]|[iu][1248])")
-STRINGS = re.compile(r"[<>|=]?[US][1-9]\d*")
+STRINGS = re.compile(r"[<>|=]?[US][1-9]\d{0,6}")
 
 
 def peek_shape(path: Path) -> tuple[int, ...] | None:

@@ -15,8 +15,10 @@ MAX_LENGTH_ERROR = 0.01
 
 def checked_numbers(array: np.ndarray, path: Path, name: str = "") -> Float32[np.ndarray, "..."]:
     """An array as float32, frames first; raises `FormatError` (`nan`, `range`) with the first frame that is none."""
+    if array.dtype == np.float16:
+        array = array.astype(np.float32)  # a million is beyond what float16 can be compared with
     rows = array.reshape(len(array), -1)
-    for reason, bad in (("nan", ~np.isfinite(rows)), ("range", np.abs(rows) > MAX_NUMBER)):
+    for reason, bad in (("nan", ~np.isfinite(rows)), ("range", (rows > MAX_NUMBER) | (rows < -MAX_NUMBER))):
         if bad.any():
             frame = int(np.flatnonzero(bad.any(axis=1))[0])
             value = rows[frame][bad[frame]][0]

@@ -30,6 +30,7 @@ BAD_MOTIONS: dict[str, tuple[str | bytes, str, int | None, int | None]] = {
     "a word": (TEXT.replace("ltibia 31", "ltibia x31"), "not-a-number", 11, 1),
     "beyond reason": (TEXT.replace("ltibia 31", "ltibia 1e99"), "range", 11, 1),
     "a bone twice": (TEXT.replace("ltibia 31", "lfemur 1 2 3"), "bones", 11, 1),
+    "a bone 60,000 times": (TEXT.replace("lfemur 0 3.5e-015 2\n", "lfemur 0 0 0\n" * 60_000), "bones", None, None),
     "an unknown bone": (TEXT.replace("ltibia", "tail"), "bones", None, None),
     "a frame number missing": (TEXT.replace("\n2\n", "\n4\n"), "frame-number", 8, 1),
     "other degrees of freedom": (TEXT.replace("ltibia 3", "ltibia 0 3"), "channel-count", None, 0),

@@ -94,6 +94,13 @@ def test_bad_arrays(tmp_path: Path) -> None:
         assert _fault(tmp_path / "a.npy") == (reason, frame)
 
 
+def test_half_precision_is_read(tmp_path: Path) -> None:
+    half = standing().astype(np.float16)
+    np.save(tmp_path / "a.npy", half)
+    motion = read_joints_npy(tmp_path / "a.npy", ReadOptions(fps=Fraction(24)))
+    np.testing.assert_array_equal(motion.joint_positions, half.astype(np.float32))
+
+
 def test_bad_files(tmp_path: Path) -> None:
     path = tmp_path / "a.npy"
     np.save(path, standing())

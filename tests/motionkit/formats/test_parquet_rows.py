@@ -111,6 +111,9 @@ def test_broken_files_and_other_tables(tmp_path):
     found = scan([folder])
     assert [problem.reason for problem in found.problems] == ["truncated"]
     assert len(found.items) == 1
+    whole = (folder / "data" / "train.parquet").read_bytes()
+    (folder / "data" / "validation.parquet").write_bytes(whole.replace(b"num_joints", b"num\xffjoints"))
+    assert [problem.reason for problem in scan([folder]).problems] == ["truncated"]
     (tmp_path / "other").mkdir()
     pd.DataFrame({"x": [1]}).to_parquet(tmp_path / "other" / "x.parquet")
     assert not scan([tmp_path / "other"]).items

@@ -158,18 +158,18 @@ def targets() -> Iterator[Target]:
         yield Target(name, makes, partial(read_folder, options=options))
     for side, (_, file_name, _) in BESIDE.items():
         reader = partial(read_folder, options=STATED if side == "skeleton" else ReadOptions())
-        yield Target(f"beside: {side}", (_beside(side),), reader, named(Path(file_name).name))
+        yield Target(f"beside-{side}", (_beside(side),), reader, named(Path(file_name).name))
     viewed = tuple(SOURCES[name] for name in ("bvh", "npz", "joints-npy", "humanml3d"))
     yield Target("view", viewed, view_folder)
-    yield Target("body model", (_body_model,), _read_with_model, named("SMPL_NEUTRAL.npz"))
+    yield Target("body-model", (_body_model,), _read_with_model, named("SMPL_NEUTRAL.npz"))
     indexes = (_indexed("index.csv", INDEX), _indexed("train.json", BABEL), _indexed("annotations.json", ANNOTATIONS))
     yield Target("index", indexes, read_indexed, named("index.csv", "train.json", "annotations.json"))
-    yield Target("--fps-rules", (_bytes("rules.toml", RULES),), lambda folder: _each(folder, read_rules))
+    yield Target("fps-rules", (_bytes("rules.toml", RULES),), lambda folder: _each(folder, read_rules))
     yield Target(
-        "--skeleton-map", (_bytes("map.toml", robot_map().encode()),), lambda folder: _each(folder, read_skeleton_map)
+        "skeleton-map", (_bytes("map.toml", robot_map().encode()),), lambda folder: _each(folder, read_skeleton_map)
     )
     prompts = tuple(_bytes(name, content) for name, content in PROMPTS.items())
-    yield Target("--prompts", prompts, lambda folder: _each(folder, read_prompts))
+    yield Target("prompts", prompts, lambda folder: _each(folder, read_prompts))
 
 
 def _each(folder: Path, read_file: object) -> None:

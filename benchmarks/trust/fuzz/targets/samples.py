@@ -100,12 +100,12 @@ def targets() -> Iterator[Target]:
     )
     yield Target("samples", folders, read_samples)
     yield Target("samples.toml", folders[2:], read_samples, named("samples.toml", "*.csv", "prompts.txt"))
-    yield Target("samples: MDM's pickle", (published.write_mdm,), read_samples, named("results.npy"))
+    yield Target("samples-mdm-pickle", (published.write_mdm,), read_samples, named("results.npy"))
     exported = partial(published.write_mdm, export=True)
-    yield Target("samples: MDM exported", (exported,), read_samples, named("results.npz"))
+    yield Target("samples-mdm-archive", (exported,), read_samples, named("results.npz"))
     yield Target("result", (_result,), report, every_file)
-    yield Target("evaluator of Guo et al.", (_guo,), _load_guo)
-    yield Target("recogniser of Guo et al.", (_gru,), lambda folder: _use(load_gru(folder / "gru.tar", HUMANACT12)))
+    yield Target("guo-evaluator", (_guo,), _load_guo)
+    yield Target("gru-recogniser", (_gru,), lambda folder: _use(load_gru(folder / "gru.tar", HUMANACT12)))
 
 
 def _use(loaded: object) -> None:

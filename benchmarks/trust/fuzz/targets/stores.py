@@ -108,5 +108,5 @@ def restored(store: Path) -> None:
 
 def targets() -> Iterator[Target]:
     """All of them."""
-    yield Target("store: tables", (write_store,), use_store, TABLES, signed, restored)
-    yield Target("store: parts", (write_store,), use_store, named("part-*.parquet"), signed, restored)
+    yield Target("store-tables", (write_store,), use_store, TABLES, signed, restored)
+    yield Target("store-parts", (write_store,), use_store, named("part-*.parquet"), signed, restored)

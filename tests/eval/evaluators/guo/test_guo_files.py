@@ -135,7 +135,7 @@ def test_statistics_of_another_convention_are_refused(tmp_path: Path) -> None:
         folder = write_statistics(tmp_path / f"wrong-{index}", signature)
         with pytest.raises(GuoError, match=f"wrong-{index}: .*{message}"):
             read_statistics(folder, t2m)
-    with pytest.raises(GuoError, match=r"mean.npy: an array of shape \(251,\), expected \(263,\)"):
+    with pytest.raises(GuoError, match=r"mean.npy: array of shape \(251,\), expected \(263\)"):
         read_statistics(tmp_path / "kit", t2m)
     with pytest.raises(GuoError, match=r"there is no mean.npy and std.npy, or .*t2m_mean.npy and t2m_std.npy"):
         read_statistics(tmp_path, t2m)
@@ -189,7 +189,7 @@ def test_other_word_vectors_are_refused(tmp_path: Path, name: str) -> None:
 def test_vectors_of_another_size_are_refused(tmp_path: Path) -> None:
     glove = write_glove(tmp_path)
     for array, message in (
-        (np.zeros((20, 50), np.float32), r"of shape \(20, 50\), expected \(words, 300\)"),
+        (np.zeros((20, 50), np.float32), r"of shape \(20, 50\), expected \(any, 300\)"),
         (np.full((20, 300), np.nan), "not finite"),
         (np.zeros((20, 300), np.int64), "int64 numbers"),
     ):
