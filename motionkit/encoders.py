@@ -1,20 +1,25 @@
 """Trained encoders by name: entry points of the group `motionkit.encoders`, each a loader from a run to an encoder.
 
-An entry point NAME = "module:load" names `load(run: Path) -> MotionEncoder`. Where NAME is also the stage that trains
-it, `runs_with` finds the runs that have one. Interpolators need no run and are found by their names beside them.
+An entry point names an `EncoderLoader`, or a plain function `load(run: Path) -> MotionEncoder` that has the name of the
+stage that trains it. Interpolators need no run and are found by their names beside them.
 """
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 from motionkit.errors import UsageError
 from motionkit.interpolation.fields import INTERPOLATORS
 from motionkit.motionfield import MotionEncoder
+from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
 from motionkit.training.run import RunFolder
 
 GROUP = "motionkit.encoders"
+
+# What an encoder may be for: frames between given ones, gaps and ends closed and continued, windows described again.
+Task = Literal["interpolation", "inbetweening", "extrapolation", "reconstruction"]
+COMPLETION: tuple[Task, ...] = ("interpolation", "inbetweening", "extrapolation")
 
 
 @runtime_checkable
@@ -32,9 +37,38 @@ class KnowsItsTraining(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class EncoderLoader(Loader[MotionEncoder]):
+    """A trained encoder that a package brings, as an entry point of `motionkit.encoders` names it.
+
+    Tables look in their run for the encoders of their own task. The `preferred` one completes clips where nobody names
+    another.
+    """
+
+    tasks: tuple[Task, ...] = COMPLETION
+    preferred: bool = False
+
+
 def trained_encoder_names() -> tuple[str, ...]:
     """Names of all installed trained encoders, sorted; whether any run holds one is another matter."""
-    return tuple(sorted({entry.name for entry in entry_points(group=GROUP)}))
+    return loader_names(GROUP)
+
+
+def installed_encoders(task: Task | None = None) -> dict[str, EncoderLoader]:
+    """All installed trained encoders by name, or those for one task."""
+    found = installed_loaders(GROUP, EncoderLoader)
+    return {name: loader for name, loader in found.items() if task is None or task in loader.tasks}
+
+
+def encoder_loader(name: str) -> EncoderLoader:
+    """The loader of a trained encoder; raises `UsageError` naming those there are."""
+    found = entry_points(group=GROUP, name=name)
+    if not found:
+        trained = ", ".join(trained_encoder_names()) or "none is installed"
+        raise UsageError(
+            f"no encoder is called {name!r}; interpolators: {', '.join(INTERPOLATORS)}; trained: {trained}"
+        )
+    return loader_of(next(iter(found)), EncoderLoader)
 
 
 def load_encoder(name: str, run: Path) -> MotionEncoder:
@@ -46,21 +80,20 @@ def load_encoder(name: str, run: Path) -> MotionEncoder:
     for interpolator in INTERPOLATORS.values():
         if interpolator.name == name:
             return interpolator
-    found = entry_points(group=GROUP, name=name)
-    if not found:
-        trained = ", ".join(trained_encoder_names()) or "none is installed"
-        raise UsageError(
-            f"no encoder is called {name!r}; interpolators: {', '.join(INTERPOLATORS)}; trained: {trained}"
-        )
-    loader: Callable[[Path], MotionEncoder] = next(iter(found)).load()
-    return loader(run)
+    return encoder_loader(name).load(run)
 
 
 def runs_with(name: str, runs: Path) -> tuple[Path, ...]:
-    """Run folders in `runs` whose stage of this name is complete, the one trained last at the end."""
+    """Run folders in `runs` that hold all stages of this trained encoder, the one trained last at the end.
+
+    Raises `UsageError` for a name that nothing has.
+    """
+    loader = encoder_loader(name)
     if not runs.is_dir():
         return ()
-    complete = [run for run in runs.iterdir() if RunFolder(run).stage(name).is_complete]
-    return tuple(
-        sorted(complete, key=lambda run: (RunFolder(run).stage(name).summary_path.stat().st_mtime_ns, run.name))
-    )
+    complete = [run for run in runs.iterdir() if loader.complete_in(run)]
+    return tuple(sorted(complete, key=lambda run: (_trained_at(run, loader), run.name)))
+
+
+def _trained_at(run: Path, loader: EncoderLoader) -> int:
+    return RunFolder(run).stage(loader.stages[-1]).summary_path.stat().st_mtime_ns

@@ -1,10 +1,10 @@
 """What a generative model of continuous motion offers: requests in, motion fields out.
 
-Models register a loader under the entry point group `motionkit.models`; the table code and `motionkit generate` know
-only this interface.
+Models register a `ModelLoader`, or a plain function from a run folder, under the entry point group
+`motionkit.models`; the table code and `motionkit generate` know only this interface.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from importlib.metadata import entry_points
@@ -14,6 +14,7 @@ from typing import Protocol, runtime_checkable
 from motionkit.errors import UsageError
 from motionkit.motionfield import MotionField
 from motionkit.skeleton import Skeleton
+from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
 
 
 @dataclass(frozen=True)
@@ -90,11 +91,45 @@ class ChecksRequests(Protocol):
         ...
 
 
+GROUP = "motionkit.models"
+
+
+@dataclass(frozen=True)
+class ModelLoader(Loader[GenerativeModel]):
+    """A generative model that a package brings, as an entry point of `motionkit.models` names it.
+
+    `fixed_fps_setting` is the setting that trains it at a single framerate, which some tables compare it with; empty
+    where it has none.
+    """
+
+    fixed_fps_setting: str = ""
+
+
+def installed_models() -> dict[str, ModelLoader]:
+    """All installed models by name."""
+    return installed_loaders(GROUP, ModelLoader)
+
+
 def load_model(name: str, run: Path) -> GenerativeModel:
     """Load the model that an entry point of group `motionkit.models` names, from a run folder."""
-    found = entry_points(group="motionkit.models", name=name)
+    found = entry_points(group=GROUP, name=name)
     if not found:
-        known = ", ".join(sorted(entry.name for entry in entry_points(group="motionkit.models"))) or "none"
+        known = ", ".join(loader_names(GROUP)) or "none"
         raise UsageError(f"no model is called {name!r}; installed models: {known}")
-    loader: Callable[[Path], GenerativeModel] = next(iter(found)).load()
-    return loader(run)
+    return loader_of(next(iter(found)), ModelLoader).load(run)
+
+
+def model_of(run: Path) -> str:
+    """The name of the installed model that a run holds; of the one that is installed, whatever the run holds.
+
+    Raises `UsageError` where the run holds none of several models, or more than one.
+    """
+    installed = installed_models()
+    if len(installed) == 1:
+        return next(iter(installed))
+    held = [name for name, loader in installed.items() if loader.begun_in(run)]
+    if len(held) == 1:
+        return held[0]
+    if held:
+        raise UsageError(f"{run} holds several models: --model {' or '.join(held)}")
+    raise UsageError(f"{run} holds none of the installed models ({', '.join(installed) or 'there is none'})")

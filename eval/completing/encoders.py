@@ -8,23 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from eval.baselines.row_curves import CUBIC, LINEAR
-from motionkit.encoders import load_encoder, runs_with, trained_encoder_names
+from motionkit.encoders import (
+    EncoderLoader,
+    Task,
+    encoder_loader,
+    installed_encoders,
+    runs_with,
+    trained_encoder_names,
+)
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.interpolation.fields import INTERPOLATORS
 from motionkit.motionfield import MotionEncoder
 from motionkit.training.run import RunFolder, commit, versions
-
-# Names of trained encoders as the paper prints them; any other is called what its entry point is.
-TITLES = {
-    "pahires": "PA-HiRes",
-    "liif": "LIIF",
-    "meta-sr": "Meta-SR",
-    "a-liif": "A-LIIF",
-    "lmf": "LMF",
-    "delta-interp": "Δ-Interp",
-    "ts-former": "TS-Former",
-    "nerm": "NeRM (latents by optimisation)",
-}
 
 
 @dataclass(frozen=True)
@@ -61,39 +56,38 @@ INTERPOLATION = (
 
 
 def trained_completers(
-    names: Sequence[str], run: Path | None, more: Sequence[tuple[str, Path]], missing: list[str]
+    task: Task, run: Path | None, more: Sequence[tuple[str, Path]], missing: list[str]
 ) -> list[Completer]:
-    """Encoders of these names that `run` holds, then (name, run) pairs asked for by name, which must be there.
+    """The installed encoders for a task that `run` holds, then (name, run) pairs asked for, which must be there.
 
     What a table would show and `run` lacks is told in `missing`, with the runs that have it. Raises `UsageError` for a
     name that no installed package has, and what loading an encoder that was asked for raises.
     """
-    known = trained_encoder_names()
+    known = installed_encoders()
     found: list[Completer] = []
     asked = {name for name, _ in more}
-    for name in names:
-        if name not in known:
-            missing.append(f"{TITLES.get(name, name)}: no installed package has an encoder called {name!r}")
-        elif run is not None and RunFolder(run).stage(name).is_complete:
+    for name, loader in installed_encoders(task).items():
+        if run is not None and loader.complete_in(run):
             try:
-                found.append(completer_of(name, run, TITLES.get(name, name)))
+                found.append(completer_of(name, run, loader.title))
             except MotionkitError as error:
-                missing.append(f"{TITLES.get(name, name)}: {error}")
+                missing.append(f"{loader.title}: {error}")
         elif name not in asked:
-            missing.append(_told_untrained(name, run))
+            missing.append(_told_untrained(name, loader, run))
     for name, folder in more:
         if name not in known:
-            raise UsageError(f"--encoder {name}={folder.name}: trained encoders are {', '.join(known) or 'none'}")
-        found.append(completer_of(name, folder, f"{TITLES.get(name, name)} ({folder.name})"))
+            names = ", ".join(trained_encoder_names()) or "none"
+            raise UsageError(f"--encoder {name}={folder.name}: trained encoders are {names}")
+        found.append(completer_of(name, folder, f"{known[name].title} ({folder.name})"))
     return found
 
 
 def completer_of(name: str, run: Path, title: str) -> Completer:
     """The row of a run's trained encoder; raises what loading it raises."""
-    encoder = load_encoder(name, run)
-    model = RunFolder(run).stage(name).model_path
-    digest = hashlib.sha256(model.read_bytes()).hexdigest() if model.is_file() else str(run)
-    stage = RunFolder(run).stage(name)
+    loader = encoder_loader(name)
+    encoder = loader.load(run)
+    stage = RunFolder(run).stage(loader.stages[-1])
+    digest = hashlib.sha256(stage.model_path.read_bytes()).hexdigest() if stage.model_path.is_file() else str(run)
     begun = stage.read_config() if stage.config_path.is_file() else {}  # other packages' runs may be anything
     training = begun.get("config", {}).get("training", {})
     return Completer(
@@ -126,9 +120,9 @@ def code_version() -> str:
     return commit() or versions()["motionkit"]
 
 
-def _told_untrained(name: str, run: Path | None) -> str:
-    title = TITLES.get(name, name)
+def _told_untrained(name: str, loader: EncoderLoader, run: Path | None) -> str:
     others = [] if run is None else [path.name for path in runs_with(name, run.parent)]
     if others:
-        return f"{title}: run {run.name if run else ''!r} has none; --encoder {name}={others[-1]} shows that of another"
-    return f"{title}: not trained (motionkit train --stage {name}" + (f" --run {run.name})" if run else ")")
+        run_name = run.name if run else ""
+        return f"{loader.title}: run {run_name!r} has none; --encoder {name}={others[-1]} shows that of another"
+    return f"{loader.title}: not trained ({loader.train_command(run)})"

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from motionkit.training.loaders import loader_names
+
 
 class ClipFormat(StrEnum):
     """What a completed clip may be written as, where not as it came."""
@@ -26,11 +28,12 @@ Extension = Annotated[
     str | None,
     typer.Option(metavar="BEFORE,AFTER", help="Seconds to add before and after, or frames of the clip: 0,15f."),
 ]
+TRAINED = ", ".join(loader_names("motionkit.encoders"))
 EncoderName = Annotated[
     str | None,
     typer.Option(
-        help="A trained encoder (pahires …) or an interpolator (slerp, spline, hold …).",
-        show_default="a trained pahires if there is one, else spline",
+        help=f"A trained encoder ({TRAINED}) or an interpolator (slerp, spline, hold …).",
+        show_default="the preferred trained one if a run has it, else spline",
     ),
 ]
 RunName = Annotated[

@@ -1,11 +1,17 @@
-"""Which encoder completes: the one that is asked for, else a trained PA-HiRes, else the best interpolator."""
+"""Which encoder completes: the one that is asked for, else the preferred trained one, else the best interpolator."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeGuard
 
 from motionkit.anchoring import Anchored
-from motionkit.encoders import KnowsItsTraining, load_encoder, runs_with, trained_encoder_names
+from motionkit.encoders import (
+    KnowsItsTraining,
+    encoder_loader,
+    installed_encoders,
+    runs_with,
+    trained_encoder_names,
+)
 from motionkit.errors import UsageError
 from motionkit.interpolation.fields import INTERPOLATORS, Method
 from motionkit.interpolation.settling import Settling
@@ -14,7 +20,6 @@ from motionkit.skeleton import Skeleton
 from motionkit.skeleton_transfer import Transferred, counterpart_joints
 from motionkit.skeletons.mapping import SkeletonMapError
 
-PREFERRED = "pahires"
 # Of all interpolators the one with the smallest errors on captures (docs/complete.md); its acceleration is continuous.
 BASE = Settling(INTERPOLATORS["rotation-cubic"])
 # Those that turn joints: beyond the ends they come to rest.
@@ -63,7 +68,7 @@ class ChosenEncoder:
 def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncoder:
     """The encoder of a name, an interpolator or a trained one of a run; raises `UsageError` where there is none.
 
-    Without a name it is a trained PA-HiRes, of the run or of the one trained last, or else an interpolator.
+    Without a name it is the preferred trained one, of the run or of the one trained last, or else an interpolator.
     """
     if name == "":
         raise UsageError("a name of an encoder is empty: --model spline, --compare slerp,spline")
@@ -74,15 +79,21 @@ def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncod
         encoder = INTERPOLATORS[name]
         settling = Settling(encoder) if name in SETTLING else encoder
         return ChosenEncoder(name, settling, False, f"{name}, an interpolator")
-    if name is None and run is None and not (PREFERRED in trained_encoder_names() and runs_with(PREFERRED, runs)):
-        return ChosenEncoder(
-            BASE.name,
-            BASE,
-            False,
-            f"{BASE.name}, an interpolator, for no run in {runs} has a trained {PREFERRED}: "
-            f"motionkit train --stage {PREFERRED} trains one",
-        )
-    return _trained(name or PREFERRED, run, runs)
+    if name is not None:
+        return _trained(name, run, runs)
+    preferred = next((name for name, loader in installed_encoders().items() if loader.preferred), None)
+    if preferred is not None and (run is not None or runs_with(preferred, runs)):
+        return _trained(preferred, run, runs)
+    if run is not None:
+        raise UsageError(f"--run {run}: name its encoder with --model ({', '.join(trained_encoder_names()) or 'none'})")
+    return ChosenEncoder(BASE.name, BASE, False, f"{BASE.name}, an interpolator{_why_untrained(preferred, runs)}")
+
+
+def _why_untrained(preferred: str | None, runs: Path) -> str:
+    if preferred is None:
+        return ""
+    command = encoder_loader(preferred).train_command()
+    return f", for no run in {runs} has a trained {preferred}: {command} trains one"
 
 
 def _is_interpolator(name: str) -> TypeGuard[Method]:
@@ -90,18 +101,17 @@ def _is_interpolator(name: str) -> TypeGuard[Method]:
 
 
 def _trained(name: str, run: str | None, runs: Path) -> ChosenEncoder:
-    if name not in trained_encoder_names():
-        load_encoder(name, runs)  # raises, naming those that there are
+    loader = encoder_loader(name)
     if run is None:
         found = runs_with(name, runs)
         if not found:
             raise UsageError(
-                f"no run in {runs} has a stage {name!r} that is complete: motionkit train --stage {name}, or name the "
-                "run with --run"
+                f"no run in {runs} has a stage {loader.stages[-1]!r} that is complete: {loader.train_command()}, or "
+                "name the run with --run"
             )
         place = found[-1]
     else:
         # A path where it is one, else a name in the folder of all runs, as everywhere.
         place = Path(run) if Path(run).is_dir() and not (runs / run).is_dir() else runs / run
-    encoder = load_encoder(name, place)
+    encoder = loader.load(place)
     return ChosenEncoder(name, encoder, True, f"{encoder.name}, trained in {place}")

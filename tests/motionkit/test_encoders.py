@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.encoders import load_encoder, runs_with, trained_encoder_names
+from motionkit import encoders
+from motionkit.completing.encoder_choice import choose_encoder
+from motionkit.encoders import installed_encoders, load_encoder, runs_with, trained_encoder_names
 from motionkit.errors import UsageError
 from motionkit.interpolation.fields import INTERPOLATORS
 from motionkit.motionfield import MotionEncoder, Observation, Poses
@@ -21,6 +23,13 @@ from motionkit.encoders import load_encoder
 def load(run):
     return load_encoder((run / "wanted.txt").read_text(), run)
 '''
+
+PREFERRED = """
+from motionkit.encoders import EncoderLoader
+from motionkit.interpolation.fields import INTERPOLATORS
+
+OWN = EncoderLoader("Own", ("halves",), lambda run: INTERPOLATORS["linear"], preferred=True)
+"""
 
 
 @pytest.fixture
@@ -47,6 +56,34 @@ def test_a_registered_encoder_is_loaded_from_the_run(tmp_path: Path, package: No
 def test_an_unknown_name_is_answered_with_all_that_there_are(tmp_path: Path, package: None) -> None:
     with pytest.raises(UsageError, match=r"'sprline'.*squad.*borrowed"):
         load_encoder("sprline", tmp_path)
+
+
+def test_tables_find_encoders_by_their_task() -> None:
+    assert list(installed_encoders("interpolation"))[:3] == ["pahires", "liif", "meta-sr"]
+    assert list(installed_encoders("inbetweening"))[:3] == ["pahires", "delta-interp", "ts-former"]
+    assert list(installed_encoders("extrapolation")) == ["pahires"]
+    assert list(installed_encoders("reconstruction")) == ["nerm"]
+
+
+def test_a_plain_function_is_for_completion_and_trained_by_the_stage_of_its_name(package: None) -> None:
+    loader = installed_encoders()["borrowed"]
+    assert (loader.title, loader.stages, loader.preferred) == ("borrowed", ("borrowed",), False)
+    assert "borrowed" in installed_encoders("extrapolation") and "borrowed" not in installed_encoders("reconstruction")
+
+
+def test_clips_are_completed_by_the_preferred_encoder_that_is_trained(
+    tmp_path: Path, install: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install("own_encoder", PREFERRED, {"motionkit.own": "own = own_encoder:OWN"})
+    monkeypatch.setattr(encoders, "GROUP", "motionkit.own")
+    before = choose_encoder(None, None, tmp_path)
+    assert not before.is_trained and "motionkit train --stage halves trains one" in before.explanation
+    folder = RunFolder(tmp_path / "run").stage("halves")
+    folder.path.mkdir(parents=True)
+    folder.finish({"loss": 1.0})
+    chosen = choose_encoder(None, None, tmp_path)
+    assert chosen.is_trained and chosen.encoder is INTERPOLATORS["linear"]
+    assert choose_encoder(None, "run", tmp_path).name == "own"
 
 
 def test_runs_are_those_whose_stage_is_complete(tmp_path: Path) -> None:

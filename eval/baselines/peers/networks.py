@@ -1,7 +1,5 @@
 """From a stage's settings to its network, and from a run to its encoder."""
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,15 +48,17 @@ def network_of(config: PeerConfig, numbers: int) -> nn.Module:
             return TsFormer(config.network, numbers)
 
 
-def _load(stage: str, config_type: type[Any], run: Path) -> MotionEncoder:
-    trained = load_network(run, stage, config_type, network_of, lambda config: config.training)
+CONFIGS: dict[str, type[Any]] = {
+    "liif": LiifConfig,
+    "meta-sr": MetaSrConfig,
+    "a-liif": ALiifConfig,
+    "lmf": LmfConfig,
+    "delta-interp": DeltaInterpConfig,
+    "ts-former": TsFormerConfig,
+}
+
+
+def load_peer(stage: str, run: Path) -> MotionEncoder:
+    """A run's trained peer, by its stage; raises `RunError` or `CheckpointError` where there is none."""
+    trained = load_network(run, stage, CONFIGS[stage], network_of, lambda config: config.training)
     return NetworkEncoder(trained)
-
-
-# Entry points of `motionkit.encoders`.
-load_liif: Callable[[Path], MotionEncoder] = partial(_load, "liif", LiifConfig)
-load_meta_sr: Callable[[Path], MotionEncoder] = partial(_load, "meta-sr", MetaSrConfig)
-load_a_liif: Callable[[Path], MotionEncoder] = partial(_load, "a-liif", ALiifConfig)
-load_lmf: Callable[[Path], MotionEncoder] = partial(_load, "lmf", LmfConfig)
-load_delta_interp: Callable[[Path], MotionEncoder] = partial(_load, "delta-interp", DeltaInterpConfig)
-load_ts_former: Callable[[Path], MotionEncoder] = partial(_load, "ts-former", TsFormerConfig)

@@ -23,7 +23,7 @@ METRICS = {"mpjpe_global": "MPJPE (cm)", "l2p": "L2P", "l2q": "L2Q", "npss": "NP
 
 def build_extrapolation(request: TableRequest) -> Result:
     """Rows of every data set at 30 fps that the store holds; raises what `build_inbetweening` does."""
-    table = WindowTable("extrapolation", EXTRAPOLATION_VERSION, continuations(), METRICS, {}, ROWS, ("pahires",))
+    table = WindowTable("extrapolation", EXTRAPOLATION_VERSION, continuations(), METRICS, {}, ROWS, "extrapolation")
     found = measure_table(table, request)
     return Result(
         task="pahires-extrapolation",

@@ -10,7 +10,6 @@ from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, Reported, reported_figures
 from motionkit.formats.bvh import lafan1
 
-TRAINED = ("pahires", "delta-interp", "ts-former")
 _NAMES = {"hold": "zero velocity", "SLERP": "interpolation (SLERP)"}
 _NOTES = {"hold": "the last given pose", "SLERP": "the benchmark's own interpolation: local great arcs, root on a line"}
 ROWS = tuple(
@@ -32,7 +31,7 @@ def build_inbetweening(request: TableRequest) -> Result:
     raises.
     """
     questions = gaps()
-    table = WindowTable("inbetweening", INBETWEENING_VERSION, questions, METRICS, DETAILS, ROWS, TRAINED)
+    table = WindowTable("inbetweening", INBETWEENING_VERSION, questions, METRICS, DETAILS, ROWS, "inbetweening")
     found = measure_table(table, request)
     columns = tuple(question.label for question in questions)
     return Result(

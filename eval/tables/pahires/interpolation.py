@@ -16,7 +16,6 @@ from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, reported_figures
 from motionkit.console import progress
 
-TRAINED = ("pahires", "liif", "meta-sr", "a-liif", "lmf")
 METRICS = {
     "psnr": "PSNR (dB)",
     "ssim": "SSIM",
@@ -44,7 +43,7 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
     store, protocol = Store.open(request.store), InterpolationProtocol()
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
     missing: list[str] = []
-    completers = [*INTERPOLATION, *trained_completers(TRAINED, request.run, request.encoders, missing)]
+    completers = [*INTERPOLATION, *trained_completers("interpolation", request.run, request.encoders, missing)]
     measured: list[Measured] = []
     absent: dict[str, str] = {}
     with progress() as display:

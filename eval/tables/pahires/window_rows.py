@@ -17,6 +17,7 @@ from eval.tables.pahires.blocks import Scope, Shown, blocks_of, with_pools
 from eval.tables.pahires.kept_scores import find_scores, keep_scores
 from eval.tables.registry import TableRequest
 from motionkit.console import progress
+from motionkit.encoders import Task
 from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 class WindowTable:
     """What a table asks of every window, its blocks and rows.
 
-    `metrics` are blocks by metric, with their titles; `details` further metrics of a block, likewise. `trained` are
-    encoders that the table looks for in its run.
+    `metrics` are blocks by metric, with their titles; `details` further metrics of a block, likewise. The table looks
+    in its run for the encoders of its `task`.
     """
 
     name: str
@@ -39,7 +40,7 @@ class WindowTable:
     metrics: Mapping[str, str]
     details: Mapping[str, Mapping[str, str]]
     rows: tuple[Completer, ...]
-    trained: tuple[str, ...]
+    task: Task
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     store = Store.open(request.store)
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
     missing: list[str] = []
-    completers = [*table.rows, *trained_completers(table.trained, request.run, request.encoders, missing)]
+    completers = [*table.rows, *trained_completers(table.task, request.run, request.encoders, missing)]
     scopes: list[Scope] = []
     absent: dict[str, str] = {}
     told: list[str] = []

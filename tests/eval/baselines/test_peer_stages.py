@@ -1,6 +1,5 @@
 """The peers as stages: each learns from a tiny corpus, is loaded as an encoder, and refuses what it cannot take."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from eval.baselines.peers import networks
 from eval.baselines.peers.config import (
     ALiifNetworkConfig,
     DeltaInterpNetworkConfig,
@@ -31,9 +29,10 @@ from eval.baselines.peers.recipes import (
 )
 from eval.baselines.peers.stages import A_LIIF, DELTA_INTERP, LIIF, LMF, META_SR, TS_FORMER
 from motionkit.completion import inbetween, upsample
+from motionkit.encoders import load_encoder
 from motionkit.errors import UsageError
 from motionkit.motion import Motion
-from motionkit.motionfield import MotionEncoder, Observation
+from motionkit.motionfield import Observation
 from motionkit.skeleton import SMPL22
 from motionkit.timegrid import TimeGrid
 from motionkit.training.config import apply_overrides, to_plain
@@ -52,20 +51,18 @@ WITH_GAPS = replace(
     ON_GRIDS, tasks=TaskSettings(0.0, 1.0, past_frames=4, future_frames=2, longest_gap=9, num_queries=8)
 )
 
-TINY: dict[str, tuple[Stage[Any], Any, Callable[[Path], MotionEncoder]]] = {
-    "liif": (LIIF, LiifConfig(LiifNetworkConfig(EDSR, 32, 2), ON_GRIDS), networks.load_liif),
-    "meta-sr": (META_SR, MetaSrConfig(MetaSrNetworkConfig(EDSR, 16), ON_GRIDS), networks.load_meta_sr),
-    "a-liif": (A_LIIF, ALiifConfig(ALiifNetworkConfig(EDSR, 16, 2, 3, 16, 2), ON_GRIDS), networks.load_a_liif),
-    "lmf": (LMF, LmfConfig(LmfNetworkConfig(EDSR, 16, 2), ON_GRIDS), networks.load_lmf),
+TINY: dict[str, tuple[Stage[Any], Any]] = {
+    "liif": (LIIF, LiifConfig(LiifNetworkConfig(EDSR, 32, 2), ON_GRIDS)),
+    "meta-sr": (META_SR, MetaSrConfig(MetaSrNetworkConfig(EDSR, 16), ON_GRIDS)),
+    "a-liif": (A_LIIF, ALiifConfig(ALiifNetworkConfig(EDSR, 16, 2, 3, 16, 2), ON_GRIDS)),
+    "lmf": (LMF, LmfConfig(LmfNetworkConfig(EDSR, 16, 2), ON_GRIDS)),
     "delta-interp": (
         DELTA_INTERP,
         DeltaInterpConfig(DeltaInterpNetworkConfig(32, 1, 2, 2, 4, 32, 0.2), WITH_GAPS),
-        networks.load_delta_interp,
     ),
     "ts-former": (
         TS_FORMER,
         TsFormerConfig(TsFormerNetworkConfig(16, 1, 2, 8, 16), WITH_GAPS),
-        networks.load_ts_former,
     ),
 }
 ON_GRIDS_ONLY = ("liif", "meta-sr", "a-liif", "lmf")
@@ -84,7 +81,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def train(store: Path, run: str, name: str) -> RunFolder:
-    stage, config, _ = TINY[name]
+    stage, config = TINY[name]
     folder = RunFolder(store.parent / run)
     context = StageContext(store, folder, "tiny", seed=5, device="cpu")
     stage.check(context, config)
@@ -114,7 +111,7 @@ def test_a_tiny_training_learns(run: RunFolder, name: str) -> None:
 
 @pytest.mark.parametrize("name", ON_GRIDS_ONLY)
 def test_a_trained_grid_peer_upsamples_and_refuses_gaps(run: RunFolder, name: str) -> None:
-    encoder, motion = TINY[name][2](run.path), capture()
+    encoder, motion = load_encoder(name, run.path), capture()
     assert encoder.name == name
     made = upsample(motion, Fraction(60), encoder)
     assert made.num_frames == 91
@@ -133,7 +130,7 @@ def test_a_trained_grid_peer_upsamples_and_refuses_gaps(run: RunFolder, name: st
 
 @pytest.mark.parametrize("name", ["delta-interp", "ts-former"])
 def test_a_trained_inbetweener_fills_a_gap_at_any_framerate(run: RunFolder, name: str) -> None:
-    encoder, motion = TINY[name][2](run.path), capture()
+    encoder, motion = load_encoder(name, run.path), capture()
     observed = np.ones(46, bool)
     observed[20:28] = False
     made = inbetween(motion, observed, encoder)
@@ -157,7 +154,7 @@ def test_a_run_of_another_peer_is_not_taken_for_this_one(run: RunFolder, tmp_pat
     wrong.parent.mkdir()
     wrong.write_bytes(run.stage("lmf").model_path.read_bytes())
     with pytest.raises(CheckpointError, match=r"expected .*'liif'"):
-        networks.load_liif(tmp_path)
+        load_encoder("liif", tmp_path)
 
 
 @pytest.mark.parametrize("name", ON_GRIDS_ONLY)
@@ -174,7 +171,7 @@ def test_weights_of_curves_are_pa_hires_alone() -> None:
 
 
 def test_recipes_have_published_sizes_and_say_which_width_is_fair() -> None:
-    for name, (stage, _, _) in TINY.items():
+    for name, (stage, _) in TINY.items():
         assert (stage.name, stage.in_all) == (name, False)
         assert set(stage.recipes) == {"nano", "base", "paper"}
         if name in ON_GRIDS_ONLY:
