@@ -86,7 +86,7 @@ def _encoder(settings: DenoiserConfig) -> TextEncoder | None:
         return None
     name, expected = settings.text_encoder, settings.text_dimension
     encoder = load_text_encoder(name)
-    if encoder.dimension != expected:
+    if expected is not None and encoder.dimension != expected:
         raise MotionkitError(
             f"the text encoder {name!r} gives {encoder.dimension} numbers, {expected} are expected (the paper's CLIP "
             f"ViT-L/14 has 768): give another with denoiser.text_encoder, or set denoiser.text_dimension="
