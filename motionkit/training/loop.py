@@ -98,10 +98,14 @@ class _Figures:
         self.since = since
 
     def add(self, values: Mapping[str, torch.Tensor]) -> None:
-        """Take in a step's figures; sums stay on the device, where nothing waits for them."""
-        for name, value in values.items():
-            figure = value.detach().double()
-            self.sums[name] = self.sums[name].to(figure.device) + figure if name in self.sums else figure
+        """Take in a step's figures; sums stay on the device, where nothing waits for them.
+
+        Their order is the step's, which all ranks share: those of a checkpoint come by name, and only to the first.
+        """
+        added = {name: value.detach().double() for name, value in values.items()}
+        for name in added.keys() & self.sums.keys():
+            added[name] = self.sums[name].to(added[name].device) + added[name]
+        self.sums = {**added, **{name: value for name, value in self.sums.items() if name not in added}}
 
     def collect(self, ranks: Ranks, folder: StageFolder, done: int) -> None:
         """Bring the sums of all ranks to the first one; raises `RunError` on all where one is not finite."""

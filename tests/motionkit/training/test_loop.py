@@ -87,6 +87,20 @@ def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_
     assert seconds == sorted(seconds)
 
 
+def test_figures_keep_their_order_when_a_training_is_resumed(tmp_path: Path) -> None:
+    """Ranks add theirs up by their order, and only the first one has any from the checkpoint, by name."""
+
+    class Told(Regression):
+        def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+            return {**super().step(step, generator), "bias": self.model.bias.abs().mean()}
+
+    folder = _folder(tmp_path / "stage")
+    with pytest.raises(KeyboardInterrupt):
+        train_loop(Told(_interrupt_at(5)), folder, steps=8, seed=1, log_every=4)
+    train_loop(Told(), folder, steps=8, seed=1, log_every=4)
+    assert [list(line) for line in folder.read_metrics()] == [["step", "seconds", "loss", "bias"]] * 2
+
+
 def test_the_seed_decides_everything(tmp_path: Path) -> None:
     losses = [
         train_loop(Regression(), _folder(tmp_path / str(index) / "stage"), steps=5, seed=seed)["loss"]
