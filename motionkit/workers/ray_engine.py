@@ -8,7 +8,7 @@ from typing import Any
 
 import motionkit
 from motionkit.errors import MissingExtraError, MotionkitError
-from motionkit.workers.parallel import WorkerDied
+from motionkit.workers.parallel import WorkerDied, map_in_order
 from motionkit.workers.process_engine import usable_cores
 
 Function = Callable[[Sequence[Any]], Sequence[Any]]
@@ -69,7 +69,10 @@ class RayEngine:
             raise MotionkitError(f"Ray cannot be reached at {where} ({reason}): is it running there?") from None
 
     def _check_version(self) -> None:
-        (version,) = self.result(self.submit(_version, [None]))
+        # A worker that dies meanwhile says nothing of the others: it is asked once more.
+        ((_, version),) = map_in_order(self, _version, [[None]])
+        if isinstance(version, WorkerDied):
+            raise MotionkitError("two workers of Ray ended before they had done anything: killed, or out of memory?")
         if version != motionkit.__version__:
             raise MotionkitError(
                 f"Ray's workers have motionkit {version}, this is {motionkit.__version__}: install the same everywhere"

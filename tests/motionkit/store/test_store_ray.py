@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.errors import MissingExtraError, UsageError
+import motionkit
+from motionkit.errors import MissingExtraError, MotionkitError, UsageError
 from motionkit.store.ingest import ingest
+from motionkit.workers import ray_engine
 from motionkit.workers.engines import check_engine
 from motionkit.workers.parallel import WorkerDied, map_in_order
 from motionkit.workers.ray_engine import RayEngine
@@ -73,6 +75,26 @@ def test_the_store_does_not_depend_on_the_engine(ray: RayEngine, takes: Path, tm
         tuple(map(str, reports["alone"].problems))
     }
     assert len({(tmp_path / name / "manifest.json").read_bytes() for name in reports}) == 1
+
+
+@pytest.mark.parametrize("deaths", [1, 2])
+def test_a_worker_that_dies_at_the_start(
+    ray: RayEngine, deaths: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def version_after_deaths(_: Sequence[None]) -> list[str]:
+        before = len(list(tmp_path.iterdir()))
+        if before < deaths:
+            (tmp_path / str(before)).touch()
+            os._exit(1)
+        return [motionkit.__version__]
+
+    monkeypatch.setattr(ray_engine, "_version", version_after_deaths)
+    if deaths == 1:
+        with RayEngine(None, 2) as engine:
+            assert engine.num_workers == 2
+    else:
+        with pytest.raises(MotionkitError, match="two workers of Ray ended"), RayEngine(None, 2):
+            pass
 
 
 def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
