@@ -41,12 +41,10 @@ class Commands:
     """Runs commands one after the other, each in a process of its own; a context manager that owns their server."""
 
     def __enter__(self) -> "Commands":
-        environment = {name: value for name, value in os.environ.items() if not name.startswith("MOTIONKIT_")}
-        environment |= dict.fromkeys(ONE_THREAD, "1") | {"PYTHONPATH": os.pathsep.join([str(REPOSITORY), *_path()])}
         self._server = subprocess.Popen(
             [sys.executable, "-m", "benchmarks.trust.server"],
             cwd=REPOSITORY,
-            env=environment,
+            env=one_thread(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -85,5 +83,8 @@ class Commands:
         return Outcome(**{**answer, "operations": tuple(answer["operations"])})
 
 
-def _path() -> list[str]:
-    return [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+def one_thread() -> dict[str, str]:
+    """The environment of a process of the drill: this code, one thread for each library, no settings of a user's."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("MOTIONKIT_")}
+    path = [str(REPOSITORY), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    return environment | dict.fromkeys(ONE_THREAD, "1") | {"PYTHONPATH": os.pathsep.join(path)}

@@ -13,12 +13,15 @@ TIMED = (".jsonl", "summary.json")
 SHOWN = 3
 
 
-def tree(folder: Path) -> dict[str, str]:
-    """Every file and folder below a folder with a digest of its content, as far as it does not depend on the clock."""
+def tree(folder: Path, digits: int | None = None) -> dict[str, str]:
+    """Every file and folder below a folder with a digest of its content, as far as it does not depend on the clock.
+
+    With `digits`, numbers in logs are rounded to so many, for sums whose order depends on the clock.
+    """
     found = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        found[name] = f"-> {path.readlink()}" if path.is_symlink() else "/" if path.is_dir() else _digest(path)
+        found[name] = f"-> {path.readlink()}" if path.is_symlink() else "/" if path.is_dir() else _digest(path, digits)
     return found
 
 
@@ -42,25 +45,28 @@ def copy(source: Path, target: Path) -> None:
     shutil.copytree(source, target, symlinks=True)
 
 
-def _digest(path: Path) -> str:
+def _digest(path: Path, digits: int | None) -> str:
     if path.name.endswith(".lock"):
         return "lock"  # it holds the number of a process
     content = path.read_bytes()
     if path.suffix in (".json", ".jsonl"):
-        content = _without_clocks(path.name, content)
+        content = _without_clocks(path.name, content, digits)
     return hashlib.sha256(content).hexdigest()
 
 
-def _without_clocks(name: str, content: bytes) -> bytes:
+def _without_clocks(name: str, content: bytes, digits: int | None) -> bytes:
     try:
         documents = [json.loads(part) for part in (content.splitlines() if name.endswith(".jsonl") else [content])]
     except ValueError:
         return content
     dropped = VOLATILE | {"seconds"} if name.endswith(TIMED) else VOLATILE
-    return json.dumps([_kept(document, dropped) for document in documents], sort_keys=True).encode()
+    rounded = digits if name.endswith(".jsonl") else None
+    return json.dumps([_kept(document, dropped, rounded) for document in documents], sort_keys=True).encode()
 
 
-def _kept(value: Any, dropped: frozenset[str]) -> Any:
+def _kept(value: Any, dropped: frozenset[str], digits: int | None) -> Any:
     if isinstance(value, dict):
-        return {name: _kept(each, dropped) for name, each in value.items() if name not in dropped}
-    return [_kept(each, dropped) for each in value] if isinstance(value, list) else value
+        return {name: _kept(each, dropped, digits) for name, each in value.items() if name not in dropped}
+    if isinstance(value, list):
+        return [_kept(each, dropped, digits) for each in value]
+    return float(f"{value:.{digits}g}") if isinstance(value, float) and digits is not None else value

@@ -1,0 +1,198 @@
+"""What the writers and readers of a crowded store do.
+
+A sequence's frames follow from its id, so whoever reads one knows what it must be. A writer adds its sequences in
+batches and removes them in batches, so a reader must see all of a batch or nothing. What a writer begins and has done
+stands in its log, which survives it.
+"""
+
+import hashlib
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from motionkit.errors import StoreError
+from motionkit.motion import Motion
+from motionkit.skeleton import SMPL22
+from motionkit.store import Store, StoreWriter
+from motionkit.store.removal import remove
+from motionkit.store.rewrite import compact
+from motionkit.store.validate import faults
+from motionkit.timegrid import TimeGrid
+
+BUSY = "another process is writing to the store"
+WRITTEN_ANEW = "was written anew after it was opened"
+BASE = "base-0-4"
+LARGEST_BATCH = 4
+SHORTEST, LONGEST = 20, 120
+READ_AT_ONCE = 6
+MOST_LIVE = 12
+CHANCES = {"append": 0.6, "remove": 0.3, "compact": 0.1}
+VALIDATE = 0.1
+
+
+def motion_of(sequence_id: str) -> Motion:
+    """The motion of an id: up to two seconds of random positions that a store holds exactly."""
+    generator = np.random.default_rng(list(hashlib.sha256(sequence_id.encode()).digest()))
+    num_frames = int(generator.integers(SHORTEST, LONGEST))
+    positions = generator.integers(-2048, 2048, (num_frames, SMPL22.num_joints, 3)).astype(np.float32) / 1024
+    return Motion(positions, SMPL22, TimeGrid(Fraction(60), num_frames), sequence_id=sequence_id)
+
+
+def batch_ids(batch: str) -> list[str]:
+    """The ids of a batch `WRITER-NUMBER-SIZE`."""
+    return [f"{batch}/{place}" for place in range(int(batch.rpartition("-")[2]))]
+
+
+def batches_of(ids: list[str]) -> dict[str, int]:
+    """Batches that ids are of, and how many of each there are."""
+    return Counter(sequence_id.rpartition("/")[0] for sequence_id in ids)
+
+
+class Log:
+    """A writer's log: a line before each change and a line after it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def note(self, state: str, action: str, batch: str) -> None:
+        """Add a line, which is there when this returns."""
+        with self.path.open("a", encoding="utf-8") as handle:
+            handle.write(f"{state} {action} {batch}\n")
+
+
+def read_log(path: Path) -> tuple[set[str], tuple[str, str] | None, int]:
+    """Batches that must be in the store, the change of which the end is not known, and how many there were."""
+    live: set[str] = set()
+    pending, count = None, 0
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        state, action, batch = line.split(" ")
+        pending = (action, batch) if state == "begin" else None
+        if state == "done":
+            count += 1
+            (live.add if action == "append" else live.discard)(batch)
+    return live, pending, count
+
+
+def settle(store: Path, log: Log) -> set[str]:
+    """Find out what became of the change in which a killed writer was; the writer's batches in the store."""
+    _, pending, _ = read_log(log.path)
+    if pending is not None:
+        action, batch = pending
+        there = batch in batches_of(ids_of(Store.open(store)))
+        log.note("done" if there == (action == "append") else "failed", action, batch)
+    return read_log(log.path)[0]
+
+
+def log_of(store: Path, writer: str) -> Path:
+    """Where a writer's log lies."""
+    return store.with_name(f"{writer}.log")
+
+
+def create(store: Path) -> None:
+    """Make the store, with a batch that stays."""
+    with StoreWriter.create(store) as writer:
+        for sequence_id in batch_ids(BASE):
+            writer.add(motion_of(sequence_id))
+
+
+def final_problems(store: Path, writers: Iterable[str]) -> list[str]:
+    """What is missing from a store, too much in it or damaged, when everybody has left."""
+    expected = {BASE}.union(*(settle(store, Log(log_of(store, writer))) for writer in writers))
+    opened = Store.open(store)
+    found, wanted = set(ids_of(opened)), {sequence_id for batch in expected for sequence_id in batch_ids(batch)}
+    problems = [f"lost: {sequence_id}" for sequence_id in sorted(wanted - found)]
+    problems += [f"removed, and there: {sequence_id}" for sequence_id in sorted(found - wanted)]
+    problems += [f"{each} has other frames" for each in sorted(found) if not is_as_written(opened, each)]
+    return problems + [f"in the end: {fault}" for fault in faults(store)]
+
+
+def ids_of(store: Store) -> list[str]:
+    """All ids of a store."""
+    found: list[str] = store.sequences_table["sequence_id"].to_pylist()
+    return found
+
+
+def write(store: Path, writer: str, until: float, seed: int) -> dict[str, object]:
+    """Add, remove and compact in turn until a time; counts of what was done and how often another writer was at it."""
+    log, generator = Log(log_of(store, writer)), np.random.default_rng(seed)
+    live, counts = settle(store, log), Counter[str]()
+    number = time.time_ns()
+    for action in rounds(until, generator, list(CHANCES), list(CHANCES.values())):
+        number += 1
+        chosen = "append" if action == "remove" and not live else "remove" if len(live) > MOST_LIVE else action
+        if chosen == "append":
+            batch = f"{writer}-{number}-{generator.integers(1, LARGEST_BATCH + 1)}"
+        else:
+            batch = str(generator.choice(sorted(live))) if chosen == "remove" else "-"
+        try:
+            if chosen != "compact":
+                log.note("begin", chosen, batch)
+            change(store, chosen, batch)
+        except StoreError as error:
+            log.note("failed", chosen, batch)
+            if BUSY not in str(error):
+                return {"counts": counts, "problems": [f"{chosen}: {error}"]}
+            counts["busy"] += 1
+            continue
+        counts[chosen] += 1
+        if chosen != "compact":
+            log.note("done", chosen, batch)
+            (live.add if chosen == "append" else live.discard)(batch)
+    return {"counts": counts, "problems": []}
+
+
+def change(store: Path, action: str, batch: str) -> None:
+    """Do one thing to a store."""
+    if action == "append":
+        with StoreWriter.append(store) as writer:
+            for sequence_id in batch_ids(batch):
+                writer.add(motion_of(sequence_id))
+    elif action == "remove":
+        remove(store, batch_ids(batch))
+    else:
+        compact(store)
+
+
+def read(store: Path, until: float, seed: int) -> dict[str, object]:
+    """Open, look, read and validate until a time; counts, and what was not as it must be."""
+    counts, problems, generator = Counter[str](), list[str](), np.random.default_rng(seed)
+    for action in rounds(until, generator, ["read", "validate"], [1 - VALIDATE, VALIDATE]):
+        try:
+            found = list(faults(store)) if action == "validate" else looked_at(Store.open(store), generator)
+        except StoreError as error:
+            if WRITTEN_ANEW not in str(error):
+                problems.append(f"{action}: {error}")
+            counts["written anew"] += 1
+            continue
+        counts[action] += 1
+        problems += [f"{action}: {problem}" for problem in found]
+    return {"counts": counts, "problems": problems}
+
+
+def looked_at(store: Store, generator: np.random.Generator) -> list[str]:
+    """What is not whole in a store, and which of a few of its sequences are not what their ids say."""
+    ids = ids_of(store)
+    found = [
+        f"of the batch {batch} there are {count}"
+        for batch, count in batches_of(ids).items()
+        if count != len(batch_ids(batch))
+    ]
+    drawn: list[str] = generator.choice(ids, min(READ_AT_ONCE, len(ids)), replace=False).tolist()
+    return found + [f"{each} has other frames" for each in drawn if not is_as_written(store, each)]
+
+
+def is_as_written(store: Store, sequence_id: str) -> bool:
+    """Whether a sequence has the frames that belong to its id."""
+    return np.array_equal(store.read(sequence_id).joint_positions, motion_of(sequence_id).joint_positions)
+
+
+def rounds(until: float, generator: np.random.Generator, actions: list[str], chances: list[float]) -> Iterator[str]:
+    """Random actions until a time, one in any case, with a breath between them."""
+    yield str(generator.choice(actions, p=chances))
+    while time.time() < until:
+        time.sleep(float(generator.uniform(0.0, 0.02)))
+        yield str(generator.choice(actions, p=chances))
