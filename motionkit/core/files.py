@@ -1,8 +1,10 @@
 """Files that appear whole or not at all, and folders that are deleted without following links."""
 
+import errno
 import fcntl
 import os
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,15 +22,15 @@ def whole_file(path: Path) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = temporary_name(path)
-    with _naming(path):
+    with naming(path):
         descriptor = _open_locked(temporary)
         try:
             yield temporary
-            sync(temporary)
-            temporary.replace(path)
-            sync(path.parent)
+            replace(temporary, path)
         finally:
-            temporary.unlink(missing_ok=True)
+            # Once it has been renamed, a file of that name is another writer's.
+            if _is_at(descriptor, temporary):
+                temporary.unlink()
             os.close(descriptor)
 
 
@@ -36,6 +38,30 @@ def write_whole(path: Path, content: bytes | str) -> None:
     """Write bytes, or text as UTF-8, into a file that appears whole or not at all."""
     with whole_file(path) as temporary:
         temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+
+
+def replace(source: Path, target: Path) -> None:
+    """Rename inside one folder, replacing what was there; the content and then the name are flushed to the disk."""
+    sync(source)
+    source.replace(target)
+    sync(target.parent)
+
+
+def create(path: Path) -> None:
+    """Make an empty file where there is nothing, not even a link; raises `FileExistsError`."""
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+
+
+def read_regular(path: Path) -> bytes:
+    """Content of a file; raises `OSError` for a pipe or a device, which might never end."""
+    require_regular(path)
+    return path.read_bytes()
+
+
+def require_regular(path: Path) -> None:
+    """Raise `OSError` for what is there but is no file: a folder, a pipe, a device. A link to a file is one."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
 
 
 def temporary_name(path: Path) -> Path:
@@ -64,29 +90,37 @@ def _open_locked(path: Path) -> int:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         with suppress(OSError):  # some network file systems have no locks
             fcntl.flock(descriptor, fcntl.LOCK_EX)
-        # The writer that was waited for has renamed the file.
-        with suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(descriptor), path.lstat()):
-                os.ftruncate(descriptor, 0)
-                return descriptor
-        os.close(descriptor)
+        if _is_at(descriptor, path):
+            os.ftruncate(descriptor, 0)
+            return descriptor
+        os.close(descriptor)  # the writer that was waited for has renamed the file
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    """Whether `path` is the name of an open file."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.lstat())
+    except FileNotFoundError:
+        return False
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def naming(path: Path) -> Iterator[None]:
     """Let an `OSError` that names no file, as a write to a full disk raises it, name this one."""
     try:
         yield
     except OSError as error:
         if error.filename is not None or error.errno is None:
             raise
-        raise OSError(error.errno, error.strerror, str(path)) from None
+        # pyarrow puts a sentence of its own before the system's words.
+        raise OSError(error.errno, os.strerror(error.errno), str(path)) from None
 
 
 def sync(path: Path) -> None:
     """Flush a file's content, or a folder's entries, to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
+        with naming(path):
+            os.fsync(descriptor)
     finally:
         os.close(descriptor)

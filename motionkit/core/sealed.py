@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from motionkit.core.files import write_whole
+from motionkit.core.files import read_regular, write_whole
 from motionkit.errors import DamagedFileError
 
 CHECKSUM = "checksum"
@@ -55,7 +55,7 @@ def read_json(path: Path, mend: str) -> dict[str, Any]:
     the file cannot be read.
     """
     try:
-        document = json.loads(path.read_bytes(), parse_constant=_finite, parse_float=_finite)
+        document = json.loads(read_regular(path), parse_constant=_finite, parse_float=_finite)
         if not isinstance(document, dict):
             raise ValueError("it is not a JSON object")
         return unsealed(document)

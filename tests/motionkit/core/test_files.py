@@ -8,7 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.core.files import remove_folder, require_no_link, temporary_name, whole_file, write_whole
+from motionkit.core.files import (
+    create,
+    naming,
+    read_regular,
+    remove_folder,
+    replace,
+    require_no_link,
+    temporary_name,
+    whole_file,
+    write_whole,
+)
 from motionkit.errors import LinkError
 
 
@@ -122,3 +132,71 @@ def test_a_link_is_refused_with_what_to_do_instead(tmp_path: Path) -> None:
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
     with pytest.raises(LinkError, match="do that"):
         require_no_link(tmp_path / "dangling", "do that")
+
+
+def test_the_next_writers_temporary_file_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may be there as soon as this one's has been renamed; it used to be removed now and then."""
+    path = tmp_path / "take.json"
+
+    def sync(synced: Path) -> None:
+        if synced == tmp_path:
+            temporary_name(path).write_text("another's")
+
+    monkeypatch.setattr("motionkit.core.files.sync", sync)
+    write_whole(path, "mine")
+    assert path.read_text() == "mine"
+    assert temporary_name(path).read_text() == "another's"
+
+
+@pytest.mark.parametrize("what", ["file", "link", "dangling"])
+def test_nothing_is_made_where_something_is(tmp_path: Path, what: str) -> None:
+    path, letter = tmp_path / "take.json", tmp_path / "letter.txt"
+    letter.write_text("dear")
+    if what == "file":
+        path.write_text("old")
+    else:
+        path.symlink_to(letter if what == "link" else tmp_path / "nowhere")
+    with pytest.raises(FileExistsError, match=r"take\.json"):
+        create(path)
+    assert letter.read_text() == "dear"
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_a_file_is_made_by_the_umask(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        create(tmp_path / "take.json")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "take.json").stat().st_mode) == 0o640
+
+
+def test_a_rename_replaces_a_link_and_not_what_it_leads_to(tmp_path: Path) -> None:
+    (tmp_path / "letter.txt").write_text("dear")
+    (tmp_path / "take.json").symlink_to(tmp_path / "letter.txt")
+    (tmp_path / "new").write_text("new")
+    replace(tmp_path / "new", tmp_path / "take.json")
+    assert (tmp_path / "letter.txt").read_text() == "dear"
+    assert (tmp_path / "take.json").read_text() == "new"
+    assert not (tmp_path / "take.json").is_symlink()
+
+
+def test_what_never_ends_is_not_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "zeros").symlink_to("/dev/zero")
+    (tmp_path / "take.json").write_text("{}")
+    (tmp_path / "link").symlink_to(tmp_path / "take.json")
+    for name in ("pipe", "zeros", "."):
+        with pytest.raises(OSError, match="not a regular file"):
+            read_regular(tmp_path / name)
+    assert read_regular(tmp_path / "link") == b"{}"
+
+
+def test_an_error_of_a_library_names_the_file_in_the_systems_words(tmp_path: Path) -> None:
+    with (
+        pytest.raises(OSError, match=r"^\[Errno 28\] No space left on device: .*part\.parquet'$"),
+        naming(tmp_path / "part.parquet"),
+    ):
+        raise OSError(errno.ENOSPC, "Error writing bytes to file. Detail: [errno 28] No space left on device")
+    with pytest.raises(OSError, match="corrupt"), naming(tmp_path / "part.parquet"):
+        raise OSError("corrupt")
