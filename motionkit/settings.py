@@ -7,7 +7,7 @@ from motionkit.errors import UsageError
 from motionkit.plain_text import parse_toml, shown
 
 KEYS = ("store", "runs", "results")
-OPTIONAL_KEYS = ("body_models",)
+OPTIONAL_KEYS = ("body_models", "cache")
 
 
 def default_path(key: str) -> Path:
@@ -21,7 +21,7 @@ def default_path(key: str) -> Path:
 
 
 def optional_path(key: str) -> Path | None:
-    """Path of `body_models` where the environment or motionkit.toml states one; raises as `default_path` does."""
+    """Path of `body_models` or `cache` where the environment or motionkit.toml states one; raises as `default_path`."""
     if key not in OPTIONAL_KEYS:
         raise KeyError(key)
     return _stated_path(key)

@@ -20,11 +20,13 @@ def compact(
     Sequences are numbered 0, 1, 2 … again. Needs room for a second copy until it is done; whoever has the store open
     opens it again.
     """
+    from motionkit.store.commit import leftovers
     from motionkit.store.manifest import read_manifest
     from motionkit.store.rewrite import compact as compact_store
 
     path = store or default_path("store")
     before = read_manifest(path)
+    num_left = len(leftovers(path, before))
     with progress() as display:
         task = display.add_task("compact", total=before.num_sequences, note="")
         changed = compact_store(path, lambda: display.advance(task))
@@ -37,9 +39,13 @@ def compact(
                 "parts": len(after.parts),
                 "bytes_before": before.num_bytes,
                 "bytes": after.num_bytes,
+                "leftovers_deleted": num_left,
             }
         )
-    elif changed:
+        return
+    if num_left:
+        stdout.print(f"{path}: deleted {num_left:,} files that a stopped command had left", markup=False)
+    if changed:
         stdout.print(
             f"{path}: {len(before.parts):,} parts, {before.num_bytes / MEGABYTE:,.1f} MB, became {len(after.parts):,}, "
             f"{after.num_bytes / MEGABYTE:,.1f} MB",

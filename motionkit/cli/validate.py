@@ -11,6 +11,7 @@ from motionkit.settings import default_path
 
 def validate(
     store: Annotated[Path | None, typer.Option(help="Store to check.", show_default="./store")] = None,
+    deep: Annotated[bool, typer.Option("--deep", help="Check the training caches too, whatever their sizes.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the faults as JSON.")] = False,
 ) -> None:
     """Check every file of a store: checksums, counts, segments, finite frames, skeletons.
@@ -28,7 +29,7 @@ def validate(
         def on_file(name: str) -> None:
             display.update(task, advance=1, note=name)
 
-        found = list(faults(path, on_file))
+        found = list(faults(path, on_file, deep=deep))
     if as_json:
         print_json({"store": str(path), "fingerprint": manifest.fingerprint, "faults": found})
     else:

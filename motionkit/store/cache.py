@@ -1,54 +1,45 @@
 """The training cache: joint positions of one layout as a flat memory map, made from Parquet once.
 
-A cache lies in `store/cache/KEY`; the key is made of the store's fingerprint, the filter, the layout, the dtype and the
-joint maps of the store's skeletons, so a cache that is found is a cache that fits.
+A cache lies in `store/cache/KEY`, or in the folder that MOTIONKIT_CACHE names; the key is made of the store's
+fingerprint, the filter, the layout, the dtype and the joint maps of the store's skeletons, so a cache that is found is
+a cache that fits. `cache.json` holds the digests of its other files, which are compared when it is opened.
 """
 
-import hashlib
-import json
-import shutil
+import io
+import zipfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Int, Int32, Int64
 
-from motionkit.console import progress
-from motionkit.errors import StoreError, UsageError
-from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
-from motionkit.skeletons.mapping import SkeletonMapError, joint_map, map_joints
-from motionkit.store import files
+from motionkit.console import stderr
+from motionkit.core.files import read_regular, require_no_link
+from motionkit.core.sealed import read_json
+from motionkit.errors import DamagedFileError, StoreError, UsageError
+from motionkit.skeleton import STANDARD_SKELETONS
+from motionkit.store.cache_build import INDEX_DTYPE, NATIVE, Skipped, Wanted, build
+from motionkit.store.cache_folder import (
+    CACHE_FILE,
+    INDEX_FILE,
+    POSITIONS_FILE,
+    building,
+    cache_root,
+    caches_of,
+    is_cache,
+    remove_cache,
+    remove_stale,
+)
+from motionkit.store.columns import numbers_of
+from motionkit.store.derived import derived_faults
+from motionkit.store.digests import FileDigest, file_fault
 from motionkit.store.reader import Store
 from motionkit.store.row_file import RowFile
-from motionkit.store.schema import CACHE_FOLDER
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-CACHE_VERSION = 1
-NATIVE = "native"
-INDEX_DTYPE = np.dtype(
-    [
-        ("sequence_index", "<i4"),
-        ("num_frames", "<i4"),
-        ("start_row", "<i8"),
-        ("fps_numerator", "<i8"),
-        ("fps_denominator", "<i8"),
-    ]
-)
-INDEX_COLUMNS = ("sequence_index", "num_frames", "fps_numerator", "fps_denominator")
-
-
-@dataclass(frozen=True)
-class Skipped:
-    """A sequence that the filter chose but the layout cannot hold, and why."""
-
-    sequence_index: int
-    sequence_id: str
-    reason: str
+_MEND = "delete its folder, it is made anew"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +48,7 @@ class PositionCache:
 
     `positions` is a read-only memory map [total_frames, J, 3], metres; `rows` reads single frames of the same file, and
     leaves no page of it in the process. `sequence_index` leads back to the store. Picklable: another process maps the
-    same file.
+    same file, without a look at its digest.
     """
 
     path: Path
@@ -120,7 +111,7 @@ class PositionCache:
         return clips.reshape(len(first_rows), num_frames, *self.positions.shape[1:])
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _load, (self.path,)
+        return _opened_again, (self.path,)
 
     def __repr__(self) -> str:
         return f"PositionCache({self.num_sequences} sequences, {len(self.positions)} frames, {self.layout})"
@@ -129,166 +120,116 @@ class PositionCache:
 def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None) -> PositionCache:
     """The cache of the sequences for which the SQL condition `where` holds, in the layout; built where it is missing.
 
-    Layouts: `smpl22`, `kit21`, and `native` for stores (or filters) with one number of joints. Two processes may ask at
-    once: one builds, the other waits. Raises `UsageError` for an unknown layout, bad SQL, or a choice that is empty or
-    cannot be held; `StoreError` where the disk is too small.
+    A damaged one is not used: it is built anew, which is said on stderr. Layouts: `smpl22`, `kit21`, and `native` for
+    stores (or filters) with one number of joints. Two processes may ask at once: one builds, the other waits. Raises
+    `UsageError` for an unknown layout, bad SQL, or a choice that is empty or cannot be held; `StoreError` where the
+    disk is too small or may not be written to; `LinkError` where the folder of caches is a symbolic link.
     """
     if layout != NATIVE and layout not in STANDARD_SKELETONS:
         raise UsageError(f"there is no layout {layout!r}: {', '.join(STANDARD_SKELETONS)} or {NATIVE}")
-    maps = _skeleton_maps(store.skeletons, layout)
-    folder = store.path / CACHE_FOLDER
-    target = folder / _key(store, layout, where, maps)
-    if not (target / "cache.json").exists():
-        folder.mkdir(exist_ok=True)
-        with files.exclusive_lock(folder / ".builder.lock", busy=None):
-            if not (target / "cache.json").exists():
-                _remove_stale(folder, store.fingerprint)
-                _build(store, layout, where, maps, target)
-    return _load(target)
+    wanted = Wanted.of(store, layout, where)
+    root = cache_root(store.path, store.fingerprint)
+    target = root / wanted.name
+    found = _find(target, wanted)
+    if isinstance(found, PositionCache):
+        return found
+    with building(root):
+        found = _find(target, wanted)  # another process may have built it in between
+        if isinstance(found, PositionCache):
+            return found
+        if found is not None:
+            stderr.print(f"motionkit: warning: {found}", markup=False)
+        remove_stale(root, store.fingerprint)
+        try:
+            build(wanted, target)
+        except BaseException:
+            if target.is_dir() and is_cache(target):
+                remove_cache(target)
+            raise
+    return _load(target, check=True)
 
 
-@dataclass(frozen=True)
-class _SkeletonMap:
-    """How one skeleton gets into a layout: the fault where it does not, else a digest of the map."""
-
-    fault: str
-    digest: str
-    num_joints: int
-    uses_tips: bool
-
-
-def _skeleton_maps(skeletons: dict[str, Skeleton], layout: str) -> dict[str, _SkeletonMap]:
-    return {fingerprint: _skeleton_map(skeleton, layout) for fingerprint, skeleton in skeletons.items()}
+def cache_faults(store: Path, fingerprint: str) -> Iterator[str]:
+    """One line for each fault of the caches of a state of a store, of all their bytes whatever their sizes."""
+    root = cache_root(store, fingerprint)
+    for folder in caches_of(root, fingerprint):
+        try:
+            _load(folder, check=True, deep=True)
+        except DamagedFileError as error:
+            yield str(error)
+        for fault in derived_faults(folder):
+            yield str(fault)
 
 
-def _skeleton_map(skeleton: Skeleton, layout: str) -> _SkeletonMap:
-    if layout == NATIVE:
-        return _SkeletonMap("", NATIVE, skeleton.num_joints, False)
+def _find(target: Path, wanted: Wanted) -> PositionCache | DamagedFileError | None:
+    """The cache in a folder, or what is wrong with it, or None where there is none."""
+    require_no_link(target, "delete the link")
+    if not (target / CACHE_FILE).exists():
+        return None
     try:
-        mapping = joint_map(skeleton, layout)
-    except SkeletonMapError as error:
-        return _SkeletonMap(str(error), "unmapped", 0, False)
-    weights = (mapping.weights, mapping.tip_weights)
-    digest = hashlib.sha256(repr(mapping.made_up).encode())
-    for array in weights:
-        digest.update(repr(array.shape).encode() + array.tobytes())
-    return _SkeletonMap("", digest.hexdigest(), len(mapping.weights), bool(mapping.tip_weights.any()))
+        cache = _load(target, check=True)
+        _require_wanted(cache, wanted)
+    except DamagedFileError as error:
+        return DamagedFileError(error.path, error.fault, "the cache is made anew from the store")
+    return cache
 
 
-def _key(store: Store, layout: str, where: str | None, maps: dict[str, _SkeletonMap]) -> str:
-    facts = {
-        "version": CACHE_VERSION,
-        "layout": layout,
-        "where": where,
-        "dtype": "float32",
-        "maps": {fingerprint: each.digest for fingerprint, each in sorted(maps.items())},
-    }
-    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-    return f"{store.fingerprint[:16]}-{layout}-{digest[:16]}"
+def _opened_again(path: Path) -> PositionCache:
+    try:
+        return _load(path, check=False)
+    except FileNotFoundError:
+        raise StoreError(f"the training cache {path} was removed, since its store has changed: start again") from None
 
 
-def _remove_stale(folder: Path, fingerprint: str) -> None:
-    """Remove caches of earlier states of the store, and what killed builders left; maps in use stay valid."""
-    for path in folder.iterdir():
-        if path.is_dir() and (path.name.startswith("building-") or not path.name.startswith(fingerprint[:16])):
-            shutil.rmtree(path, ignore_errors=True)
-
-
-def _build(store: Store, layout: str, where: str | None, maps: dict[str, _SkeletonMap], target: Path) -> None:
-    chosen = store.columns("sequence_id", "skeleton", *INDEX_COLUMNS).loc[store.select(where)]
-    if chosen.empty:
-        told = f"no sequence of {store.path} satisfies {where!r}" if where else f"{store.path} is empty"
-        raise UsageError(f"{told} (motionkit info --store {store.path} says what it holds)")
-    faults = chosen["skeleton"].map(lambda fingerprint: maps[fingerprint].fault)
-    kept = chosen[faults == ""]
-    if kept.empty:
-        raise UsageError(f"none of the {len(chosen)} chosen sequences can be brought to {layout}: {faults.iloc[0]}")
-    left_out = chosen[faults != ""]
-    skipped = [
-        Skipped(index, sequence_id, maps[fingerprint].fault)
-        for index, sequence_id, fingerprint in zip(
-            left_out["sequence_index"].tolist(),
-            left_out["sequence_id"].tolist(),
-            left_out["skeleton"].tolist(),
-            strict=True,
-        )
-    ]
-    index, num_joints = _index(kept), _num_joints(kept, maps, layout)
-    shape = (int(index["num_frames"].sum(dtype=np.int64)), num_joints, 3)
-    _check_disk(target.parent, shape)
-    building = target.with_name(f"building-{target.name}")
-    building.mkdir()
-    uses_tips = any(maps[fingerprint].uses_tips for fingerprint in kept["skeleton"].unique())
-    motions = store.read_many(index["sequence_index"].tolist(), rotations=uses_tips)
-    with progress() as display:
-        task = display.add_task(f"cache {layout}", total=len(index), note="")
-        frames = (map_joints(motion, layout) for motion in display.track(motions, task_id=task))
-        _write_positions(building / "positions.npy", frames, shape)
-    np.save(building / "index.npy", index, allow_pickle=False)
-    facts = {
-        "version": CACHE_VERSION,
-        "layout": layout,
-        "where": where,
-        "store_fingerprint": store.fingerprint,
-        "skipped": [asdict(each) for each in skipped],
-    }
-    (building / "cache.json").write_text(json.dumps(facts, indent=2), encoding="utf-8")
-    for path in building.iterdir():
-        files.sync_file(path)
-    building.replace(target)
-    files.sync_folder(target.parent)
-
-
-def _index(kept: "pd.DataFrame") -> np.ndarray:
-    index = np.zeros(len(kept), INDEX_DTYPE)
-    for name in INDEX_COLUMNS:
-        index[name] = kept[name].to_numpy()
-    index["start_row"][1:] = np.cumsum(index["num_frames"][:-1], dtype=np.int64)
-    return index
-
-
-def _num_joints(kept: "pd.DataFrame", maps: dict[str, _SkeletonMap], layout: str) -> int:
-    counts = sorted({maps[fingerprint].num_joints for fingerprint in kept["skeleton"].unique()})
-    if len(counts) > 1:
-        raise UsageError(
-            f"the layout {layout!r} needs one number of joints, but the chosen sequences have "
-            f'{", ".join(map(str, counts))}: choose with a condition such as "num_joints = {counts[0]}"'
-        )
-    return counts[0]
-
-
-def _check_disk(folder: Path, shape: tuple[int, ...]) -> None:
-    needed, free = 4 * int(np.prod(shape, dtype=np.int64)), shutil.disk_usage(folder).free
-    if needed > free:
-        raise StoreError(
-            f"the cache needs {needed / 1e9:.1f} GB in {folder}, where {free / 1e9:.1f} GB are free: choose fewer "
-            "sequences with a condition, or free some space"
-        )
-
-
-def _write_positions(
-    path: Path, motions: Iterator[Float32[np.ndarray, "frames joints 3"]], shape: tuple[int, ...]
-) -> None:
-    header = {"descr": "<f4", "fortran_order": False, "shape": shape}
-    with path.open("wb") as handle:
-        np.lib.format.write_array_header_1_0(handle, header)
-        for positions in motions:
-            handle.write(np.ascontiguousarray(positions, dtype="<f4").data)
-
-
-def _load(path: Path) -> PositionCache:
-    facts = json.loads((path / "cache.json").read_text(encoding="utf-8"))
-    index = np.load(path / "index.npy", allow_pickle=False)
-    columns = {name: np.ascontiguousarray(index[name]) for name in INDEX_DTYPE.names or ()}
+def _load(path: Path, *, check: bool, deep: bool = False) -> PositionCache:
+    facts = read_json(path / CACHE_FILE, _MEND)
+    try:
+        digests = {name: FileDigest.parse(facts["files"][name]) for name in (POSITIONS_FILE, INDEX_FILE)}
+        skipped = tuple(Skipped(**each) for each in facts["skipped"])
+        layout, where, fingerprint = (facts[name] for name in ("layout", "where", "store_fingerprint"))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DamagedFileError(path / CACHE_FILE, f"{type(error).__name__}: {error}", _MEND) from None
+    for name, digest in digests.items() if check else ():
+        fault = file_fault(path / name, digest, deep=deep)
+        if fault:
+            raise DamagedFileError(path / name, fault, _MEND)
+    columns = _read_index(path / INDEX_FILE)
+    rows = RowFile.open(path / POSITIONS_FILE)
+    if rows.shape != (int(columns["num_frames"].sum(dtype=np.int64)), *rows.shape[1:2], 3):
+        raise DamagedFileError(path / POSITIONS_FILE, f"its shape {rows.shape} is not that of its index", _MEND)
     # A plain array over the map: views of np.memmap cost microseconds each.
-    positions = np.load(path / "positions.npy", mmap_mode="r", allow_pickle=False).view(np.ndarray)
-    return PositionCache(
-        path=path,
-        layout=facts["layout"],
-        where=facts["where"],
-        store_fingerprint=facts["store_fingerprint"],
-        positions=positions,
-        rows=RowFile.open(path / "positions.npy"),
-        skipped=tuple(Skipped(**each) for each in facts["skipped"]),
-        **columns,
-    )
+    positions = np.memmap(rows.path, "<f4", "r", rows.first_byte, rows.shape).view(np.ndarray)
+    return PositionCache(path, layout, where, fingerprint, positions, rows, skipped=skipped, **columns)
+
+
+def _read_index(path: Path) -> dict[str, Any]:
+    """The columns of an index, consistent with each other."""
+    try:
+        index = np.load(io.BytesIO(read_regular(path)), allow_pickle=False)
+        if not isinstance(index, np.ndarray) or index.dtype != INDEX_DTYPE or index.ndim != 1:
+            raise ValueError("it holds something else")
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise DamagedFileError(path, str(error), _MEND) from None
+    columns = {name: np.ascontiguousarray(index[name]) for name in INDEX_DTYPE.names or ()}
+    ends = np.cumsum(columns["num_frames"], dtype=np.int64)
+    if (
+        not len(index)
+        or columns["num_frames"].min() < 1
+        or (ends - columns["num_frames"] != columns["start_row"]).any()
+    ):
+        raise DamagedFileError(path, "its sequences do not follow each other", _MEND)
+    return columns
+
+
+def _require_wanted(cache: PositionCache, wanted: Wanted) -> None:
+    """Raise `DamagedFileError` where a cache is not what its folder's name says, or not about the store's sequences."""
+    store = wanted.store
+    if (cache.layout, cache.where, cache.store_fingerprint) != (wanted.layout, wanted.where, store.fingerprint):
+        raise DamagedFileError(cache.path / CACHE_FILE, "it is that of another cache", _MEND)
+    try:
+        rows = store.rows_of(cache.sequence_index)
+    except StoreError as error:
+        raise DamagedFileError(cache.path / INDEX_FILE, str(error), _MEND) from None
+    for name in ("num_frames", "fps_numerator", "fps_denominator"):
+        if not np.array_equal(numbers_of(store.sequences_table[name])[rows], getattr(cache, name)):
+            raise DamagedFileError(cache.path / INDEX_FILE, f"{name} are not those of {store.path}", _MEND)

@@ -1,4 +1,4 @@
-"""Python values → Arrow, without `pa.array` and `Table.from_pylist`: both import pandas, a third of a second."""
+"""Python values ↔ Arrow, without `pa.array`, `Table.from_pylist` and `to_numpy`: they import pandas, 0.3 seconds."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -36,6 +36,17 @@ def array_of(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
     if pa.types.is_boolean(kind):
         return pa.Array.from_buffers(kind, len(values), [validity, _bits(values)])
     return _over(np.array(values, kind.to_pandas_dtype()), kind, validity)
+
+
+def numbers_of(column: pa.Array | pa.ChunkedArray) -> Shaped[np.ndarray, " values"]:
+    """The numbers of a column as numpy's; raises `ValueError` for nulls."""
+    array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    if array.null_count:
+        raise ValueError(f"{array.null_count} of {len(array)} numbers are null")
+    dtype = np.dtype(array.type.to_pandas_dtype())
+    if not len(array):
+        return np.empty(0, dtype)
+    return np.frombuffer(array.buffers()[1], dtype, len(array), array.offset * dtype.itemsize)
 
 
 def _over(values: Shaped[np.ndarray, " values"], kind: pa.DataType, validity: pa.Buffer | None) -> pa.Array:

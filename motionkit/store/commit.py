@@ -1,24 +1,36 @@
 """What every change of a store is made of: one lock, tables under pending names, the manifest's rename, tidying up."""
 
+import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from motionkit.checksums import sha256_of
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from motionkit.core import files
 from motionkit.errors import StoreError
 from motionkit.interrupts import held_back
-from motionkit.store import files
+from motionkit.store.lock import LOCK_FILE, exclusive_lock
 from motionkit.store.manifest import (
     PENDING_SUFFIX,
+    TABLES,
     FileEntry,
     Manifest,
     commit_manifest,
     describe_file,
     read_manifest,
 )
-from motionkit.store.schema import FORMAT_VERSION, MANIFEST_FILE, SEGMENTS_FOLDER, SEQUENCES_FILE, SKELETONS_FILE
+from motionkit.store.schema import (
+    FORMAT_VERSION,
+    MANIFEST_FILE,
+    SEGMENTS_FOLDER,
+    SEQUENCES_PER_ROW_GROUP,
+    table_writer_options,
+)
 
-TABLES = (SEQUENCES_FILE, SKELETONS_FILE)
+_PART = re.compile(rf"part-[0-9]{{5,10}}\.parquet({re.escape(PENDING_SUFFIX)})?")
 EMPTY = Manifest(
     num_sequences=0, num_segments=0, num_frames=0, num_skeletons=0, next_sequence_index=0, next_part=0, files={}
 )
@@ -29,13 +41,14 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
     """Hold the writer's lock on a store, or on a folder that becomes one; yields its state, `EMPTY` for a new one.
 
     What a killed writer left is finished or removed first; what this one has written is removed where the block raises
-    before its commit, and kept after it. Raises `StoreError` for a store that is busy, missing,
-    present or not a store.
+    before its commit, and kept after it. Raises `StoreError` for a store that is busy, missing, present or not a
+    store; `LinkError` where its folder of parts is a symbolic link.
     """
     _check_target(store, must_exist=must_exist, must_not_exist=must_not_exist)
+    files.require_no_link(store / SEGMENTS_FOLDER, "move the parts into the store, or link the whole store")
     (store / SEGMENTS_FOLDER).mkdir(parents=True, exist_ok=True)
     busy = f"another process is writing to the store {store}: wait until it has ended"
-    with files.exclusive_lock(store / files.LOCK_FILE, busy=busy):
+    with exclusive_lock(store / LOCK_FILE, busy=busy):
         _check_target(store, must_exist=must_exist, must_not_exist=must_not_exist)
         manifest = committed(store)
         _tidy(store, manifest)
@@ -67,11 +80,19 @@ def pending(store: Path, name: str) -> Path:
     return store / (name + PENDING_SUFFIX)
 
 
+def write_pending(store: Path, name: str, table: pa.Table) -> None:
+    """Write a table where it waits for the commit; raises `OSError` that names the file."""
+    path = pending(store, name)
+    with files.naming(path):
+        files.create(path)
+        pq.write_table(table, path, row_group_size=SEQUENCES_PER_ROW_GROUP, **table_writer_options())
+
+
 def describe_pending(store: Path, num_rows: Mapping[str, int]) -> dict[str, FileEntry]:
     """The manifest's entries for finished pending tables, by their names and numbers of rows."""
     entries = {}
     for name, rows in num_rows.items():
-        files.sync_file(pending(store, name))
+        files.sync(pending(store, name))
         entries[name] = describe_file(pending(store, name), rows)
     return entries
 
@@ -83,16 +104,31 @@ def publish(store: Path, manifest: Manifest) -> None:
         _tidy(store, manifest)
 
 
+def leftovers(store: Path, manifest: Manifest) -> list[Path]:
+    """What a stopped command left in a store: parts that the manifest does not name, and whatever is pending.
+
+    While a part that it names is missing, others are not among them: one may be that part under a wrong name.
+    """
+    folder = store / SEGMENTS_FOLDER
+    found = sorted(path for path in folder.iterdir() if _PART.fullmatch(path.name)) if folder.is_dir() else []
+    complete = all((store / name).exists() for name in manifest.parts)
+    unnamed = [path for path in found if f"{SEGMENTS_FOLDER}/{path.name}" not in manifest.files]
+    parts = [path for path in unnamed if complete or path.name.endswith(PENDING_SUFFIX)]
+    return parts + [path for name in (*TABLES, MANIFEST_FILE) if os.path.lexists(path := pending(store, name))]
+
+
 def _tidy(store: Path, manifest: Manifest) -> None:
     for name in TABLES:
         path = pending(store, name)
-        if name in manifest.files and path.exists() and sha256_of(path) == manifest.files[name].sha256:
+        if name in manifest.files and _is_committed(path, manifest.files[name]):
             files.replace(path, store / name)
-    for name in (*TABLES, MANIFEST_FILE):
-        pending(store, name).unlink(missing_ok=True)
-    for path in (store / SEGMENTS_FOLDER).glob("part-*.parquet*"):
-        if f"{SEGMENTS_FOLDER}/{path.name}" not in manifest.files:
-            path.unlink(missing_ok=True)
+    for path in leftovers(store, manifest):
+        path.unlink(missing_ok=True)
+
+
+def _is_committed(path: Path, entry: FileEntry) -> bool:
+    """Whether a pending table is the one that the manifest names: its writer was stopped after the commit."""
+    return path.is_file() and not path.is_symlink() and describe_file(path, entry.num_rows) == entry
 
 
 def _check_target(path: Path, *, must_exist: bool, must_not_exist: bool) -> None:
@@ -104,7 +140,7 @@ def _check_target(path: Path, *, must_exist: bool, must_not_exist: bool) -> None
     if must_not_exist and is_store:
         raise StoreError(f"there already is a store at {path}: append to it, or overwrite it on purpose")
     if not is_store and path.exists():
-        ours = {SEGMENTS_FOLDER, files.LOCK_FILE, *(name + PENDING_SUFFIX for name in (*TABLES, MANIFEST_FILE))}
+        ours = {SEGMENTS_FOLDER, LOCK_FILE, *(name + PENDING_SUFFIX for name in (*TABLES, MANIFEST_FILE))}
         foreign = sorted(entry.name for entry in path.iterdir() if entry.name not in ours)
         if foreign:
             raise StoreError(f"{path} is not a store and not empty (it holds {foreign[0]}): name an empty folder")

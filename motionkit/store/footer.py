@@ -4,8 +4,10 @@ Source: https://github.com/apache/parquet-format/blob/master/src/main/thrift/par
 """
 
 import base64
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import pyarrow as pa
 
@@ -14,6 +16,8 @@ from motionkit.store.schema import FORMAT_VERSION, SEGMENTS
 from motionkit.store.thrift import Value, binary, boolean, i8, i32, i64, list_of, struct
 
 MAGIC = b"PAR1"
+# The size of the metadata and the magic number.
+_END_BYTES = 8
 
 # Numbers of the format (parquet.thrift): Type, FieldRepetitionType, ConvertedType, CompressionCodec, and the fields of
 # the unions LogicalType and ColumnOrder.
@@ -71,6 +75,19 @@ def footer(row_groups: Sequence[Value], num_rows: int) -> bytes:
         }
     ).content
     return content + len(content).to_bytes(4, "little") + MAGIC
+
+
+def read_footer(path: Path) -> bytes:
+    """What stands behind the last page of a Parquet file; raises `ValueError` where there is no such thing."""
+    with path.open("rb") as file:
+        num_bytes = file.seek(0, os.SEEK_END)
+        file.seek(max(0, num_bytes - _END_BYTES))
+        end = file.read()
+        length = int.from_bytes(end[:4], "little") + _END_BYTES
+        if end[4:] != MAGIC or length > num_bytes:
+            raise ValueError("it does not end as a Parquet file does")
+        file.seek(num_bytes - length)
+        return file.read()
 
 
 def _elements() -> Iterator[Value]:

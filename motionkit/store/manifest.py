@@ -1,29 +1,56 @@
-"""The manifest: which files make up a store, with their checksums; its rename is the commit."""
+"""The manifest: which files make up a store, with their checksums and its own; its rename is the commit."""
 
 import hashlib
 import json
+import re
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import motionkit
 from motionkit.checksums import sha256_of
-from motionkit.errors import StoreError
-from motionkit.store import files
-from motionkit.store.schema import FORMAT_NAME, FORMAT_VERSION, MANIFEST_FILE, SEGMENTS_FOLDER, part_number
+from motionkit.core import files
+from motionkit.core.sealed import read_json, sealed
+from motionkit.errors import DamagedFileError, StoreError
+from motionkit.store.schema import (
+    FORMAT_NAME,
+    FORMAT_VERSION,
+    MANIFEST_FILE,
+    SEGMENTS_FOLDER,
+    SEQUENCES_FILE,
+    SKELETONS_FILE,
+    part_name,
+    part_number,
+)
 from motionkit.store.versions import READABLE_VERSIONS
 
 PENDING_SUFFIX = ".new"
+TABLES = (SEQUENCES_FILE, SKELETONS_FILE)
+# Numbers of sequences and of parts are int32 in the tables.
+MOST_NUMBERS = 2**31
+_MEND = "restore it from a copy, or ingest the sources into a new store"
+_SHA256 = re.compile("[0-9a-f]{64}")
+_PART = re.compile(rf"{SEGMENTS_FOLDER}/part-[0-9]{{5,10}}\.parquet")
 
 
 @dataclass(frozen=True)
 class FileEntry:
-    """One file of a store: its size in bytes, sha256 and number of rows."""
+    """One file of a store: its sha256, size in bytes and number of rows.
+
+    `footer_sha256` is that of a part's footer (motionkit.store.footer), empty for tables and for parts whose pages
+    carry no checksums, as earlier versions wrote them.
+    """
 
     sha256: str
     num_bytes: int
     num_rows: int
+    footer_sha256: str = ""
+
+    def plain(self) -> dict[str, Any]:
+        """The entry as the manifest's JSON holds it."""
+        footer = {"footer_sha256": self.footer_sha256} if self.footer_sha256 else {}
+        return {"sha256": self.sha256, "num_bytes": self.num_bytes, "num_rows": self.num_rows, **footer}
 
 
 @dataclass(frozen=True)
@@ -31,7 +58,8 @@ class Manifest:
     """A committed state of a store; `files` maps paths inside the store to their entries, sorted by path.
 
     It holds no date and no machine name, so equal content gives an equal fingerprint. `next_sequence_index` and
-    `next_part` are past every number that was ever given, so that none comes to mean something else.
+    `next_part` are past every number that was ever given, so that none comes to mean something else. Raises
+    `ValueError` where they are not.
     """
 
     num_sequences: int
@@ -44,6 +72,12 @@ class Manifest:
     tool: str = field(default=f"motionkit {motionkit.__version__}")
     format_version: int = FORMAT_VERSION
 
+    def __post_init__(self) -> None:
+        if not _first_free_part(self.parts) <= self.next_part <= MOST_NUMBERS:
+            raise ValueError(f"its next part is {self.next_part}, but it names {self.parts[-1:] or 'none'}")
+        if not self.num_sequences <= self.next_sequence_index <= MOST_NUMBERS:
+            raise ValueError(f"its next sequence_index is {self.next_sequence_index} of {self.num_sequences} sequences")
+
     @property
     def num_removed_segments(self) -> int:
         """Rows of the parts that no sequence has any more: what `motionkit compact` drops."""
@@ -54,8 +88,8 @@ class Manifest:
         """Bytes of all files that it names."""
         return sum(entry.num_bytes for entry in self.files.values())
 
-    def to_json(self) -> str:
-        """The file's text, deterministic."""
+    def plain(self) -> dict[str, Any]:
+        """The manifest as its JSON holds it, but for the checksum."""
         counts = {
             "sequences": self.num_sequences,
             "segments": self.num_segments,
@@ -64,26 +98,29 @@ class Manifest:
         }
         following = {"sequence_index": self.next_sequence_index, "part": self.next_part}
         free = {"sequence_index": self.num_sequences, "part": _first_free_part(self.parts)}
-        document = {
+        return {
             "format": FORMAT_NAME,
             "format_version": self.format_version,
             "tool": self.tool,
             "counts": counts,
             # Only where removals left gaps, so that a store without them is told by its content alone.
             **({"next": following} if following != free else {}),
-            "files": {name: asdict(entry) for name, entry in sorted(self.files.items())},
+            "files": {name: entry.plain() for name, entry in sorted(self.files.items())},
         }
-        return json.dumps(document, indent=2) + "\n"
 
     @property
     def fingerprint(self) -> str:
-        """Hex sha256 of the manifest, which holds the sha256 of every file: equal for equal stores."""
-        return hashlib.sha256(self.to_json().encode()).hexdigest()
+        """Hex sha256 of the manifest without its checksum; it holds those of all files: equal for equal stores."""
+        return hashlib.sha256(_text(self.plain()).encode()).hexdigest()
 
     @property
     def parts(self) -> tuple[str, ...]:
         """Paths of the segment files inside the store, in order."""
         return _parts_of(self.files)
+
+
+def _text(document: dict[str, Any]) -> str:
+    return json.dumps(document, indent=2) + "\n"
 
 
 def _parts_of(names: Iterable[str]) -> tuple[str, ...]:
@@ -98,52 +135,81 @@ def read_manifest(store: Path) -> Manifest:
     """Read a store's manifest; raises `StoreError` where there is none, or it is damaged or of another version."""
     path = store / MANIFEST_FILE
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = read_json(path, _MEND)
     except FileNotFoundError:
         raise StoreError(
             f"there is no store at {store}: make one with 'motionkit ingest SOURCE --store {store}'"
         ) from None
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{path} cannot be read as JSON ({error}): restore it from a copy") from None
-    if not isinstance(document, dict) or document.get("format") != FORMAT_NAME:
+    except (OSError, DamagedFileError) as error:
+        raise StoreError(str(error)) from None
+    if document.get("format") != FORMAT_NAME:
         raise StoreError(f"{path} is not the manifest of a store: its 'format' is not {FORMAT_NAME!r}")
     version = document.get("format_version")
     if version not in READABLE_VERSIONS:
         raise StoreError(
-            f"the store {store} has format version {version} and was written by {document.get('tool', 'another')}, "
+            f"the store {store} has format version {version!r} and was written by {document.get('tool', 'another')!r}, "
             f"but motionkit {motionkit.__version__} reads versions {READABLE_VERSIONS[0]} to "
             f"{FORMAT_VERSION}: install the motionkit that wrote it, or ingest the sources again"
         )
     try:
         return _parse(document)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StoreError(f"{path} is damaged ({type(error).__name__}: {error}): restore it from a copy") from None
+    except (KeyError, ValueError) as error:
+        fault = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise StoreError(
+            f"{path} is damaged ({fault}): restore it from a copy, or ingest the sources into a new store"
+        ) from None
 
 
 def _parse(document: dict[str, Any]) -> Manifest:
-    entries = {}
-    for name, entry in document["files"].items():
-        if Path(name).is_absolute() or ".." in Path(name).parts:
-            raise ValueError(f"the file name {name!r} leads out of the store")
-        entries[name] = FileEntry(str(entry["sha256"]), int(entry["num_bytes"]), int(entry["num_rows"]))
-    counts, following = document["counts"], document.get("next", {})
+    stated = _mapping(document, "files")
+    entries = {name: _entry(name, _mapping(stated, name)) for name in stated}
+    counts, following = _mapping(document, "counts"), _mapping({"next": {}, **document}, "next")
+    tool = document["tool"]
+    if not isinstance(tool, str) or not tool.isprintable():
+        raise ValueError(f"its tool is {tool!r}")
     return Manifest(
-        num_sequences=int(counts["sequences"]),
-        num_segments=int(counts["segments"]),
-        num_frames=int(counts["frames"]),
-        num_skeletons=int(counts["skeletons"]),
+        num_sequences=_count(counts, "sequences"),
+        num_segments=_count(counts, "segments"),
+        num_frames=_count(counts, "frames"),
+        num_skeletons=_count(counts, "skeletons"),
         files=entries,
-        next_sequence_index=int(following.get("sequence_index", counts["sequences"])),
-        next_part=int(following.get("part", _first_free_part(_parts_of(entries)))),
-        tool=str(document["tool"]),
-        format_version=int(document["format_version"]),
+        next_sequence_index=_count(following or counts, "sequence_index" if following else "sequences"),
+        next_part=_count(following, "part") if following else _first_free_part(_parts_of(entries)),
+        tool=tool,
+        format_version=_count(document, "format_version"),
     )
+
+
+def _entry(name: str, entry: dict[str, Any]) -> FileEntry:
+    if name not in TABLES and not (_PART.fullmatch(name) and name == part_name(part_number(name))):
+        raise ValueError(f"it names {name!r}, which is no file of a store")
+    footer = entry.get("footer_sha256")
+    for digest in (entry["sha256"], *([footer] if footer is not None else [])):
+        if not isinstance(digest, str) or not _SHA256.fullmatch(digest):
+            raise ValueError(f"the sha256 of {name} is {digest!r}")
+    return FileEntry(entry["sha256"], _count(entry, "num_bytes"), _count(entry, "num_rows"), footer or "")
+
+
+def _mapping(document: dict[str, Any], name: str) -> dict[str, Any]:
+    value = document[name]
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} is {str(value)[:40]!r}")
+    return value
+
+
+def _count(values: dict[str, Any], name: str) -> int:
+    value = values[name]
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**63:
+        raise ValueError(f"{name} is {value!r}")
+    return value
 
 
 def commit_manifest(store: Path, manifest: Manifest) -> None:
     """Write the manifest beside the old one and rename it: from then on the store is the new one."""
     pending = store / (MANIFEST_FILE + PENDING_SUFFIX)
-    pending.write_text(manifest.to_json(), encoding="utf-8")
+    with files.naming(pending):
+        files.create(pending)
+        pending.write_text(_text(sealed(manifest.plain())), encoding="utf-8")
     files.replace(pending, store / MANIFEST_FILE)
 
 
@@ -160,8 +226,11 @@ def read_committed(store: Path, name: str, entry: FileEntry) -> bytes | None:
     checksum says which one it is, also while a writer is at work.
     """
     for path in (store / name, store / (name + PENDING_SUFFIX)):
+        # Both differ while a writer is at work, so the size tells most of the time, and nothing too large is read.
         try:
-            content = path.read_bytes()
+            if path.stat().st_size != entry.num_bytes:
+                continue
+            content = files.read_regular(path)
         except FileNotFoundError:
             continue
         if hashlib.sha256(content).hexdigest() == entry.sha256:

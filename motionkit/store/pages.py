@@ -9,6 +9,7 @@ neighbours to compress well; with high and low bytes under one table of codes it
 Source of the format: https://parquet.apache.org/docs/file-format/data-pages/
 """
 
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
@@ -53,12 +54,13 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """One data page as it stands in a file, in pieces; `num_values` counts nulls too.
+    """One data page as it stands in a file: header and body; `num_values` counts nulls too.
 
-    `num_bytes_plain` is its size with its body uncompressed.
+    `num_bytes_plain` is its size with its body uncompressed. The header holds the CRC-32 of the body.
     """
 
-    pieces: tuple[bytes | memoryview, ...]
+    header: bytes
+    body: bytes
     num_values: int
     num_bytes_plain: int
 
@@ -128,8 +130,10 @@ def _levels(runs: Iterable[tuple[int, int]]) -> bytes:
     return len(content).to_bytes(4, "little") + content
 
 
-def _page(body: tuple[bytes | memoryview, ...], num_values: int, num_bytes: int, encoding: int) -> Page:
+def _page(pieces: tuple[bytes | memoryview, ...], num_values: int, num_bytes: int, encoding: int) -> Page:
+    body = b"".join(pieces)
     of_data = struct({1: i32(num_values), 2: i32(encoding), 3: i32(RLE), 4: i32(RLE)})
-    compressed = sum(map(len, body))
-    header = struct({1: i32(DATA_PAGE), 2: i32(num_bytes), 3: i32(compressed), 5: of_data}).content
-    return Page((header, *body), num_values, len(header) + num_bytes)
+    checksum = int.from_bytes(zlib.crc32(body).to_bytes(4, "little"), "little", signed=True)
+    fields = {1: i32(DATA_PAGE), 2: i32(num_bytes), 3: i32(len(body)), 4: i32(checksum), 5: of_data}
+    header = struct(fields).content
+    return Page(header, body, num_values, len(header) + num_bytes)

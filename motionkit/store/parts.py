@@ -1,6 +1,7 @@
 """Compressed sequences → immutable parts: row groups of 16–31 segments, sequences contiguous and within one part."""
 
 import hashlib
+import os
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -8,8 +9,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int32
 
-from motionkit.store import files
+from motionkit.core import files
+from motionkit.errors import StoreError
 from motionkit.store.encode import EncodedMotion
+from motionkit.store.flushing import Flushing
 from motionkit.store.footer import MAGIC, Chunk, footer, row_group
 from motionkit.store.manifest import PENDING_SUFFIX, FileEntry
 from motionkit.store.pages import Page, Run, float_page, integer_page, segment_frames
@@ -32,26 +35,29 @@ FLUSHED_BYTES = 16 * 2**20
 class _File:
     """Owns a file that is being written; knows how many bytes it has and their sha256."""
 
-    def __init__(self, path: Path, flushing: files.Flushing) -> None:
+    def __init__(self, path: Path, flushing: Flushing) -> None:
         self.path = path
         self.num_bytes = 0
         self._sha256 = hashlib.sha256()
+        files.create(path)
         self._file = path.open("wb")
         self._flushing = flushing
         self._flushed_bytes = 0
 
     def write(self, content: bytes) -> None:
-        """Append bytes."""
-        self._file.write(content)
+        """Append bytes; raises `OSError` that names the file."""
+        with files.naming(self.path):
+            self._file.write(content)
         self._sha256.update(content)
         self.num_bytes += len(content)
         if self.num_bytes - self._flushed_bytes >= FLUSHED_BYTES:
             self._flushed_bytes = self.num_bytes
-            self._flushing.begin(partial(files.sync_file, self.path))
+            self._flushing.begin(partial(files.sync, self.path))
 
     def close(self) -> str:
         """End it; the sha256 of all that was written, hex."""
-        self._file.close()
+        with files.naming(self.path):
+            self._file.close()
         return self._sha256.hexdigest()
 
 
@@ -80,7 +86,8 @@ class _RowGroup:
 
 def _chunk(file: _File, page: Page, bounds: tuple[int, int] | None = None) -> Chunk:
     first_byte = file.num_bytes
-    file.write(b"".join(page.pieces))
+    file.write(page.header)
+    file.write(page.body)
     return Chunk(first_byte, file.num_bytes - first_byte, page.num_bytes_plain, page.num_values, bounds)
 
 
@@ -101,7 +108,7 @@ class PartWriter:
         self._pending = _RowGroup()
         self._file: _File | None = None
         self._row_groups: list[Value] = []
-        self._flushing = files.Flushing()
+        self._flushing = Flushing()
 
     @property
     def position(self) -> tuple[int, int]:
@@ -125,11 +132,13 @@ class PartWriter:
             self._write_row_group()
         if self._file is None:
             return
-        self._file.write(footer(self._row_groups, self._rows_written))
+        end = footer(self._row_groups, self._rows_written)
+        self._file.write(end)
         sha256 = self._file.close()
         name = part_name(self._number)
         self._flushing.begin(partial(files.replace, self._file.path, self._store / name))
-        self.finished[name] = FileEntry(sha256, self._file.num_bytes, self._rows_written)
+        footer_sha256 = hashlib.sha256(end).hexdigest()
+        self.finished[name] = FileEntry(sha256, self._file.num_bytes, self._rows_written, footer_sha256)
         self._file = None
         self._row_groups.clear()
         self._number += 1
@@ -149,7 +158,10 @@ class PartWriter:
 
     def _write_row_group(self) -> None:
         if self._file is None:
-            self._file = _File(self._store / (part_name(self._number) + PENDING_SUFFIX), self._flushing)
+            path = self._store / part_name(self._number)
+            if os.path.lexists(path):
+                raise StoreError(f"{path} is there already, and is not written over: 'motionkit validate' says more")
+            self._file = _File(path.with_name(path.name + PENDING_SUFFIX), self._flushing)
             self._file.write(MAGIC)
         self._row_groups.append(self._pending.write_to(self._file))
         self._rows_written += self._pending.num_rows

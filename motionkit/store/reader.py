@@ -12,13 +12,11 @@ from jaxtyping import Int, Int64
 
 from motionkit.errors import StoreError, UsageError
 from motionkit.motion import Motion
-from motionkit.skeleton import Skeleton
 from motionkit.store import codec
 from motionkit.store.encode import EncodedMotion, compressed
-from motionkit.store.manifest import Manifest, read_committed, read_manifest
+from motionkit.store.manifest import Manifest, read_manifest
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
-    FORMAT_VERSION,
     PLACE_COLUMNS,
     SEGMENTS,
     SEQUENCES,
@@ -26,8 +24,8 @@ from motionkit.store.schema import (
     SKELETONS_FILE,
 )
 from motionkit.store.segment_reader import SegmentReader, check_still_there
-from motionkit.store.tables import read_table
-from motionkit.store.versions import upgraded
+from motionkit.store.table_checks import require_sound
+from motionkit.store.tables import not_committed, open_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +46,9 @@ class Store:
         self.manifest = manifest
         self.sequences_table = sequences
         self.skeletons_table = skeletons
-        self._segments = SegmentReader(path)
+        self.skeletons = require_sound(path, manifest, sequences, skeletons)
+        """Skeletons by fingerprint."""
+        self._segments = SegmentReader(path, manifest.files)
 
     @classmethod
     def open(cls, path: Path | str) -> "Store":
@@ -56,14 +56,11 @@ class Store:
         path = Path(path)
         for _ in range(OPEN_ATTEMPTS):
             manifest = read_manifest(path)
-            sequences = _read_table(path, manifest, SEQUENCES_FILE)
-            skeletons = _read_table(path, manifest, SKELETONS_FILE)
+            sequences = open_table(path, manifest, SEQUENCES_FILE)
+            skeletons = open_table(path, manifest, SKELETONS_FILE)
             if sequences is not None and skeletons is not None:
-                return cls(path, manifest, sequences, skeletons)
-        raise StoreError(
-            f"the tables of the store {path} are not those that its manifest names: "
-            f"'motionkit validate --store {path}' says which; restore them from a copy or ingest again"
-        )
+                return cls(path, manifest, sequences.combine_chunks(), skeletons)
+        raise not_committed(path)
 
     @property
     def fingerprint(self) -> str:
@@ -101,11 +98,6 @@ class Store:
             held = f"from {self._indices[0]} to {self._indices[-1]}" if self.num_sequences else "none"
             raise StoreError(f"the store {self.path} holds no sequence {indices[~known][0]}: its indices are {held}")
         return rows
-
-    @cached_property
-    def skeletons(self) -> dict[str, Skeleton]:
-        """Skeletons by fingerprint."""
-        return {row["skeleton"]: codec.skeleton_from_row(row) for row in self.skeletons_table.to_pylist()}
 
     def index_of(self, sequence_id: str) -> int:
         """Index of a sequence by its id; raises `StoreError` for an id that the store does not hold."""
@@ -173,13 +165,19 @@ class Store:
         except (pa.ArrowException, OSError) as error:
             raise StoreError(f"{error}: 'motionkit validate --store {self.path}' says what is damaged") from None
 
+    def part(self, name: str) -> Path:
+        """Path of a part whose footer is what the manifest says; raises `StoreError` where it is damaged."""
+        return self._segments.checked_part(name)
+
     def _segments_dataset(self) -> Any:
         import pyarrow.dataset as ds  # which imports pandas: a third of a second that no worker of an ingest needs
 
-        parts = [str(self.path / name) for name in self.manifest.parts]
+        parts = [str(self.part(name)) for name in self.manifest.parts]
         if not parts:
             return SEGMENTS.empty_table()
-        segments = ds.dataset(parts, schema=SEGMENTS, format="parquet")
+        checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+        pages = ds.ParquetFileFormat(default_fragment_scan_options=checked)
+        segments = ds.dataset(parts, schema=SEGMENTS, format=pages)
         if not self.manifest.num_removed_segments:
             return segments
         return segments.filter(pc.field("sequence_index").isin(self.sequences_table["sequence_index"]))
@@ -200,14 +198,3 @@ class Store:
     def __repr__(self) -> str:
         counts = self.manifest
         return f"Store({str(self.path)!r}, {counts.num_sequences} sequences, {counts.num_frames} frames)"
-
-
-def _read_table(store: Path, manifest: Manifest, name: str) -> pa.Table | None:
-    """A table as the manifest names it; None where a writer has committed since the manifest was read."""
-    if name not in manifest.files:
-        raise StoreError(f"the manifest of the store {store} does not name {name}: restore it from a copy")
-    content = read_committed(store, name, manifest.files[name])
-    if content is None:
-        return None
-    table = read_table(content)
-    return (table if manifest.format_version == FORMAT_VERSION else upgraded(table, name)).combine_chunks()

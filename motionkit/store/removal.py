@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from motionkit.store.commit import changing, describe_pending, pending, publish, require_present_version
+from motionkit.store.commit import changing, describe_pending, publish, require_present_version, write_pending
 from motionkit.store.manifest import Manifest
 from motionkit.store.reader import Store
-from motionkit.store.schema import SEQUENCES_FILE, SEQUENCES_PER_ROW_GROUP, part_number, table_writer_options
+from motionkit.store.schema import SEQUENCES_FILE, part_number
 
 
 def remove(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = None) -> tuple[str, ...]:
@@ -39,8 +38,7 @@ def remove(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = 
 
 def _without(path: Path, previous: Manifest, kept: pa.Table) -> Manifest:
     """Write the table of what is kept and describe the store that it makes."""
-    table = pending(path, SEQUENCES_FILE)
-    pq.write_table(kept, table, row_group_size=SEQUENCES_PER_ROW_GROUP, **table_writer_options())
+    write_pending(path, SEQUENCES_FILE, kept)
     live = set(np.unique(kept["part"].to_numpy()).tolist())
     dead = {name for name in previous.parts if part_number(name) not in live}
     entries = {name: entry for name, entry in previous.files.items() if name not in dead}

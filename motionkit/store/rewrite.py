@@ -10,9 +10,10 @@ from jaxtyping import Int
 
 from motionkit.checksums import sha256_of
 from motionkit.errors import StoreError, UsageError
-from motionkit.store.commit import committed, require_present_version
+from motionkit.store.cache_folder import remove_stale_caches
+from motionkit.store.commit import changing, committed, require_present_version
 from motionkit.store.encode import EncodedMotion, encode
-from motionkit.store.manifest import Manifest, read_manifest
+from motionkit.store.manifest import Manifest
 from motionkit.store.reader import Store
 from motionkit.store.schema import FORMAT_VERSION, MANIFEST_FILE, PART_BYTES, part_name
 from motionkit.store.writer import StoreWriter
@@ -28,8 +29,9 @@ def migrate(path: Path, on_sequence: OnSequence = lambda: None) -> bool:
     Every motion is read, measured and written again; until the commit the disk holds both. Raises `StoreError` where
     there is no store, or it is damaged or busy.
     """
-    if read_manifest(path).format_version == FORMAT_VERSION:
-        return False
+    with changing(path, must_exist=True) as manifest:
+        if manifest.format_version == FORMAT_VERSION:
+            return False
     _write_anew(path, PART_BYTES, on_sequence)
     return True
 
@@ -38,15 +40,17 @@ def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: i
     """Write full parts with nothing in them but the store's sequences, numbered 0, 1, 2 …; False where it is so.
 
     Figures and frames are copied as they are: the parts and rows are those of one ingest of the same motions, but for
-    the numbers of the parts, which go on. Until the commit the disk holds both; then the old parts are deleted. Raises
-    `StoreError` where there is no store, or it is damaged, busy or of an earlier version.
+    the numbers of the parts, which go on. Until the commit the disk holds both; then the old parts and the training
+    caches of earlier states are deleted, also those that a stopped command left. Raises `StoreError` where there is no
+    store, or it is damaged, busy or of an earlier version.
     """
-    manifest = read_manifest(path)
-    require_present_version(path, manifest)
-    if _is_compact(manifest, part_bytes):
-        return False
-    _write_anew(path, part_bytes, on_sequence)
-    return True
+    with changing(path, must_exist=True) as manifest:
+        require_present_version(path, manifest)
+        is_compact = _is_compact(manifest, part_bytes)
+    if not is_compact:
+        _write_anew(path, part_bytes, on_sequence)
+    remove_stale_caches(path, committed(path).fingerprint)
+    return not is_compact
 
 
 def _is_compact(manifest: Manifest, part_bytes: int) -> bool:

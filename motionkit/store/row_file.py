@@ -1,7 +1,10 @@
-"""Rows of a .npy file, read when they are asked for."""
+"""Rows of a .npy file: written block by block, read when they are asked for."""
 
+import hashlib
+import math
 import os
 import weakref
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,7 +12,34 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from motionkit.errors import StoreError
+from motionkit.core.files import require_regular, whole_file
+from motionkit.errors import DamagedFileError, StoreError
+from motionkit.store.digests import FileDigest
+
+_MEND = "delete it, it is made anew"
+
+
+def write_rows(path: Path, shape: tuple[int, ...], blocks: Iterable[Float32[np.ndarray, "..."]]) -> FileDigest:
+    """Write a float32 .npy file of `shape` that appears when it is complete; `blocks` are its rows in order.
+
+    Raises `ValueError` where they are not as many or not of that shape, and `OSError` that names the file.
+    """
+    digest, num_rows = hashlib.sha256(), 0
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})
+        file.flush()
+        digest.update(temporary.read_bytes())
+        for block in blocks:
+            if block.shape[1:] != shape[1:]:
+                raise ValueError(f"{path.name}: rows of shape {block.shape[1:]}, expected {shape[1:]}")
+            content = np.ascontiguousarray(block, dtype="<f4").data
+            file.write(content)
+            digest.update(content)
+            num_rows += len(block)
+        if num_rows != shape[0]:
+            raise ValueError(f"{path.name}: {num_rows} rows, expected {shape[0]}")
+        num_bytes = file.tell()
+    return FileDigest(digest.hexdigest(), num_bytes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,16 +56,20 @@ class RowFile:
 
     @classmethod
     def open(cls, path: Path) -> "RowFile":
-        """The rows of a .npy file; raises `StoreError` for one that is not of little-endian float32 in C order."""
+        """The rows of a .npy file; raises `DamagedFileError` for one that is not of `<f4` in C order, or is cut."""
+        require_regular(path)
         with path.open("rb") as file:
             try:
                 version = np.lib.format.read_magic(file)
                 shape, in_columns, dtype = np.lib.format.read_array_header_1_0(file)
             except ValueError as error:
-                raise StoreError(f"{path} is not a .npy file ({error}): delete it, it is made anew") from None
-            if version != (1, 0) or in_columns or dtype != np.dtype("<f4") or not shape:
-                raise StoreError(f"{path} holds {dtype} {shape}, not rows of float32: delete it, it is made anew")
-            return cls(path, shape, file.tell())
+                raise DamagedFileError(path, f"it is no .npy file: {error}", _MEND) from None
+            if version != (1, 0) or in_columns or dtype != np.dtype("<f4") or not shape or min(shape) < 0:
+                raise DamagedFileError(path, f"it holds {dtype} {shape}, not rows of float32", _MEND)
+            first_byte = file.tell()
+            if file.seek(0, os.SEEK_END) != first_byte + 4 * math.prod(shape):
+                raise DamagedFileError(path, f"it does not have the bytes of float32 {shape}", _MEND)
+            return cls(path, shape, first_byte)
 
     def __len__(self) -> int:
         return self.shape[0]

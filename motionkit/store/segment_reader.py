@@ -1,5 +1,6 @@
 """Frames out of parts: decoded by row group, of which the last few are kept."""
 
+import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -13,10 +14,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float32, Int64
 
+from motionkit.checksums import sha256_of
+from motionkit.core.files import require_regular
 from motionkit.errors import StoreError
 from motionkit.store import codec
-from motionkit.store.manifest import read_manifest
-from motionkit.store.schema import FLOAT_COLUMNS, KEY_COLUMNS, part_name
+from motionkit.store.footer import read_footer
+from motionkit.store.manifest import FileEntry, read_manifest
+from motionkit.store.schema import FLOAT_COLUMNS, KEY_COLUMNS, SEGMENT_FRAMES, SEGMENTS, part_name
 
 # An open part is its footer: about 500 bytes for each row group. A decoded row group of long takes is 2 to 10 MB.
 KEPT_PARTS = 32
@@ -52,8 +56,10 @@ class _Part:
 class SegmentReader:
     """Owns the open parts and the decoded row groups of one committed state of a store."""
 
-    def __init__(self, store: Path) -> None:
+    def __init__(self, store: Path, entries: Mapping[str, FileEntry]) -> None:
         self._store = store
+        self._entries = entries
+        self._sound: set[str] = set()
         self._parts: _Latest[int, _Part] = _Latest(KEPT_PARTS)
         self._row_groups: _Latest[tuple[int, int, tuple[str, ...]], pa.Table] = _Latest(KEPT_ROW_GROUPS)
 
@@ -64,8 +70,9 @@ class SegmentReader:
 
         Raises `StoreError` where the part is damaged, or gone since the store was opened.
         """
-        out = {name: np.empty((row["num_frames"], *shape), np.float32) for name, shape in wanted.items()}
         with self._explained(row):
+            self._part(row)  # before so much memory is asked for
+            out = {name: np.empty((row["num_frames"], *shape), np.float32) for name, shape in wanted.items()}
             for rows in self._rows(row, decode):
                 _copy_segments(rows, out)
         return out
@@ -82,25 +89,58 @@ class SegmentReader:
                     raise ValueError(f"{name} holds {flat[name].size} numbers")
         return flat
 
+    def checked_part(self, name: str) -> Path:
+        """Path of a part that is what the manifest says, as far as its pages do not say it of themselves.
+
+        Pages carry checksums, which are compared when they are decoded; here it is the footer, or the whole of a part
+        whose pages have none (earlier versions wrote such), once in a process. Raises `StoreError` where it is damaged,
+        `FileNotFoundError` where it is gone.
+        """
+        path, entry = self._store / name, self._entries[name]
+        if name in self._sound:
+            return path
+        require_regular(path)
+        intact = path.stat().st_size == entry.num_bytes
+        if intact and entry.footer_sha256:
+            intact = hashlib.sha256(read_footer(path)).hexdigest() == entry.footer_sha256
+        elif intact:
+            intact = sha256_of(path) == entry.sha256
+        if not intact:
+            raise StoreError(
+                f"{path} is damaged (it is not the file that the manifest names): 'motionkit validate --store "
+                f"{self._store}' says what is; restore it from a copy, or ingest the sources into a new store"
+            )
+        self._sound.add(name)
+        return path
+
+    def _part(self, row: Mapping[str, Any]) -> _Part:
+        """The part of a sequence; raises `ValueError` where it has fewer rows than the sequence needs."""
+        part = self._parts.get(row["part"], lambda: self._open(row["part"]))
+        if not 0 <= row["first_row"] <= part.row_group_starts[-1] - row["num_segments"]:
+            raise ValueError("the part ends before the sequence does")
+        return part
+
     def _rows(self, row: Mapping[str, Any], columns: tuple[str, ...]) -> Iterator[pa.Table]:
         """The segments of one sequence, row group by row group."""
         first, last = row["first_row"], row["first_row"] + row["num_segments"]
-        part = self._parts.get(row["part"], lambda: self._open(row["part"]))
+        part = self._part(row)
         starts = part.row_group_starts
-        if last > starts[-1]:
-            raise ValueError("the part ends before the sequence does")
         while first < last:
             group = int(np.searchsorted(starts, first, side="right")) - 1
             table = self._row_groups.get((row["part"], group, columns), partial(_decode, part.file, group, columns))
             stop = min(last, int(starts[group + 1]))
             rows = table.slice(first - int(starts[group]), stop - first)
-            _check_owner(rows, row["sequence_index"])
+            _check_keys(rows, row, first - row["first_row"], stop - first)
             yield rows
             first = stop
 
     def _open(self, number: int) -> _Part:
-        file = pq.ParquetFile(self._store / part_name(number))
+        file = pq.ParquetFile(self.checked_part(part_name(number)), page_checksum_verification=True)
+        if not file.schema_arrow.equals(SEGMENTS):
+            raise ValueError("its columns are not those of a part")
         counts = [file.metadata.row_group(group).num_rows for group in range(file.metadata.num_row_groups)]
+        if min(counts, default=1) < 1:
+            raise ValueError("it has a row group without rows")
         return _Part(file, np.cumsum([0, *counts], dtype=np.int64))
 
     @contextmanager
@@ -108,11 +148,12 @@ class SegmentReader:
         name = part_name(row["part"])
         try:
             yield
-        except (pa.ArrowException, OSError, ValueError) as error:
+        except (pa.ArrowException, OSError, ValueError, IndexError, MemoryError) as error:
             if isinstance(error, FileNotFoundError):
                 check_still_there(self._store, [name])
             raise StoreError(
-                f"the frames of sequence {row['sequence_id']!r} cannot be read from {name} ({error}): "
+                f"the frames of sequence {row['sequence_id']!r} cannot be read from {name} "
+                f"({' '.join(str(error).split())}): "
                 f"'motionkit validate --store {self._store}' says what is damaged"
             ) from None
 
@@ -130,10 +171,13 @@ def _decode(file: pq.ParquetFile, group: int, columns: tuple[str, ...]) -> pa.Ta
     return file.read_row_group(group, columns=[*KEY_COLUMNS, *columns]).combine_chunks()
 
 
-def _check_owner(rows: pa.Table, sequence_index: int) -> None:
-    owner = rows["sequence_index"].to_numpy()
-    if (owner != sequence_index).any():
-        raise ValueError(f"segments of sequence {owner[owner != sequence_index][0]} where {sequence_index}'s should be")
+def _check_keys(rows: pa.Table, row: Mapping[str, Any], first_segment: int, num_segments: int) -> None:
+    """Raise `ValueError` where rows are not these segments of a sequence."""
+    start = SEGMENT_FRAMES * np.arange(first_segment, first_segment + num_segments)
+    count = np.minimum(SEGMENT_FRAMES, row["num_frames"] - start)
+    for name, expected in zip(KEY_COLUMNS, (np.full_like(start, row["sequence_index"]), start, count), strict=True):
+        if not np.array_equal(rows[name].to_numpy(), expected):
+            raise ValueError(f"{name} of its segments is not what the table of sequences says")
 
 
 def _values(rows: pa.Table, name: str) -> tuple[Float32[np.ndarray, "_"], Int64[np.ndarray, "_"]]:
@@ -143,9 +187,11 @@ def _values(rows: pa.Table, name: str) -> tuple[Float32[np.ndarray, "_"], Int64[
 
 
 def _copy_segments(rows: pa.Table, out: Mapping[str, Float32[np.ndarray, "frames *channels"]]) -> None:
-    start, count = rows["start_frame"].to_numpy(), rows["num_frames"].to_numpy()
+    start, count = rows["start_frame"].to_numpy(), rows["num_frames"].to_numpy().astype(np.int64)
     for name, target in out.items():
         values, bounds = _values(rows, name)
+        if (np.diff(bounds) != count * target[0].size).any():
+            raise ValueError(f"{name} does not have {target[0].size} numbers for each frame")
         for i in range(len(start)):
-            frames = target[start[i] : start[i] + int(count[i])]
+            frames = target[start[i] : start[i] + count[i]]
             codec.write_frames(values[bounds[i] : bounds[i + 1]], int(count[i]), frames)

@@ -10,15 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
 from motionkit.errors import UsageError
 from motionkit.store.columns import array_of
-from motionkit.store.commit import changing, describe_pending, pending, publish, require_present_version
+from motionkit.store.commit import changing, describe_pending, publish, require_present_version, write_pending
 from motionkit.store.manifest import read_manifest
 from motionkit.store.reader import Store
-from motionkit.store.schema import SEQUENCES_FILE, SEQUENCES_PER_ROW_GROUP, table_writer_options
+from motionkit.store.schema import SEQUENCES_FILE
 
 # HumanML3D's own shares.
 DEFAULT_SHARES = {"train": 0.8, "val": 0.05, "test": 0.15}
@@ -86,9 +85,7 @@ def split(
             return report
         place = store.sequences_table.schema.get_field_index("split")
         table = store.sequences_table.set_column(place, store.sequences_table.schema.field(place), column)
-        pq.write_table(
-            table, pending(path, SEQUENCES_FILE), row_group_size=SEQUENCES_PER_ROW_GROUP, **table_writer_options()
-        )
+        write_pending(path, SEQUENCES_FILE, table)
         entries = previous.files | describe_pending(path, {SEQUENCES_FILE: table.num_rows})
         publish(path, replace(previous, files=entries))
     return replace(report, fingerprint=read_manifest(path).fingerprint)

@@ -10,6 +10,8 @@ import pyarrow as pa
 
 from motionkit.errors import UsageError
 
+# How duckdb's versions begin to tell that a view's rows did not come, and how Arrow says why.
+_OF_DAMAGED_VIEWS = ("reading the stream registered as", "get_next failed", "could not verify page integrity")
 # Arrow tables and datasets.
 Views = Mapping[str, Any]
 # How long to wait before telling duckdb again: what it is told between two statements it forgets.
@@ -21,7 +23,7 @@ def query(views: Views, sql: str) -> pa.Table:
 
     The statement can neither read nor write files: duckdb's access to them is switched off, and the views live in this
     process. Raises `UsageError` for anything but one reading statement, and with duckdb's words where
-    it cannot run. Ctrl-C stops a statement that runs.
+    it cannot run; `OSError` where a view cannot be read. Ctrl-C stops a statement that runs.
     """
     with duckdb.connect() as connection, ThreadPoolExecutor(1, "query") as thread:
         # Within duckdb, Ctrl-C would be ignored until the statement ends, or become an error of the statement.
@@ -45,7 +47,10 @@ def _query(connection: duckdb.DuckDBPyConnection, views: Views, sql: str) -> pa.
             raise UsageError("one statement that only reads is expected: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE …")
         return _told_apart(connection.sql(sql).to_arrow_table())
     except duckdb.Error as error:
-        raise UsageError(f"duckdb: {' '.join(str(error).split())}") from None
+        said = " ".join(str(error).split())
+        if any(words in said for words in _OF_DAMAGED_VIEWS):
+            raise OSError(said) from None
+        raise UsageError(f"duckdb: {said}") from None
 
 
 def _told_apart(table: pa.Table) -> pa.Table:

@@ -109,7 +109,7 @@ def summarise(store: Store) -> StoreSummary:
         num_parts=len(manifest.parts),
         num_removed_segments=manifest.num_removed_segments,
         disk_bytes=manifest.num_bytes,
-        cache_bytes=sum(path.stat().st_size for path in cache.rglob("*") if path.is_file()),
+        cache_bytes=0 if cache.is_symlink() else sum(path.lstat().st_size for path in cache.rglob("*")),
         columns=_column_sizes(store, sequences),
         sources=tuple(_summarise_source(str(source), rows) for source, rows in sequences.groupby("source", sort=True)),
     )
@@ -158,7 +158,7 @@ def _column_sizes(store: Store, sequences: pd.DataFrame) -> dict[str, ColumnSize
     disk = dict.fromkeys(FLOAT_COLUMNS, 0)
     for name in store.manifest.parts:
         try:
-            metadata = pq.read_metadata(store.path / name)
+            metadata = pq.read_metadata(store.part(name))
         except (pa.ArrowException, OSError) as error:
             raise StoreError(f"{error}: 'motionkit validate --store {store.path}' says what is damaged") from None
         for group in range(metadata.num_row_groups):

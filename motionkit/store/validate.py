@@ -1,5 +1,6 @@
 """Is a store what its manifest says: checksums, counts, contiguous segments, finite frames, known skeletons."""
 
+import hashlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -9,139 +10,118 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motionkit.checksums import sha256_of
-from motionkit.store.manifest import Manifest, read_committed, read_manifest
+from motionkit.errors import LinkError
+from motionkit.skeleton import Skeleton
+from motionkit.store.cache import cache_faults
+from motionkit.store.footer import read_footer
+from motionkit.store.manifest import FileEntry, Manifest, read_manifest
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
     KEY_COLUMNS,
     SEGMENT_FRAMES,
     SEGMENTS,
+    SEGMENTS_FOLDER,
     SEQUENCES_FILE,
     SKELETONS_FILE,
-    part_name,
     part_number,
 )
-from motionkit.store.tables import read_table
-from motionkit.store.versions import table_schema
+from motionkit.store.table_checks import (
+    caption_faults,
+    count_faults,
+    may_hold_removed,
+    sequence_faults,
+    skeleton_faults,
+)
+from motionkit.store.tables import read_committed_table
 
 
-def faults(path: Path, on_file: Callable[[str], None] = lambda name: None) -> Iterator[str]:
+def faults(path: Path, on_file: Callable[[str], None] = lambda name: None, *, deep: bool = False) -> Iterator[str]:
     """One line for each fault of a store, none where it is intact; `on_file` is told before each file is read.
 
-    Raises `StoreError` where there is no store, or its manifest is unreadable or of another format version.
+    If `deep`, its training caches are read too. Raises `StoreError` where there is no store, or its manifest is
+    unreadable or of another format version.
     """
     manifest = read_manifest(path)
+    if (path / SEGMENTS_FOLDER).is_symlink():
+        yield f"{SEGMENTS_FOLDER}: it is a symbolic link to {str((path / SEGMENTS_FOLDER).readlink())!r}"
     tables: dict[str, pa.Table] = {}
     for name in (SEQUENCES_FILE, SKELETONS_FILE):
         on_file(name)
-        fault, table = _read_table(path, manifest, name)
+        try:
+            table = read_committed_table(path, manifest, name)
+        except (ValueError, OSError) as error:
+            yield f"{name}: {error}"
+            continue
         if table is None:
-            yield fault
+            state = "its sha256 is not the manifest's" if (path / name).exists() else "it is missing"
+            yield f"{name}: {state}"
         else:
             tables[name] = table
-    sequences = None
-    if SEQUENCES_FILE in tables:
-        sequences = tables[SEQUENCES_FILE].to_pandas()
-        yield from _sequence_faults(sequences, manifest.next_sequence_index, tables.get(SKELETONS_FILE))
-    yield from _count_faults(manifest, sequences)
-    named = set(manifest.parts)
+    sequences, skeletons = tables.get(SEQUENCES_FILE), tables.get(SKELETONS_FILE)
+    known: dict[str, Skeleton] | None = None
+    if skeletons is not None:
+        known = {}
+        yield from skeleton_faults(skeletons, known)
     if sequences is not None:
-        for number in sorted(set(sequences["part"].tolist()) - {part_number(name) for name in named}):
-            yield f"{SEQUENCES_FILE}: {part_name(number)} is referred to, but the manifest does not name it"
+        yield from sequence_faults(sequences, manifest, known)
+        yield from caption_faults(sequences)
+    yield from count_faults(manifest, sequences, skeletons)
+    frame = None if sequences is None else sequences.to_pandas()
     for name in manifest.parts:
         on_file(name)
-        chosen = None if sequences is None else sequences[sequences["part"] == part_number(name)]
+        chosen = None if frame is None else frame[frame["part"] == part_number(name)]
         yield from _part_faults(path, manifest, name, chosen)
+    if deep:
+        yield from _cache_faults(path, manifest)
 
 
-def _read_table(path: Path, manifest: Manifest, name: str) -> tuple[str, pa.Table | None]:
-    if name not in manifest.files:
-        return f"{name}: the manifest does not name it", None
-    content = read_committed(path, name, manifest.files[name])
-    if content is None:
-        state = "its sha256 is not the manifest's" if (path / name).exists() else "it is missing"
-        return f"{name}: {state}", None
-    table = read_table(content)
-    if not table.schema.equals(table_schema(name, manifest.format_version)):
-        return f"{name}: its columns are not those of this format version", None
-    if table.num_rows != manifest.files[name].num_rows:
-        return f"{name}: it has {table.num_rows} rows, the manifest says {manifest.files[name].num_rows}", None
-    return "", table
-
-
-def _count_faults(manifest: Manifest, sequences: pd.DataFrame | None) -> Iterator[str]:
-    rows = sum(manifest.files[name].num_rows for name in manifest.parts)
-    if rows < manifest.num_segments or (rows > manifest.num_segments and not _may_hold_removed(manifest)):
-        yield f"manifest.json: counts {manifest.num_segments} segments, the parts hold {rows}"
-    if sequences is None:
-        return
-    for name, found, stated in (
-        ("sequences", len(sequences), manifest.num_sequences),
-        ("segments", int(sequences["num_segments"].sum()), manifest.num_segments),
-        ("frames", int(sequences["num_frames"].sum()), manifest.num_frames),
-    ):
-        if found != stated:
-            yield f"manifest.json: counts {stated} {name}, {SEQUENCES_FILE} says {found}"
-
-
-def _may_hold_removed(manifest: Manifest) -> bool:
-    """Whether parts may hold segments of sequences that were removed."""
-    return manifest.next_sequence_index > manifest.num_sequences
-
-
-def _sequence_faults(sequences: pd.DataFrame, next_sequence_index: int, skeletons: pa.Table | None) -> Iterator[str]:
-    # Without removals the numbers below the next one are as many as the sequences: 0, 1, 2 …
-    steps = np.diff(sequences["sequence_index"], prepend=-1, append=next_sequence_index)
-    if (steps < 1).any():
-        yield f"{SEQUENCES_FILE}: sequence_index does not ascend from 0 to below {next_sequence_index}"
-    for sequence_id in sequences["sequence_id"][sequences["sequence_id"].duplicated()]:
-        yield f"{SEQUENCES_FILE}: the id {sequence_id!r} occurs more than once"
-    rate = sequences["fps_numerator"] / sequences["fps_denominator"]
-    wrong = {
-        "fps is not fps_numerator / fps_denominator": ~np.isclose(rate, sequences["fps"], rtol=1e-12),
-        "duration_seconds is not num_frames / fps": ~np.isclose(
-            sequences["num_frames"] / rate, sequences["duration_seconds"], rtol=1e-12
-        ),
-        "num_segments does not fit num_frames": sequences["num_segments"]
-        != -(-sequences["num_frames"] // SEGMENT_FRAMES),
-    }
-    if skeletons is not None:
-        joints = {row["skeleton"]: len(row["joint_names"]) for row in skeletons.to_pylist()}
-        wrong["its skeleton is not in skeletons.parquet"] = ~sequences["skeleton"].isin(list(joints))
-        known = sequences["skeleton"].map(joints)
-        wrong["num_joints is not its skeleton's"] = known.notna() & (known != sequences["num_joints"])
-    for says, rows in wrong.items():
-        for sequence_id in sequences["sequence_id"][np.asarray(rows)]:
-            yield f"{SEQUENCES_FILE}: sequence {sequence_id!r}: {says}"
+def _cache_faults(path: Path, manifest: Manifest) -> Iterator[str]:
+    try:
+        yield from cache_faults(path, manifest.fingerprint)
+    except LinkError as error:
+        yield str(error)
 
 
 def _part_faults(path: Path, manifest: Manifest, name: str, sequences: pd.DataFrame | None) -> Iterator[str]:
-    entry = manifest.files[name]
-    if not (path / name).exists():
-        yield f"{name}: it is missing"
-        return
-    if sha256_of(path / name) != entry.sha256:
-        yield f"{name}: its sha256 is not the manifest's"
-        return
-    part = pq.ParquetFile(path / name)
-    if not part.schema_arrow.equals(SEGMENTS):
-        yield f"{name}: its columns are not those of this format version"
-        return
-    if part.metadata.num_rows != entry.num_rows:
-        yield f"{name}: it has {part.metadata.num_rows} rows, the manifest says {entry.num_rows}"
-        return
-    keys = part.read(columns=list(KEY_COLUMNS)).to_pandas()
-    owner = np.full(len(keys), -1)
-    if sequences is not None:
-        owner, wrong = _owners(keys, sequences, may_hold_removed=_may_hold_removed(manifest))
-        if wrong:
-            yield f"{name}: {wrong}"
+    try:
+        fault = _file_fault(path / name, manifest.files[name])
+        if fault:
+            yield f"{name}: {fault}"
             return
-    first_row = 0
-    for group in range(part.num_row_groups):
-        table = part.read_row_group(group).combine_chunks()
-        rows = slice(first_row, first_row + table.num_rows)
-        first_row += table.num_rows
-        yield from _value_faults(name, table, keys.iloc[rows], owner[rows], sequences)
+        part = pq.ParquetFile(path / name, page_checksum_verification=True)
+        keys = part.read(columns=list(KEY_COLUMNS)).to_pandas()
+        owner = np.full(len(keys), -1)
+        if sequences is not None:
+            owner, wrong = _owners(keys, sequences, may_hold_removed=may_hold_removed(manifest))
+            if wrong:
+                yield f"{name}: {wrong}"
+                return
+        first_row = 0
+        for group in range(part.num_row_groups):
+            table = part.read_row_group(group).combine_chunks()
+            rows = slice(first_row, first_row + table.num_rows)
+            first_row += table.num_rows
+            yield from _value_faults(name, table, keys.iloc[rows], owner[rows], sequences)
+    except (pa.ArrowException, OSError, ValueError, IndexError) as error:
+        yield f"{name}: it cannot be read ({' '.join(str(error).split())})"
+
+
+def _file_fault(path: Path, entry: FileEntry) -> str:
+    """What is wrong with a part as a file; empty where its checksums, columns and rows are the manifest's."""
+    if not path.is_file():
+        return "it is no file" if path.exists() else "it is missing"
+    if sha256_of(path) != entry.sha256:
+        return "its sha256 is not the manifest's"
+    if path.stat().st_size != entry.num_bytes:
+        return f"it has {path.stat().st_size} bytes, the manifest says {entry.num_bytes}"
+    if entry.footer_sha256 and hashlib.sha256(read_footer(path)).hexdigest() != entry.footer_sha256:
+        return "the sha256 of its footer is not the manifest's"
+    part = pq.ParquetFile(path)
+    if not part.schema_arrow.equals(SEGMENTS):
+        return "its columns are not those of this format version"
+    if part.metadata.num_rows != entry.num_rows:
+        return f"it has {part.metadata.num_rows} rows, the manifest says {entry.num_rows}"
+    return ""
 
 
 def _owners(keys: pd.DataFrame, sequences: pd.DataFrame, *, may_hold_removed: bool) -> tuple[np.ndarray, str]:
@@ -151,7 +131,9 @@ def _owners(keys: pd.DataFrame, sequences: pd.DataFrame, *, may_hold_removed: bo
     none but those of removed ones.
     """
     owner = np.full(len(keys), -1)
-    counts, first_row = sequences["num_segments"].to_numpy(), sequences["first_row"].to_numpy()
+    counts, first_row = (sequences[name].to_numpy().astype(np.int64) for name in ("num_segments", "first_row"))
+    if (counts < 1).any():
+        return owner, f"{SEQUENCES_FILE} says of a sequence that it has {counts.min()} segments"
     if counts.sum() > len(keys) or (counts.sum() < len(keys) and not may_hold_removed):
         return owner, f"it holds {len(keys)} segments, {SEQUENCES_FILE} says {counts.sum()}"
     gaps = np.append(first_row, len(keys)) - np.append(0, first_row + counts)

@@ -1,12 +1,15 @@
 """Writing a store: parts, and tables under pending names; when all are on the disk, the manifest, the commit."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
+from motionkit.core import files
 from motionkit.interrupts import held_back
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
@@ -19,6 +22,7 @@ from motionkit.store.commit import (
     pending,
     publish,
     require_present_version,
+    write_pending,
 )
 from motionkit.store.encode import EncodedMotion, RefusedMotion, encode
 from motionkit.store.known import KnownSequences
@@ -33,6 +37,8 @@ from motionkit.store.schema import (
     SKELETONS_FILE,
     table_writer_options,
 )
+from motionkit.store.table_checks import CHECKED_COLUMNS, require_sound
+from motionkit.store.tables import not_committed, open_table
 
 
 class StoreWriter:
@@ -84,11 +90,17 @@ class StoreWriter:
         self._next_sequence_index = self._base.next_sequence_index
 
     def _read_base(self) -> None:
-        known = pq.read_table(self.path / SEQUENCES_FILE, columns=["sequence_id", "source_sha256"])
-        for batch in known.to_batches(SEQUENCES_PER_ROW_GROUP):
+        sequences = self._base_table(SEQUENCES_FILE, (*CHECKED_COLUMNS, "source_sha256"))
+        skeletons = self._base_table(SKELETONS_FILE)
+        self._skeletons = require_sound(self.path, self._base, sequences, skeletons)
+        for batch in sequences.select(["sequence_id", "source_sha256"]).to_batches(SEQUENCES_PER_ROW_GROUP):
             self._known.add_all(zip(*(column.to_pylist() for column in batch.columns), strict=True))
-        for row in pq.read_table(self.path / SKELETONS_FILE).to_pylist():
-            self._skeletons[row["skeleton"]] = codec.skeleton_from_row(row)
+
+    def _base_table(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
+        table = open_table(self.path, self._base, name, columns)
+        if table is None:
+            raise not_committed(self.path)
+        return table
 
     @property
     def num_sequences(self) -> int:
@@ -170,11 +182,9 @@ class StoreWriter:
             self._close()
 
     def _write_tables(self) -> Manifest:
-        assert self._table is not None
-        self._table.close()
-        self._table = None
+        self._close_table()
         skeletons = table_of([codec.skeleton_row(each) for each in self._skeletons.values()], SKELETONS)
-        pq.write_table(skeletons, pending(self.path, SKELETONS_FILE), **table_writer_options())
+        write_pending(self.path, SKELETONS_FILE, skeletons)
         num_rows = {SEQUENCES_FILE: self._num_sequences, SKELETONS_FILE: len(self._skeletons)}
         parts = {name: self._base.files[name] for name in self._base.parts} | self._parts.finished
         return Manifest(
@@ -188,19 +198,26 @@ class StoreWriter:
         )
 
     def _flush_rows(self) -> None:
-        if self._table is None:
-            self._table = pq.ParquetWriter(pending(self.path, SEQUENCES_FILE), SEQUENCES, **table_writer_options())
-            if self._base is not EMPTY:
-                for batch in pq.ParquetFile(self.path / SEQUENCES_FILE).iter_batches(SEQUENCES_PER_ROW_GROUP):
-                    self._table.write_batch(batch)
-        if self._rows:
-            self._table.write_table(table_of(self._rows, SEQUENCES))
-            self._rows.clear()
+        path = pending(self.path, SEQUENCES_FILE)
+        with files.naming(path):
+            if self._table is None:
+                files.create(path)
+                self._table = pq.ParquetWriter(path, SEQUENCES, **table_writer_options())
+                if self._base is not EMPTY:
+                    for batch in pq.ParquetFile(self.path / SEQUENCES_FILE).iter_batches(SEQUENCES_PER_ROW_GROUP):
+                        self._table.write_batch(batch)
+            if self._rows:
+                self._table.write_table(table_of(self._rows, SEQUENCES))
+                self._rows.clear()
+
+    def _close_table(self) -> None:
+        table, self._table = self._table, None
+        if table is not None:
+            with files.naming(pending(self.path, SEQUENCES_FILE)):
+                table.close()
 
     def _close(self) -> None:
-        table, self._table = self._table, None
         try:
             self._parts.close()
         finally:
-            if table is not None:
-                table.close()
+            self._close_table()

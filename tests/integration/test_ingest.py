@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from small_bvh import bvh_text
 
+from motionkit.core import files
 from motionkit.motion import Motion
-from motionkit.store import Store, StoreWriter, files, read_batch
+from motionkit.store import Store, StoreWriter, read_batch
 
 
 def ids(store: Path) -> list[str]:

@@ -1,7 +1,9 @@
 """The training cache holds the store's frames bit by bit, and its clips are the frames they claim to be."""
 
+import hashlib
 import json
 import pickle
+import re
 import shutil
 import subprocess
 import sys
@@ -14,10 +16,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from motionkit.core import files
+from motionkit.core.sealed import read_json, write_json
 from motionkit.errors import StoreError, UsageError
 from motionkit.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.skeletons.mapping import map_joints
-from motionkit.store import Store, StoreWriter, cache
+from motionkit.store import Store, StoreWriter, cache, cache_build, digests
+from motionkit.store.derived import derived_rows
+from motionkit.store.validate import faults
 
 CHAIN = Skeleton("chain", ("a", "b", "c"), (-1, 0, 1), np.eye(3, dtype=np.float32))
 
@@ -108,7 +114,7 @@ def test_a_cache_is_built_once_and_follows_the_store(small_store, make_motion, m
     store = Store.open(small_store)
     first = cache.open_cache(store)
     with monkeypatch.context() as patched:
-        patched.setattr(cache, "_build", None)
+        patched.setattr(cache, "build", None)
         assert cache.open_cache(Store.open(small_store)).path == first.path
     with StoreWriter.append(small_store) as writer:
         writer.add(make_motion("new", 33))
@@ -126,21 +132,58 @@ def test_a_cache_travels_to_another_process(small_store):
     np.testing.assert_array_equal(again.positions, built.positions)
 
 
-def test_a_killed_builder_leaves_nothing_that_is_used(small_store, monkeypatch):
-    store = Store.open(small_store)
+KILLED = textwrap.dedent(
+    """
+    import os, signal, sys
+    from motionkit.core import files
+    from motionkit.store import Store
+    from motionkit.store.cache import open_cache
 
-    def killed(source: Path) -> None:
-        raise KeyboardInterrupt
+    sync, left = files.sync, [int(sys.argv[2])]
+    def dying(path):
+        if left[0] == 0: os.kill(os.getpid(), signal.SIGKILL)
+        left[0] -= 1
+        sync(path)
+    files.sync = dying
+    open_cache(Store.open(sys.argv[1]))
+    """
+)
+
+
+# Two calls for each file that is written: marker, positions, index, cache.json; then one that ends the program.
+@pytest.mark.parametrize("moment", range(9))
+@pytest.mark.parametrize("changes", [False, True], ids=["the same store", "another store"])
+def test_a_killed_builder_leaves_nothing_that_is_used(small_store, make_motion, moment, changes):
+    child = subprocess.run([sys.executable, "-c", KILLED, str(small_store), str(moment)], check=False)
+    assert child.returncode == (-9 if moment < 8 else 0)
+    if changes:
+        with StoreWriter.append(small_store) as writer:
+            writer.add(make_motion("new"))
+    store = Store.open(small_store)
+    built = cache.open_cache(store)
+    for n in range(built.num_sequences):
+        np.testing.assert_array_equal(built.sequence_positions(n), store.read(n).joint_positions)
+    assert files_of(built.path) == {".motionkit-cache", "cache.json", "index.npy", "positions.npy"}
+    assert folders_of(small_store) == [built.path], "what a killed builder left is removed"
+
+
+def files_of(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def folders_of(store: Path) -> list[Path]:
+    return [path for path in (store / "cache").iterdir() if path.is_dir()]
+
+
+def test_a_builder_that_fails_leaves_nothing(small_store, monkeypatch):
+    def full(path: Path) -> None:
+        raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr(cache.files, "sync_file", killed)
-        with pytest.raises(KeyboardInterrupt):
-            cache.open_cache(store)
-    (left,) = (path for path in (small_store / "cache").iterdir() if path.is_dir())
-    assert left.name.startswith("building-")
-    built = cache.open_cache(store)
-    np.testing.assert_array_equal(built.sequence_positions(0), store.read(0).joint_positions)
-    assert [path for path in (small_store / "cache").iterdir() if path.is_dir()] == [built.path]
+        patched.setattr(files, "sync", full)
+        with pytest.raises(OSError, match=r"No space left on device.*cache.*"):
+            cache.open_cache(Store.open(small_store))
+    assert folders_of(small_store) == []
 
 
 def test_two_builders_at_once(small_store):
@@ -176,11 +219,153 @@ def test_the_key_knows_the_joint_maps(small_store, monkeypatch):
     first = cache.open_cache(store)
     facts = json.loads((first.path / "cache.json").read_text())
     assert facts["layout"] == SMPL22.name
-    original = cache.joint_map
+    original = cache_build.joint_map
 
     def shifted(skeleton, layout):
         mapping = original(skeleton, layout)
         return type(mapping)(**{**vars(mapping), "weights": mapping.weights[::-1].copy()})
 
-    monkeypatch.setattr(cache, "joint_map", shifted)
+    monkeypatch.setattr(cache_build, "joint_map", shifted)
     assert cache.open_cache(store).path != first.path
+
+
+def sums(built: cache.PositionCache) -> np.ndarray:
+    """Rows derived from a cache, as trainings do it."""
+    rows = derived_rows(
+        built, "sums", 1, lambda: (built.sequence_positions(n).sum((1, 2))[:, None] for n in range(built.num_sequences))
+    )
+    return rows[np.arange(len(rows))]
+
+
+@pytest.mark.parametrize("name", ["positions.npy", "index.npy", "cache.json", "sums.npy", "sums.json"])
+@pytest.mark.parametrize("damage", ["flip the first", "flip", "flip the last", "cut", "empty", "remove", "grow"])
+def test_a_damaged_cache_is_made_anew_and_said(small_store, name, damage, capsys):
+    store = Store.open(small_store)
+    built = cache.open_cache(store)
+    positions, derived = built.positions.copy(), sums(built)
+    path = built.path / name
+    content = bytearray(path.read_bytes())
+    place = {"flip the first": 0, "flip the last": len(content) - 2}.get(damage, len(content) // 2)
+    if damage.startswith("flip"):
+        content[place] ^= 1
+    path.write_bytes({"cut": content[: len(content) // 3], "empty": b"", "grow": content + b" ]"}.get(damage, content))
+    if damage == "remove":
+        path.unlink()
+    assert capsys.readouterr().err == ""
+    again = cache.open_cache(Store.open(small_store))
+    np.testing.assert_array_equal(again.positions, positions)
+    np.testing.assert_array_equal(sums(again), derived)
+    told = capsys.readouterr().err
+    if damage == "remove" and name.endswith(".json"):
+        assert told == "", "what was not finished is made"
+    else:
+        assert f"{name} is damaged (" in told and "anew" in told and told.count("\n") == 1
+    assert cache.open_cache(Store.open(small_store)).path == built.path
+    assert sums(again).tobytes() == derived.tobytes()
+    assert capsys.readouterr().err == ""
+
+
+def test_who_has_a_damaged_cache_mapped_keeps_what_it_read(small_store):
+    """The new file has another place on the disk: nobody's rows change under their hands."""
+    built = cache.open_cache(Store.open(small_store))
+    before = built.positions[0].copy()
+    path = built.path / "positions.npy"
+    path.write_bytes(path.read_bytes()[:-1] + b"?")
+    cache.open_cache(Store.open(small_store))
+    np.testing.assert_array_equal(built.positions[0], before)
+
+
+@pytest.mark.parametrize("name", ["positions.npy", "sums.npy"])
+def test_large_caches_are_checked_by_validate_deep(small_store, monkeypatch, name):
+    built = cache.open_cache(Store.open(small_store))
+    sums(built)
+    monkeypatch.setattr(digests, "MOST_HASHED_BYTES", 100)
+    content = bytearray((built.path / name).read_bytes())
+    content[-1] ^= 1
+    (built.path / name).write_bytes(content)
+    assert list(faults(small_store)) == []
+    (fault,) = faults(small_store, deep=True)
+    assert fault == (
+        f"{built.path / name} is damaged (its content is not what was written): "
+        + ("delete its folder, it is made anew" if name == "positions.npy" else "delete it, it is computed anew")
+    )
+    (built.path / name).write_bytes(content[:-4])
+    (fault,) = faults(small_store, deep=True)
+    assert "bytes instead of" in fault
+
+
+@pytest.mark.parametrize(
+    ("edit", "says"),
+    [
+        ({"where": "fps = 30"}, "it is that of another cache"),
+        ({"store_fingerprint": "0" * 64}, "it is that of another cache"),
+        ({"skipped": [{"id": 1}]}, "TypeError"),
+        ({"skipped": 7}, "TypeError"),
+        ({"files": {}}, "KeyError"),
+        ({"files": {"positions.npy": {"sha256": 5, "num_bytes": 1}, "index.npy": {}}}, "is no digest"),
+    ],
+)
+def test_a_cache_that_was_signed_again_is_not_used(small_store, edit, says, capsys):
+    built = cache.open_cache(Store.open(small_store))
+    path = built.path / "cache.json"
+    write_json(path, read_json(path, "") | edit)
+    assert cache.open_cache(Store.open(small_store)).num_sequences == 6
+    assert says in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("column", "row", "value", "says"),
+    [
+        ("num_frames", 0, 41, "do not follow each other"),
+        ("num_frames", 0, -1, "do not follow each other"),
+        ("start_row", 1, 2**40, "do not follow each other"),
+        ("num_frames", 5, 2**31 - 1, "its shape"),
+        ("sequence_index", 5, 6, "holds no sequence 6"),
+        ("fps_numerator", 0, 0, "fps_numerator are not those"),
+    ],
+)
+def test_an_index_that_was_signed_again_is_not_used(small_store, column, row, value, says, capsys):
+    built = cache.open_cache(Store.open(small_store))
+    path = built.path / "index.npy"
+    index = np.load(path)
+    index[column][row] = value
+    np.save(path, index)
+    facts = read_json(built.path / "cache.json", "")
+    facts["files"]["index.npy"]["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    write_json(built.path / "cache.json", facts)
+    np.testing.assert_array_equal(cache.open_cache(Store.open(small_store)).num_frames, built.num_frames)
+    assert says in capsys.readouterr().err
+
+
+def test_who_unpickles_a_removed_cache_is_told(small_store, make_motion):
+    pickled = pickle.dumps(cache.open_cache(Store.open(small_store)))
+    with StoreWriter.append(small_store) as writer:
+        writer.add(make_motion("new"))
+    cache.open_cache(Store.open(small_store))
+    with pytest.raises(StoreError, match="was removed, since its store has changed: start again"):
+        pickle.loads(pickled)  # noqa: S301 - our own bytes
+
+
+def test_another_process_does_not_read_the_digest_again(small_store, monkeypatch):
+    pickled = pickle.dumps(cache.open_cache(Store.open(small_store)))
+    monkeypatch.setattr(cache, "file_fault", None)
+    assert pickle.loads(pickled).num_sequences == 6  # noqa: S301 - our own bytes
+
+
+def test_opening_a_cache_maps_no_page_of_it(tmp_path, make_motion):
+    """Its bytes are compared, but do not stay in the process."""
+    status = Path("/proc/self/status")
+    if not status.is_file():
+        pytest.skip("needs Linux's /proc")
+    with StoreWriter.create(tmp_path / "store") as writer:
+        writer.add(make_motion("long", 80_000))
+    cache.open_cache(Store.open(tmp_path / "store"))
+    digests._sha256_of_version.cache_clear()
+    store = Store.open(tmp_path / "store")
+
+    def resident() -> int:
+        return sum(map(int, re.findall(r"^Rss(?:File|Anon):\s+(\d+)", status.read_text(), re.MULTILINE)))
+
+    before = resident()
+    built = cache.open_cache(store)
+    assert resident() - before < 4_000 < built.positions.nbytes // 1024

@@ -1,7 +1,9 @@
 """A writer that dies, at whatever moment, leaves a store that opens: the previous one or the new one."""
 
+import hashlib
 import json
 import os
+import re
 import resource
 import shutil
 import subprocess
@@ -12,11 +14,18 @@ from pathlib import Path
 
 import pytest
 
+from motionkit.core import files
 from motionkit.errors import StoreError
-from motionkit.store import Store, StoreWriter, files
+from motionkit.store import Store, StoreWriter
+from motionkit.store.encode import encode
+from motionkit.store.lock import LOCK_FILE
+from motionkit.store.manifest import read_manifest
+from motionkit.store.parts import PartWriter
 from motionkit.store.removal import remove
-from motionkit.store.rewrite import migrate
+from motionkit.store.rewrite import compact, migrate
+from motionkit.store.splits import split
 from motionkit.store.validate import faults
+from tests.motionkit.store.signed_again import sign
 
 # The renames of one append that fills two parts: part, part, manifest (the commit), sequences, skeletons.
 NUM_RENAMES = 5
@@ -26,7 +35,7 @@ COMMIT = 2
 def leftovers(store: Path) -> list[str]:
     named = {"manifest.json", *json.loads((store / "manifest.json").read_text())["files"]}
     found = {str(path.relative_to(store)) for path in store.rglob("*") if path.is_file()}
-    return sorted(found - named - {files.LOCK_FILE})
+    return sorted(found - named - {LOCK_FILE})
 
 
 def append_two_parts(store: Path, make_motion) -> None:
@@ -73,7 +82,8 @@ CHILD = textwrap.dedent(
     import numpy as np
     from motionkit.motion import Motion
     from motionkit.skeleton import SMPL22
-    from motionkit.store import StoreWriter, files
+    from motionkit.core import files
+    from motionkit.store import StoreWriter
     from motionkit.timegrid import TimeGrid
 
     store, moment = Path(sys.argv[1]), sys.argv[2]
@@ -114,7 +124,7 @@ REWRITER = textwrap.dedent(
     """
     import os, signal, sys
     from pathlib import Path
-    from motionkit.store import files
+    from motionkit.core import files
     from motionkit.store.removal import remove
     from motionkit.store.rewrite import compact, migrate
 
@@ -163,6 +173,32 @@ def test_a_killed_change(small_store, make_motion, what, moment, committed):
     assert list(faults(small_store)) == []
 
 
+FINISHING = {
+    "compact": lambda store: compact(store),
+    "remove": lambda store: remove(store, where="false"),
+    "migrate": lambda store: migrate(store),
+    "split": lambda store: split(store, {"train": 1.0}),
+    "append": lambda store: StoreWriter.append(store).__enter__().__exit__(None, None, None),
+}
+
+
+@pytest.mark.parametrize("finishing", FINISHING)
+@pytest.mark.parametrize("moment", [2, 3], ids=["sequences", "skeletons"])
+def test_what_a_killed_compaction_left_is_deleted_by_whoever_writes_next(small_store, make_motion, moment, finishing):
+    """It has committed, so the store is compact; the old parts hold what was removed, and have to go."""
+    append_two_parts(small_store, make_motion)
+    remove(small_store, ["take-3"])
+    arguments = [sys.executable, "-c", REWRITER, str(small_store), "compact", str(moment)]
+    assert subprocess.run(arguments, check=False).returncode == -9
+    old = {f"segments/part-0000{number}.parquet" for number in range(3)}
+    assert set(leftovers(small_store)) > old
+    assert Store.open(small_store).num_sequences == 23
+    FINISHING[finishing](small_store)
+    assert leftovers(small_store) == []
+    assert list(faults(small_store)) == []
+    assert not compact(small_store)
+
+
 def test_an_exception_in_the_block_leaves_everything_as_it_was(small_store, make_motion):
     before = {path: path.read_bytes() for path in small_store.rglob("*") if path.is_file()}
     with pytest.raises(RuntimeError), StoreWriter.append(small_store, part_bytes=1) as writer:
@@ -170,7 +206,7 @@ def test_an_exception_in_the_block_leaves_everything_as_it_was(small_store, make
             writer.add(make_motion(f"new-{i}", 3))
         raise RuntimeError
     after = {path: path.read_bytes() for path in small_store.rglob("*") if path.is_file()}
-    before.pop(small_store / files.LOCK_FILE), after.pop(small_store / files.LOCK_FILE)
+    before.pop(small_store / LOCK_FILE), after.pop(small_store / LOCK_FILE)
     assert after == before
 
 
@@ -190,6 +226,43 @@ def test_a_full_disk_leaves_everything_as_it_was(small_store, make_motion, most_
     with StoreWriter.append(small_store) as again:  # the lock is free, with the writer that failed still there
         again.add(make_motion("new-0"))
     assert "new-0" in Store.open(small_store).sequences_table["sequence_id"].to_pylist()
+
+
+FULL = textwrap.dedent(
+    """
+    import resource, signal, sys
+    from pathlib import Path
+    from motionkit.errors import MotionkitError
+    from motionkit.store.removal import remove
+    from motionkit.store.rewrite import compact, merge
+
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    store, what, most = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    try:
+        {"remove": lambda: remove(store, ["take-3"]), "merge": lambda: merge(store.with_name("out"), [store])}[what]()
+    except OSError as error:
+        print(error.filename)
+    """
+)
+
+
+@pytest.mark.parametrize(
+    ("what", "most_bytes", "name"),
+    [
+        ("remove", 0, r"store/\.writer\.lock"),
+        ("remove", 1000, r"store/sequences\.parquet\.new"),
+        ("merge", 0, r"out/\.writer\.lock"),
+        ("merge", 10_000, r"out/segments/part-00000\.parquet\.new"),
+    ],
+)
+def test_no_space_left_names_the_file(small_store, what, most_bytes, name):
+    before = Store.open(small_store).fingerprint
+    arguments = [sys.executable, "-c", FULL, str(small_store), what, str(most_bytes)]
+    said = subprocess.run(arguments, check=True, stdout=subprocess.PIPE, text=True).stdout
+    assert re.search(rf"{name}\n$", said), said
+    assert Store.open(small_store).fingerprint == before
+    assert leftovers(small_store) == []
 
 
 def test_a_failed_creation_can_be_tried_again(tmp_path, make_motion):
@@ -274,7 +347,7 @@ def test_the_lock_of_a_killed_writer_is_free(small_store, make_motion):
             with pytest.raises(StoreError, match=rf"another process is writing .*process {holder.pid} on"):
                 change()
         holder.kill()
-    assert (small_store / files.LOCK_FILE).read_text().startswith(f"process {holder.pid} on")
+    assert (small_store / LOCK_FILE).read_text().startswith(f"process {holder.pid} on")
     assert remove(small_store, ["take-3"]) == ("take-3",)
 
 
@@ -319,9 +392,8 @@ def test_create_and_append_say_what_is_wrong(small_store, tmp_path, make_motion)
 
 
 def test_another_format_version(small_store):
-    manifest = small_store / "manifest.json"
-    manifest.write_text(manifest.read_text().replace('"format_version": 2', '"format_version": 7'))
-    with pytest.raises(StoreError, match=r"format version 7 and was written by motionkit .* reads versions 1 to 2"):
+    sign(small_store, lambda document: document.update(format_version=7))
+    with pytest.raises(StoreError, match=r"format version 7 and was written by 'motionkit .* reads versions 1 to 2"):
         Store.open(small_store)
     with pytest.raises(StoreError, match="format version 7"), StoreWriter.append(small_store):
         pass
@@ -330,7 +402,8 @@ def test_another_format_version(small_store):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("{", "cannot be read as JSON"),
+        ("{", r"manifest\.json is damaged \(Expecting property name"),
+        ("[" * 100_000, r"manifest\.json is damaged"),
         ('{"format": "lerobot"}', "not the manifest of a store"),
         ('{"format": "motionkit-store", "format_version": 1}', "is damaged"),
     ],
@@ -341,12 +414,96 @@ def test_a_damaged_manifest(small_store, text, says):
         Store.open(small_store)
 
 
-def test_a_manifest_cannot_lead_out_of_the_store(small_store, tmp_path):
-    shutil.copy(small_store / "sequences.parquet", tmp_path / "outside.parquet")
-    manifest = small_store / "manifest.json"
-    manifest.write_text(manifest.read_text().replace("sequences.parquet", "../outside.parquet"))
-    with pytest.raises(StoreError, match="leads out of the store"):
-        Store.open(small_store)
+def test_every_flipped_byte_of_the_manifest_is_noticed(small_store):
+    path = small_store / "manifest.json"
+    content = path.read_bytes()
+    for place in range(len(content)):
+        for bit in (0, 3, 5):
+            damaged = bytearray(content)
+            damaged[place] ^= 1 << bit
+            path.write_bytes(damaged)
+            with pytest.raises(StoreError, match=r"manifest\.json is damaged"):
+                read_manifest(small_store)
+
+
+def test_a_manifest_of_before_checksums_is_read(small_store):
+    """And its fingerprint, by which runs know their store, is what it was: the sha256 of its text."""
+    path = small_store / "manifest.json"
+    document = json.loads(path.read_text())
+    del document["checksum"]
+    text = json.dumps(document, indent=2) + "\n"
+    before = Store.open(small_store).fingerprint
+    path.write_text(text)
+    assert Store.open(small_store).fingerprint == before == hashlib.sha256(text.encode()).hexdigest()
+
+
+def put(*place):
+    """An edit of the manifest: the last of `place` is put where the others lead."""
+
+    def edit(document):
+        *folders, name, value = place
+        for folder in folders:
+            document = document.setdefault(folder, {})
+        document[name] = value
+
+    return edit
+
+
+PART = "segments/part-00000.parquet"
+
+
+@pytest.mark.parametrize(
+    ("edit", "says"),
+    [
+        (put("next", {"part": 0, "sequence_index": 6}), "next part is 0, but it names .*part-00000"),
+        (put("next", {"part": 2**31 + 1, "sequence_index": 6}), "next part is 2147483649"),
+        (put("next", {"part": 1, "sequence_index": 5}), "next sequence_index is 5 of 6 sequences"),
+        (put("next", {"part": 1}), "no 'sequence_index'"),
+        (put("counts", "frames", -1), "frames is -1"),
+        (put("counts", "frames", True), "frames is True"),
+        (put("counts", "frames", 2**63), "frames is 9223372036854775808"),
+        (put("counts", []), r"counts is '\[\]'"),
+        (put("files", PART, 7), r"segments/part-00000\.parquet is '7'"),
+        (put("files", PART, "num_rows", "8"), "num_rows is '8'"),
+        (put("files", PART, "sha256", "../../etc"), "sha256 of .*part-00000.* is '../../etc'"),
+        (put("files", "../outside.parquet", {}), r"names '\.\./outside\.parquet', which is no file of a store"),
+        (put("files", "/etc/passwd", {}), "which is no file of a store"),
+        (put("files", "segments/../sequences.parquet", {}), "which is no file of a store"),
+        (put("files", "segments/part-000007.parquet", {}), "which is no file of a store"),
+        (put("tool", "\x1b[2J"), r"tool is '\\x1b\[2J'"),
+        (put("format_version", True), "format_version is True"),
+    ],
+)
+def test_a_manifest_with_wild_numbers_and_names(small_store, edit, says):
+    sign(small_store, edit)
+    for use in (Store.open, lambda path: list(faults(path)), lambda path: StoreWriter.append(path).__enter__()):
+        with pytest.raises(StoreError, match=says) as caught:
+            use(small_store)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_part_that_is_there_is_not_written_over(small_store, make_motion):
+    """`next.part` of a manifest without a checksum, with one bit flipped, used to be believed."""
+    part = small_store / PART
+    before = part.read_bytes()
+    writer = PartWriter(small_store, 0)
+    writer.add_sequence(0, encode(make_motion("later")))
+    with pytest.raises(StoreError, match=r"part-00000\.parquet is there already"):
+        writer.finish()
+    writer.close()
+    assert part.read_bytes() == before
+
+
+def test_parts_are_kept_while_one_that_the_manifest_names_is_missing(small_store, make_motion):
+    """In a manifest without a checksum a name may be wrong by one bit: what it does not name may be what it means."""
+    path = small_store / "manifest.json"
+    document = json.loads(path.read_text())
+    del document["checksum"]
+    document["files"]["segments/part-00002.parquet"] = document["files"].pop(PART)
+    path.write_text(json.dumps(document))
+    with pytest.raises(StoreError, match=r"part-00000\.parquet is referred to"):
+        append_two_parts(small_store, make_motion)
+    assert (small_store / PART).exists()
 
 
 def test_tables_that_are_not_the_manifests(small_store):

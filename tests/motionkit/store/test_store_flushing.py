@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from motionkit.store.files import Flushing
+from motionkit.store.flushing import Flushing
 
 
 def failing() -> None:

@@ -12,7 +12,8 @@ import pytest
 from motionkit.errors import StoreError
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.skeleton import SMPL22, Feet, Skeleton
-from motionkit.store import Store, StoreWriter, files
+from motionkit.store import Store, StoreWriter
+from motionkit.store.lock import LOCK_FILE
 from motionkit.store.removal import remove
 from motionkit.store.rewrite import merge, migrate
 from motionkit.store.schema import FORMAT_VERSION
@@ -131,4 +132,4 @@ def write_present_version(path: Path) -> None:
         for motion in (short, replace(short, sequence_id="limbs/removed"), long):
             writer.add(motion)
     remove(path, ["limbs/removed"])
-    (path / files.LOCK_FILE).unlink()
+    (path / LOCK_FILE).unlink()

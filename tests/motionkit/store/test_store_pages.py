@@ -1,6 +1,8 @@
 """Parts as this program writes them, byte by byte, are Parquet as other programs read it."""
 
+import hashlib
 import tempfile
+import zlib
 from pathlib import Path
 
 import duckdb
@@ -11,12 +13,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from motionkit.store import StoreWriter, thrift
+from motionkit.checksums import sha256_of
+from motionkit.errors import StoreError
+from motionkit.motion import Motion
+from motionkit.store import Store, StoreWriter, segment_reader, thrift
 from motionkit.store import pages as pages_module
 from motionkit.store import parts as parts_module
+from motionkit.store.footer import read_footer
+from motionkit.store.manifest import read_manifest
 from motionkit.store.pages import float_page, float_runs, integer_page
 from motionkit.store.schema import KEY_COLUMNS, SEGMENTS
+from motionkit.store.summary import summarise
 from motionkit.store.thrift import Value
+from tests.motionkit.store.signed_again import describe
 
 PART = "segments/part-00000.parquet"
 
@@ -148,4 +157,83 @@ def test_a_sequences_page_takes_no_more_room_than_arrows() -> None:
     options = {"compression": "zstd", "use_dictionary": False, "use_byte_stream_split": True}
     pq.write_table(pa.table({"values": walk}), sink, write_statistics=False, **options)
     arrows = pq.ParquetFile(pa.BufferReader(sink.getvalue())).metadata.row_group(0).column(0).total_compressed_size
-    assert sum(map(len, page.pieces)) < arrows
+    assert len(page.header) + len(page.body) < arrows
+
+
+def write(path: Path, make_motion) -> dict[int, Motion]:
+    """A store of three motions, of which one has several row groups."""
+    motions = [make_motion(f"m{i}", count, rotations=i == 1) for i, count in enumerate((300, 40, 9000))]
+    with StoreWriter.create(path) as writer:
+        return {writer.add(motion): motion for motion in motions}
+
+
+def without_checksums(store: Path) -> None:
+    """As versions before page checksums wrote it: the page's header has none, and the manifest no footer's digest."""
+    rows = pq.read_table(store / PART)
+    pq.write_table(rows, store / PART, compression="zstd", row_group_size=16)
+    describe(store, PART, rows.num_rows)
+
+
+@pytest.mark.parametrize("old", [False, True], ids=["with checksums", "of before checksums"])
+@pytest.mark.parametrize("place", [0.001, 0.3, 0.5, 0.7, 0.9])
+def test_a_flipped_byte_of_a_page_is_not_read(tmp_path, make_motion, place, old):
+    """zstd would give other numbers in silence."""
+    motions = write(tmp_path / "store", make_motion)
+    if old:
+        without_checksums(tmp_path / "store")
+    path = tmp_path / "store" / PART
+    content = bytearray(path.read_bytes())
+    content[int(place * len(content))] ^= 1
+    path.write_bytes(content)
+    store, damaged = Store.open(tmp_path / "store"), 0
+    for index, motion in motions.items():
+        try:
+            np.testing.assert_array_equal(store.read(index).joint_positions, motion.joint_positions)
+        except StoreError as error:
+            assert "part-00000.parquet" in str(error) and "validate" in str(error) and "\n" not in str(error)
+            damaged += 1
+    assert damaged
+    with pytest.raises(StoreError, match="validate"):
+        store.query("SELECT sum(list_sum(joint_positions)), count(joint_rotations), sum(num_frames) FROM segments")
+
+
+def test_pages_have_checksums_and_the_manifest_that_of_the_footer(tmp_path, make_motion):
+    write(tmp_path / "store", make_motion)
+    path = tmp_path / "store" / PART
+    entry = read_manifest(tmp_path / "store").files[PART]
+    content = path.read_bytes()
+    length = int.from_bytes(content[-8:-4], "little") + 8
+    assert entry.footer_sha256 == hashlib.sha256(content[-length:]).hexdigest()
+    assert read_footer(path) == content[-length:]
+    page = integer_page(np.arange(5, dtype=np.int32))
+    assert thrift.i32(zlib.crc32(page.body) - (zlib.crc32(page.body) >> 31 << 32)).content in page.header
+
+
+@pytest.mark.parametrize("place", range(1, 60, 7))
+def test_a_flipped_byte_of_a_footer_is_noticed(tmp_path, make_motion, place):
+    """Also by who reads nothing else: `motionkit info`."""
+    write(tmp_path / "store", make_motion)
+    path = tmp_path / "store" / PART
+    content = bytearray(path.read_bytes())
+    content[-place * 20] ^= 2
+    path.write_bytes(content)
+    store = Store.open(tmp_path / "store")
+    for use in (lambda: store.read(0), lambda: summarise(store), lambda: store.query("FROM segments")):
+        with pytest.raises(StoreError, match=r"part-00000\.parquet is damaged .*validate"):
+            use()
+
+
+def test_a_part_of_before_checksums_is_compared_once(tmp_path, make_motion, monkeypatch):
+    motions = write(tmp_path / "store", make_motion)
+    without_checksums(tmp_path / "store")
+    hashed = []
+
+    def counting(path: Path) -> str:
+        hashed.append(path)
+        return sha256_of(path)
+
+    monkeypatch.setattr(segment_reader, "sha256_of", counting)
+    store = Store.open(tmp_path / "store")
+    assert [len(store.read(index).joint_positions) for index in motions] == [300, 40, 9000]
+    store.query("FROM segments")
+    assert hashed == [tmp_path / "store" / PART]

@@ -1,0 +1,161 @@
+"""Symbolic links in a store: nothing is written or deleted through them, and reading never waits for a pipe."""
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from motionkit.errors import LinkError, MotionkitError
+from motionkit.store import Store, StoreWriter
+from motionkit.store.cache import open_cache
+from motionkit.store.removal import remove
+from motionkit.store.rewrite import compact, merge, migrate
+from motionkit.store.splits import split
+from motionkit.store.summary import summarise
+from motionkit.store.validate import faults
+
+PART = "segments/part-00000.parquet"
+
+
+def append(store: Path, make_motion: Callable) -> None:
+    with StoreWriter.append(store) as writer:
+        writer.add(make_motion("new"))
+
+
+def overwrite(store: Path, make_motion: Callable) -> None:
+    with StoreWriter.create(store, overwrite=True) as writer:
+        writer.add(make_motion("new"))
+
+
+CHANGES: dict[str, Callable[[Path, Callable], object]] = {
+    "append": append,
+    "overwrite": overwrite,
+    "remove": lambda store, make_motion: remove(store, where="true"),
+    "compact": lambda store, make_motion: compact(store),
+    "migrate": lambda store, make_motion: migrate(store),
+    "split": lambda store, make_motion: split(store, by="sequence_id"),
+    "merge": lambda store, make_motion: merge(store, [store.parent / "other"]),
+}
+
+
+@pytest.fixture
+def other(small_store: Path) -> Path:
+    """Another store, beside the one that is changed."""
+    shutil.copytree(small_store, small_store.parent / "other")
+    return small_store.parent / "other"
+
+
+def content_of(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_parts_behind_a_link_are_not_touched(small_store, other, make_motion, change):
+    """`remove` used to delete them, and `validate` to say that all was well."""
+    before = content_of(other)
+    shutil.rmtree(small_store / "segments")
+    (small_store / "segments").symlink_to(other / "segments")
+    own = content_of(small_store)
+    with pytest.raises(LinkError, match=r"store/segments is a symbolic link to .*other/segments"):
+        CHANGES[change](small_store, make_motion)
+    assert content_of(other) == before
+    assert content_of(small_store) == own
+    assert next(faults(small_store)).startswith("segments: it is a symbolic link to '")
+    assert len(list(Store.open(small_store).read_many(range(6)))) == 6
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("sequences.parquet", "skeletons.parquet", "manifest.json", PART),
+        *("sequences.parquet.new", "skeletons.parquet.new", "manifest.json.new"),
+        *("segments/part-00001.parquet", "segments/part-00001.parquet.new"),
+    ],
+)
+@pytest.mark.parametrize("change", [name for name in CHANGES if name != "migrate"])
+def test_files_that_are_links_are_replaced_and_not_written_through(small_store, other, make_motion, name, change):
+    theirs = shutil.copytree(small_store, small_store.parent / "theirs")
+    append(other, make_motion)  # what `merge` adds
+    before = content_of(theirs)
+    target = theirs / name if (theirs / name).exists() else theirs / "sequences.parquet"
+    (small_store / name).unlink(missing_ok=True)
+    (small_store / name).symlink_to(target)
+    CHANGES[change](small_store, make_motion)
+    assert content_of(theirs) == before
+    assert list(faults(small_store)) == []
+
+
+def test_a_pending_table_that_is_a_link_is_not_taken_for_the_committed_one(small_store, other, make_motion):
+    before = content_of(other)
+    (small_store / "sequences.parquet").rename(small_store.parent / "table")
+    (small_store / "sequences.parquet.new").symlink_to(small_store.parent / "table")
+    assert Store.open(small_store).num_sequences == 6
+    with pytest.raises(MotionkitError, match="validate"):
+        append(small_store, make_motion)
+    assert (small_store.parent / "table").read_bytes() == before["sequences.parquet"]
+
+
+def test_a_lock_that_is_a_link_is_refused(small_store, tmp_path, make_motion):
+    (tmp_path / "letter.txt").write_text("dear")
+    (small_store / ".writer.lock").unlink()
+    (small_store / ".writer.lock").symlink_to(tmp_path / "letter.txt")
+    with pytest.raises(LinkError, match=r"\.writer\.lock is a symbolic link .*: delete the link"):
+        append(small_store, make_motion)
+    assert (tmp_path / "letter.txt").read_text() == "dear"
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_store_may_be_reached_through_a_link(small_store, other, make_motion, change):
+    link = small_store.parent / "link"
+    link.symlink_to(small_store)
+    CHANGES[change](link, make_motion)
+    assert list(faults(link)) == []
+    assert link.is_symlink()
+
+
+def test_files_of_a_users_own_among_the_parts_stay(small_store, make_motion):
+    for name in ("part-00000.parquet.bak", "part-0.parquet", "part-00007.parquet.new.txt", "notes.txt"):
+        (small_store / "segments" / name).write_text("dear")
+    append(small_store, make_motion)
+    compact(small_store)
+    left = {path.name for path in (small_store / "segments").iterdir()}
+    assert left >= {"part-00000.parquet.bak", "part-0.parquet", "part-00007.parquet.new.txt", "notes.txt"}
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "sequences.parquet", "skeletons.parquet", PART])
+@pytest.mark.parametrize("kind", ["pipe", "zeros", "folder"])
+def test_what_never_ends_is_not_read(small_store, make_motion, name, kind):
+    """A pipe would wait for ever, /dev/zero fill the memory."""
+    append(small_store, make_motion)
+    (small_store / name).unlink()
+    if kind == "pipe":
+        os.mkfifo(small_store / name)
+    elif kind == "zeros":
+        (small_store / name).symlink_to("/dev/zero")
+    else:
+        (small_store / name).mkdir()
+    uses: list[Callable[[], object]] = [
+        lambda: Store.open(small_store).read(0),
+        lambda: Store.open(small_store).query("FROM segments"),
+        lambda: summarise(Store.open(small_store)),
+        lambda: compact(small_store),
+        lambda: merge(small_store.parent / "out", [small_store]),
+        lambda: open_cache(Store.open(small_store)),
+    ]
+    if name != PART:
+        uses.append(lambda: StoreWriter.append(small_store).__enter__())
+    if name == "manifest.json":
+        uses.append(lambda: list(faults(small_store)))
+    else:
+        assert any(fault.startswith(f"{name}: ") for fault in faults(small_store))
+    for use in uses:
+        with pytest.raises((MotionkitError, OSError)) as caught:
+            use()
+        assert "\n" not in str(caught.value)
+
+
+def test_the_size_of_a_cache_behind_a_link_is_not_counted(small_store):
+    (small_store / "cache").symlink_to("/")
+    assert summarise(Store.open(small_store)).cache_bytes == 0
