@@ -6,6 +6,7 @@ numbers that no array can hold, on which the next line of code fails. Here every
 
 import json
 import re
+import reprlib
 import tomllib
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -13,12 +14,10 @@ from typing import Any
 # Numbers of more digits are beyond 64 bits.
 MOST_DIGITS = 18
 LARGEST_WHOLE = 2**63
+LONGEST_TOML, MOST_POINTS = 1_000_000, 500
 SHOWN_LETTERS = 80
 # C0 and C1 controls, marks and overrides of direction, line separators, letters without width, lone surrogates.
 UNSAFE_LETTERS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
-# `a.b.c…`: Python's reader takes a time that grows with the square of the parts.
-MOST_KEY_PARTS = 32
-LONG_KEY = re.compile(rf"(?:\.\s{{0,9}}[\w\"'-]{{1,200}}\s{{0,9}}){{{MOST_KEY_PARTS}}}")
 
 
 def whole_number(text: str) -> int | None:
@@ -27,9 +26,13 @@ def whole_number(text: str) -> int | None:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The table of a TOML text; raises `ValueError` for what is none, and for numbers beyond 64 bits."""
-    if LONG_KEY.search(text):
-        raise ValueError(f"a key of more than {MOST_KEY_PARTS} parts")
+    """The table of a TOML text; raises `ValueError` for what is none.
+
+    So it does for numbers beyond 64 bits, and for sizes that no settings have: a million letters, or 500 points in a
+    line, since `a.b.c…` takes time with the square of its parts.
+    """
+    if len(text) > LONGEST_TOML or any(line.count(".") > MOST_POINTS for line in text.split("\n")):
+        raise ValueError(f"longer than {LONGEST_TOML:,} letters, or a line with more than {MOST_POINTS} points")
     try:
         table = tomllib.loads(text)
         _check_numbers(table)
@@ -56,8 +59,13 @@ def parse_json(text: str, object_pairs_hook: Callable[[list[tuple[str, Any]]], A
 
 
 def shown(value: object, limit: int = SHOWN_LETTERS) -> str:
-    """A value for a message: its `repr`, cut at `limit` letters."""
-    text = repr(value)
+    """A value for a message: its `repr`, cut to `limit` letters and some items."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxlong = short.maxother = limit
+    try:
+        text = short.repr(value)
+    except ValueError:
+        text = "a number of thousands of digits"
     return text if len(text) <= limit else f"{text[:limit]}…"
 
 

@@ -7,6 +7,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32
 
+# The most that a file may have: more are a mistake or an attack.
+MAX_JOINTS = 10_000
+
 
 @dataclass(frozen=True)
 class Feet:

@@ -17,6 +17,7 @@ from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
 from motionkit.formats.arrays import npy, npz_archive
 from motionkit.formats.arrays.pickled_data import is_pickled, read_pickled_dict
+from motionkit.plain_text import shown
 from motionkit.timegrid import parse_fps
 
 JOINTS = frozenset({21, 22, 24})
@@ -143,9 +144,12 @@ def _of_dictionary(found: Mapping[str, Any], path: Path) -> list[StoredMotion]:
 def _lengths(stated: object, motions: Sequence[np.ndarray], path: Path) -> list[int]:
     if stated is None:
         return [len(numbers) for numbers in motions]
-    lengths = np.asarray(stated).ravel()
+    listed = isinstance(stated, (list, tuple)) and all(isinstance(length, (int, np.integer)) for length in stated)
+    lengths = np.asarray(stated).ravel() if listed or isinstance(stated, np.ndarray) else np.empty(0, np.int64)
     if lengths.dtype.kind not in "iu" or len(lengths) != len(motions):
-        raise FormatError(f"lengths of shape {lengths.shape} for {len(motions)} motions", path=path, reason="lengths")
+        raise FormatError(
+            f"{len(lengths)} lengths that are whole numbers for {len(motions)} motions", path=path, reason="lengths"
+        )
     frames = len(motions[0])
     if lengths.min() < 1 or lengths.max() > frames:
         raise FormatError(
@@ -155,10 +159,13 @@ def _lengths(stated: object, motions: Sequence[np.ndarray], path: Path) -> list[
 
 
 def _texts(found: Mapping[str, Any], keys: Sequence[str], count: int, path: Path) -> list[str]:
-    values = next((found[key] for key in keys if key in found), None)
+    values = next((found[key] for key in keys if found.get(key) is not None), None)
     if values is None:
         return [""] * count
-    texts = [values] if isinstance(values, str) else [str(value) for value in values]
+    listed = values.tolist() if isinstance(values, np.ndarray) else [values] if isinstance(values, str) else values
+    if not isinstance(listed, (list, tuple)) or not all(isinstance(value, (str, int, float)) for value in listed):
+        raise FormatError(f"{' or '.join(keys)} is no list of texts", path=path, reason="text")
+    texts = [value if isinstance(value, str) else shown(value) for value in listed]
     if len(texts) != count:
         raise FormatError(f"{len(texts)} texts for {count} motions", path=path, reason="channel-count")
     return texts
@@ -168,10 +175,10 @@ def _groups(found: Mapping[str, Any], count: int, path: Path) -> list[str]:
     samples, repetitions = found.get("num_samples"), found.get("num_repetitions")
     if samples is None or repetitions is None:
         return [""] * count
-    if not isinstance(samples, int) or samples < 1 or samples * int(repetitions) != count:
-        raise FormatError(
-            f"{samples} samples × {repetitions} repetitions for {count} motions", path=path, reason="channel-count"
-        )
+    whole = isinstance(samples, int) and isinstance(repetitions, int)
+    if not whole or samples < 1 or samples * repetitions != count:
+        told = f"{shown(samples)} samples × {shown(repetitions)} repetitions for {count} motions"
+        raise FormatError(told, path=path, reason="channel-count")
     return [str(index % samples) for index in range(count)]
 
 
@@ -179,6 +186,8 @@ def _fps(stated: object, path: Path) -> Fraction | None:
     if stated is None:
         return None
     try:
-        return parse_fps(stated if isinstance(stated, (int, float, str)) else str(stated))
+        if not isinstance(stated, (int, float, str)):
+            raise ValueError("no number")
+        return parse_fps(stated)
     except ValueError as error:
         raise FormatError(f"fps: {error}", path=path, reason="framerate") from None

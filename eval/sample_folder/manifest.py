@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from eval.sample_folder.name_pattern import NamePattern, parse_name_pattern
-from motionkit.errors import FormatError
+from motionkit.errors import FormatError, describe
 from motionkit.formats import sourcefile
 from motionkit.formats.globs import parse_glob
 from motionkit.plain_text import parse_toml, shown
@@ -76,7 +76,9 @@ def read_manifest(folder: Path) -> Manifest:
         try:
             values[key] = READERS[key](value, folder)
         except (ValueError, TypeError, OSError) as error:
-            raise FormatError(f"{key} = {shown(value)}: {error}"[:400], path=path, reason="manifest") from None
+            raise FormatError(
+                f"{key} = {shown(value)}: {describe(error)}"[:400], path=path, reason="manifest"
+            ) from None
     manifest = Manifest(**values)
     if (manifest.statistics == NORMALISED) != (manifest.mean is not None and manifest.std is not None):
         raise FormatError(
@@ -123,7 +125,7 @@ def _file(value: Any, folder: Path) -> Path:
     if not isinstance(value, str):
         raise TypeError("expected the name of a file in this folder")
     path = Path(os.path.normpath(folder / _relative(value)))
-    if not path.resolve().is_relative_to(folder.resolve()):
+    if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
         raise ValueError("a link that leaves the folder; copy the file here")
     if not path.is_file():
         raise ValueError("there is no such file in this folder; copy it here")

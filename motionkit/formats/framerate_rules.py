@@ -83,7 +83,7 @@ def corrected(motion: Motion, rules: tuple[FramerateRule, ...]) -> Motion:
 def _rule(table: Any, name: str, number: int) -> FramerateRule:
     where = f"{name}, rule {number}"
     if not isinstance(table, dict) or not {"files", "fps"} <= set(table) <= KEYS:
-        given = ", ".join(table) if isinstance(table, dict) else shown(table)
+        given = ", ".join(table)[:200] if isinstance(table, dict) else shown(table)
         raise UsageError(
             f"{where}: has {given or 'nothing'}; expected files and fps, and any of stated, reason, source"
         )

@@ -4,6 +4,7 @@ Source: http://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/ASF-AMC.ht
 """
 
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -15,10 +16,11 @@ from motionkit import kinematics
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
 from motionkit.formats.number_table import parse_number
-from motionkit.skeleton import Skeleton
+from motionkit.skeleton import MAX_JOINTS, Skeleton
 
 ROTATIONS = {"rx": "X", "ry": "Y", "rz": "Z"}
 INCH = 0.0254
+LONGEST_MESSAGE = 400
 
 
 @dataclass
@@ -158,6 +160,8 @@ class _Parser:
             case "end":
                 if not self.bone.name or self.bone.name in self.bones or self.bone.name == "root":
                     raise self.fault(f"bone name {self.bone.name!r} is missing or repeated")
+                if len(self.bones) >= MAX_JOINTS - 1:
+                    raise self.fault(f"more than {MAX_JOINTS:,} bones")
                 self.bones[self.bone.name] = self.bone
                 self.bone = None
             case "name":
@@ -200,13 +204,10 @@ class _Parser:
         unknown = [word for word in self.root.dof if word not in (*ROTATIONS, "tx", "ty", "tz")]
         if unknown or len(set(self.root.dof)) != len(self.root.dof):
             raise self.fault(f"root order {' '.join(self.root.dof)!r}, expected TX TY TZ RX RY RZ in some order")
-        names = ["root"]
-        for name in names:
-            names += [bone for bone in self.bones if self.parents.get(bone) == name]
+        names = _depth_first(self.bones, self.parents)
         lost = sorted(set(self.bones) - set(names))
         if lost:
-            raise self.fault(f"bones not connected to the root in :hierarchy: {', '.join(lost)}")
-        names = _depth_first(names, self.parents)
+            raise self.fault(f"bones not connected to the root in :hierarchy: {', '.join(lost)}"[:LONGEST_MESSAGE])
         bones = tuple(self.root if name == "root" else self.bones[name] for name in names)
         metres = unit_metres or INCH / self.length_unit
         return AsfSkeleton(
@@ -218,10 +219,12 @@ class _Parser:
         )
 
 
-def _depth_first(names: list[str], parents: dict[str, str]) -> list[str]:
+def _depth_first(bones: Iterable[str], parents: Mapping[str, str]) -> list[str]:
+    # The root and all bones below it, parents first.
     children: dict[str, list[str]] = {}
-    for name in names[1:]:
-        children.setdefault(parents[name], []).append(name)
+    for name in bones:
+        if name in parents:
+            children.setdefault(parents[name], []).append(name)
     ordered, stack = [], ["root"]
     while stack:
         name = stack.pop()
@@ -232,10 +235,12 @@ def _depth_first(names: list[str], parents: dict[str, str]) -> list[str]:
 
 def _joints(name: str, bones: tuple[AsfBone, ...], parents: list[str], metres: float) -> Skeleton:
     names = [bone.name for bone in bones]
-    indices = [names.index(parent) if parent else -1 for parent in parents]
+    place = {name: index for index, name in enumerate(names)}
+    indices = [place[parent] if parent else -1 for parent in parents]
+    above = set(indices)
     ends = np.stack([bone.direction * bone.length * metres for bone in bones])
     offsets = np.stack([ends[parent] if parent >= 0 else np.zeros(3) for parent in indices])
-    leaves = [joint for joint in range(len(bones)) if joint not in indices and ends[joint].any()]
+    leaves = [joint for joint in range(len(bones)) if joint not in above and ends[joint].any()]
     return Skeleton(
         name=name,
         joint_names=tuple(names),

@@ -8,9 +8,9 @@ from pathlib import Path
 from motionkit.errors import FormatError
 from motionkit.formats.number_table import parse_number
 from motionkit.plain_text import whole_number
+from motionkit.skeleton import MAX_JOINTS
 
 CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("position", "rotation")}
-MAX_JOINTS = 10_000
 
 
 @dataclass

@@ -18,6 +18,7 @@ from motionkit.formats import sourcefile
 from motionkit.formats.bvh import motion as bvh
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion
+from motionkit.plain_text import shown
 from motionkit.timegrid import TimeGrid
 
 CUTS_FILE = "Frame_Cuts.csv"
@@ -134,7 +135,7 @@ def _numbers(cells: list[str], table: Path, line: int) -> tuple[int, int]:
     values = [cell.removesuffix(".0") for cell in cells]
     if not all(value.isascii() and value.isdecimal() and len(value) < 12 for value in values):
         raise FormatError(
-            f"{' and '.join(map(repr, cells))}, expected two frame numbers or N/A",
+            f"{' and '.join(map(shown, cells))}, expected two frame numbers or N/A",
             path=table,
             reason="frame-cuts",
             line=line,

@@ -56,10 +56,11 @@ def split_text(data: bytes, path: Path) -> BvhText:
     if not hierarchy.num_channels:
         raise FormatError("no joint has CHANNELS, so nothing moves", path=path, reason="channels")
     position, frames, frame_time, frame_time_line = motion.end(), "", "", 0
+    line = data.count(b"\n", 0, position)
     while not (frames and frame_time):
         end = data.find(b"\n", position)
         end = len(data) if end < 0 else end
-        line = data.count(b"\n", 0, position) + 1
+        line += 1
         words = sourcefile.decode(data[position:end], path).strip()
         key, colon, value = words.partition(":")
         if words:
@@ -84,7 +85,7 @@ def split_text(data: bytes, path: Path) -> BvhText:
                 line=line,
             )
         position = end + 1
-    body_line = data.count(b"\n", 0, min(position, len(data))) + 1
+    body_line = line + (position <= len(data))
     return BvhText(
         head=data[: motion.end()],
         hierarchy=hierarchy,

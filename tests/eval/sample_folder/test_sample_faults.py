@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eval.sample_folder import SampleFolder, SampleFolderError, SampleOptions, read_sample_folder
-from eval.sample_folder.arrays import split_motions
+from eval.sample_folder.arrays import read_stored, split_motions
 from eval.sample_folder.manifest import read_manifest
 from eval.sample_folder.name_pattern import parse_name_pattern
 from eval.sample_folder.vectors import root_disagreement
@@ -281,6 +281,30 @@ def test_a_csv_row_without_its_file_is_told(tmp_path: Path) -> None:
     assert (samples.captions, samples.positions.shape[0]) == (("walks",), 9)
     assert "1 rows of the CSV describe files that are not there, first 'b.npy'" in samples.describe()
     assert [problem.reason for problem in samples.left_out] == ["path", "annotations"]
+
+
+@pytest.mark.parametrize(
+    ("extra", "reason"),
+    [
+        ({"text": 5}, "text"),
+        ({"text": [["a"], ["b"]]}, "text"),
+        ({"text": [[[["x"] * 99] * 99] * 99] * 2}, "text"),  # a million letters, if it were written out
+        ({"lengths": [[1, 2], [3]]}, "lengths"),
+        ({"lengths": [1.5, 2]}, "lengths"),
+        ({"lengths": {}}, "lengths"),
+        ({"num_samples": 1, "num_repetitions": [2]}, "channel-count"),
+        ({"num_samples": 1, "num_repetitions": "2"}, "channel-count"),
+        ({"num_samples": 16**9000, "num_repetitions": 1}, "channel-count"),
+        ({"fps": [20]}, "framerate"),
+        ({"fps": 10**400}, "framerate"),
+    ],
+)
+def test_dictionaries_that_say_nonsense(tmp_path: Path, extra: dict[str, object], reason: str) -> None:
+    path = tmp_path / "results.npy"
+    np.save(path, {"motion": np.stack((JOINTS, JOINTS)), **extra}, allow_pickle=True)  # type: ignore[arg-type]
+    with pytest.raises(FormatError) as told:
+        read_stored(path)
+    assert told.value.reason == reason and len(str(told.value)) < 400
 
 
 def test_a_column_that_is_not_read_is_told(tmp_path: Path) -> None:
