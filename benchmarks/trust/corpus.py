@@ -43,6 +43,18 @@ def build_cache(store: str) -> None:
     print(len(cache.positions))
 
 
+def read_without(store: str, name: str) -> None:
+    """Open a store and its cache, remove a file, and read every frame of both."""
+    from motionkit.store import Store
+    from motionkit.store.cache import open_cache
+
+    opened = Store.open(store)
+    cache = open_cache(opened, where="split = 'train'")
+    Path(name).unlink()
+    rows = cache.rows[np.arange(len(cache.positions))]
+    print(content_of(opened), float(cache.positions.sum()), len(rows))
+
+
 def look(store: str) -> None:
     """Print as JSON what a reader finds: the store's fingerprint, a digest of every motion, and `validate`'s faults."""
     from motionkit.store import Store

@@ -15,16 +15,26 @@ import numpy as np
 
 from benchmarks.trust.disk import NoDiskError, SmallDisk
 from benchmarks.trust.faults import Fault
+from benchmarks.trust.missing import MISSING
 from benchmarks.trust.process import Commands
 from benchmarks.trust.report import Case, Report
 from benchmarks.trust.scenarios import SCENARIOS, Scenario
-from benchmarks.trust.trials import DISK_FAULTS, Drill, Expected, UndisturbedError
+from benchmarks.trust.trials import DISK_FAULTS, Attempt, Drill, Expected, UndisturbedError
 from eval.report.results import environment
 from motionkit.console import progress
 
 DEFAULT_SECONDS = 300.0
 # How many of each kind a whole drill tries; of file operations it tries all.
-NUM_TRIALS = {"bytes": 12, "moment": 12, "limit": 6, "full": 6, "read-only": 1, "interrupt": 6, "worker": 6}
+NUM_TRIALS = {
+    "bytes": 12,
+    "moment": 12,
+    "limit": 6,
+    "full": 6,
+    "read-only": 1,
+    "interrupt": 6,
+    "terminate": 3,
+    "worker": 6,
+}
 KINDS = {
     "operation": "before file operations",
     "bytes": "at bytes",
@@ -34,6 +44,7 @@ KINDS = {
     "full": "disk full",
     "read-only": "read-only",
     "interrupt": "Ctrl-C",
+    "terminate": "SIGTERM",
 }
 
 
@@ -53,56 +64,55 @@ def run(
         except NoDiskError as error:
             disk, no_disk = None, (Case("disk full, read-only", 0, skipped=str(error)),)
         drill = Drill(commands, folder, disk)
-        trials = [_Trials(SCENARIOS[name], drill, seed, most) for name in names]
+        trials = [_Trials(name, attempts(drill, SCENARIOS[name], seed, most)) for name in names]
+        if most is None:
+            trials += [_Trials(name, made(drill)) for name, made in MISSING.items()]
         while (waiting := [each for each in trials if not each.finished]) and (
             (passed := time.perf_counter() - started) < seconds
         ):
             following = min(waiting, key=lambda each: each.seconds)
-            display.update(task, completed=passed, note=following.scenario.name)
+            display.update(task, completed=passed, note=following.name)
             following.go_on()
     cases = (*(each.case() for each in trials), *no_disk)
     return Report("crash", seed, time.perf_counter() - started, cases, environment())
 
 
 class _Trials:
-    """The trials of one scenario in a random order; owns what came of them."""
+    """Trials of one kind of thing, one after the other; owns what came of them."""
 
-    def __init__(self, scenario: Scenario, drill: Drill, seed: int, most: int | None) -> None:
-        self.scenario = scenario
+    def __init__(self, name: str, attempts: Iterator[Attempt]) -> None:
+        self.name = name
         self.seconds = 0.0
         self.finished = False
-        self._drill = drill
-        self._seed, self._most = seed, most
-        self._left: Iterator[tuple[Fault, str]] = iter(())
-        self._prepared = False
-        self._tried: list[Fault] = []
+        self._attempts = attempts
+        self._counts: Counter[str] = Counter()
         self._failures: list[str] = []
 
     def go_on(self) -> None:
-        """Prepare, or try the next fault."""
+        """Make the next attempt; the first one prepares the others."""
         started = time.perf_counter()
-        if not self._prepared:
-            self._prepared = True
-            try:
-                expected, has_disk = self._drill.prepare(self.scenario), self._drill.disk is not None
-                found = faults(self.scenario, expected, self._seed, has_disk=has_disk)
-                self._left = iter(found[: self._most])
-            except UndisturbedError as error:
-                self._failures.append(str(error))
-        elif (following := next(self._left, None)) is None:
+        try:
+            attempt = next(self._attempts, None)
+        except UndisturbedError as error:
+            attempt = None
+            self._failures.append(str(error))
+        if attempt is None:
             self.finished = True
         else:
-            fault, about = following
-            self._tried.append(fault)
-            if problem := self._drill.attempt(self.scenario, fault):
-                self._failures.append(f"{fault}{about}: {problem}")
+            self._counts[attempt.kind] += 1
+            self._failures += [f"{attempt.about}: {attempt.problem}"] if attempt.problem else []
         self.seconds += time.perf_counter() - started
 
     def case(self) -> Case:
         """What came of it."""
-        kinds = Counter(fault.kind for fault in self._tried)
-        figures = {f"{KINDS[kind]}": kinds[kind] for kind in self.scenario.modes}
-        return Case(self.scenario.name, len(self._tried), tuple(self._failures), figures)
+        return Case(self.name, self._counts.total(), tuple(self._failures), dict(sorted(self._counts.items())))
+
+
+def attempts(drill: Drill, scenario: Scenario, seed: int, most: int | None) -> Iterator[Attempt]:
+    """Try a scenario with its faults, or with the first few of them."""
+    expected = drill.prepare(scenario)
+    for fault, about in faults(scenario, expected, seed, has_disk=drill.disk is not None)[:most]:
+        yield Attempt(KINDS[fault.kind], f"{fault}{about}", drill.attempt(scenario, fault))
 
 
 def faults(scenario: Scenario, expected: Expected, seed: int, *, has_disk: bool) -> list[tuple[Fault, str]]:

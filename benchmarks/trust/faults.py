@@ -24,6 +24,7 @@ CHANGING_EVENTS: dict[str, tuple[int, int | None]] = {
     "os.symlink": (1, 2),
     "os.truncate": (0, None),
 }
+SIGNALS = {"moment": signal.SIGKILL, "interrupt": signal.SIGINT, "terminate": signal.SIGTERM}
 WRITING_FLAGS = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
@@ -34,7 +35,8 @@ class Fault:
     Kinds: `none`; `operation`, SIGKILL before the n-th change of a file (n from 0); `bytes`, a kill as soon as any file
     would grow beyond n bytes, so that it is cut there; `limit`, the same as an error (EFBIG) that the command can tell;
     `moment`, SIGKILL after n seconds; `worker`, the same to one of its worker processes; `interrupt`, Ctrl-C after n
-    seconds, to the process and its workers. Of the disk (`disk.SmallDisk`): `full` but for n bytes, and `read-only`.
+    seconds, to the process and its workers; `terminate`, SIGTERM after n seconds. Of the disk (`disk.SmallDisk`):
+    `full` but for n bytes, and `read-only`.
     """
 
     kind: str = "none"
@@ -49,6 +51,7 @@ class Fault:
             "moment": f"killed after {self.number:.3f} s",
             "worker": f"a worker killed after {self.number:.3f} s",
             "interrupt": f"Ctrl-C after {self.number:.3f} s",
+            "terminate": f"SIGTERM after {self.number:.3f} s",
             "full": f"a disk with {self.number:.0f} bytes free",
             "read-only": "a read-only disk",
         }
@@ -57,7 +60,7 @@ class Fault:
     @property
     def seconds(self) -> float | None:
         """When a signal is to be sent from outside; None for faults that the process makes itself."""
-        return self.number if self.kind in ("moment", "worker", "interrupt") else None
+        return self.number if self.kind in SIGNALS or self.kind == "worker" else None
 
 
 UNDISTURBED = Fault()

@@ -9,7 +9,7 @@ STORE = ("--store", "store")
 ONE_WORKER = (*STORE, "--workers", "1")
 RUN = ("--runs", "runs", "--run", "drill")
 TRAIN = (*STORE, *RUN, "--device", "cpu")
-EVERY = "operation", "bytes", "moment", "limit", "full", "read-only", "interrupt"
+EVERY = "operation", "bytes", "moment", "limit", "full", "read-only", "interrupt", "terminate"
 
 SETTINGS: dict[str, tuple[str, ...]] = {
     "codebook": (
@@ -120,14 +120,14 @@ SCENARIOS: dict[str, Scenario] = {
             "ingest, 2 workers",
             "takes",
             ("ingest", "one", *STORE, "--workers", "2"),
-            modes=("operation", "moment", "worker", "full", "read-only", "interrupt"),
+            modes=("operation", "moment", "worker", "full", "read-only", "interrupt", "terminate"),
         ),
         Scenario("append", "store", ingest("three")),
         Scenario(
             "append, 2 workers",
             "store",
             ("ingest", "three", *STORE, "--workers", "2"),
-            modes=("moment", "worker", "interrupt"),
+            modes=("moment", "worker", "interrupt", "terminate"),
         ),
         Scenario("overwrite", "store", ingest("three", "--overwrite")),
         Scenario("remove", "gaps", ("remove", "--where", "sequence_index < 3", *STORE), refusal="no sequence of"),

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.trust.faults import UNDISTURBED, Fault, install
+from benchmarks.trust.faults import SIGNALS, UNDISTURBED, Fault, install
 from motionkit.errors import MotionkitError
 
 CALL = "call:"
@@ -93,8 +93,8 @@ class Child:
         """Send the fault's signal; False where there is no worker yet."""
         if fault.kind == "interrupt":
             os.killpg(self.pid, signal.SIGINT)
-        elif fault.kind == "moment":
-            os.kill(self.pid, signal.SIGKILL)
+        elif fault.kind in SIGNALS:
+            os.kill(self.pid, SIGNALS[fault.kind])
         else:
             members = group_members(self.pid)
             workers = sorted(pid for pid, parent in members.items() if parent in members and parent != self.pid)
@@ -179,7 +179,8 @@ def work(request: dict[str, Any], fault: Fault, notes: int) -> None:
     operations = install(fault, folder)
     os.write(notes, b"\n")  # begun
     code = exit_code(request["arguments"])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     if fault == UNDISTURBED:
         found = {"operations": operations, "modules": sorted(sys.modules)}
         with os.fdopen(notes, "w") as handle:

@@ -27,6 +27,7 @@ CODES: dict[str, tuple[int, ...]] = {
     "full": (0, 1),
     "read-only": (1,),
     "interrupt": (0, 130),
+    "terminate": (0, 130),
 }
 DISK_FAULTS = ("full", "read-only")
 
@@ -51,6 +52,15 @@ class Expected:
     operations: tuple[str, ...]
     seconds: float
     sizes: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One trial: its kind, what was done, and what went wrong, empty for nothing."""
+
+    kind: str
+    about: str
+    problem: str
 
 
 class Drill:
@@ -176,13 +186,18 @@ def ending_fault(hit: Outcome, fault: Fault, expected: Expected) -> str:
         return f"it hung: after {hit.seconds:.0f} s it was still running"
     if hit.left:
         return f"{hit.left} of its processes were still there ten seconds later"
-    if "Traceback" in hit.err or "Exception ignored" in hit.err:
+    if shows_traceback(hit):
         return f"a traceback: {hit.last_line}"
     if hit.code not in CODES[fault.kind]:
         return f"it ended with exit code {hit.code}: {hit.last_line}"
     if hit.code == 1 and not (hit.last_line.startswith("motionkit: ") and names_a_file(hit.last_line, expected)):
         return f"it failed without saying what with: {hit.last_line}"
     return ""
+
+
+def shows_traceback(outcome: Outcome) -> bool:
+    """Whether a command printed a traceback."""
+    return "Traceback" in outcome.err or "Exception ignored" in outcome.err
 
 
 def names_a_file(line: str, expected: Expected) -> bool:

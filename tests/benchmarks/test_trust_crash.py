@@ -2,6 +2,8 @@
 
 import math
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,9 +11,10 @@ import pytest
 
 from benchmarks.trust import crash
 from benchmarks.trust.faults import Fault
-from benchmarks.trust.process import Commands
-from benchmarks.trust.scenarios import SCENARIOS, STARTS, Scenario
-from benchmarks.trust.trees import difference, tree
+from benchmarks.trust.missing import fault_of
+from benchmarks.trust.process import Commands, one_thread
+from benchmarks.trust.scenarios import SCENARIOS, STARTS, Scenario, ingest, takes
+from benchmarks.trust.trees import copy, difference, tree
 from benchmarks.trust.trials import Drill
 
 CARELESS = "call:tests.benchmarks.careless:"
@@ -59,6 +62,31 @@ def test_what_is_left_over_and_what_is_lost_are_found(drill: Drill) -> None:
     problem = drill.attempt(COUNTING, Fault("operation", 1))
     assert problem == "number is half written"
     assert "failed without saying what with" in drill.attempt(CAREFUL, Fault("limit", 1000))
+
+
+def test_a_forked_command_is_the_command(commands: Commands, tmp_path: Path) -> None:
+    """Exit code, words and files are those of a process that the shell starts."""
+    assert commands.run(tmp_path, takes("takes", 0, 2)).code == 0
+    for arguments in (ingest("takes"), ("ingest", "nowhere", "--store", "store"), ("remove", "nobody")):
+        ends = []
+        for name in ("forked", "started"):
+            place = tmp_path / name
+            if not place.exists():
+                copy(tmp_path / "takes", place / "takes")
+            if name == "forked":
+                outcome = commands.run(place, arguments)
+                ends.append((outcome.code, outcome.out, outcome.err))
+            else:
+                command = [sys.executable, "-m", "motionkit", *arguments]
+                done = subprocess.run(command, cwd=place, env=one_thread(), capture_output=True, text=True, check=False)
+                ends.append((done.returncode, done.stdout, done.stderr))
+        assert ends[0] == ends[1]
+        assert tree(tmp_path / "forked") == tree(tmp_path / "started")
+
+
+def test_a_file_that_is_missing_may_be_told_and_no_traceback(commands: Commands, tmp_path: Path) -> None:
+    assert fault_of(commands.run(tmp_path, ("info", "--store", "nowhere"))) == ""
+    assert fault_of(commands.run(tmp_path, (f"{CARELESS}nothing", "nowhere"))).startswith("a traceback: AttributeError")
 
 
 def test_trees_differ_in_names_and_contents_and_not_in_clocks(tmp_path: Path) -> None:

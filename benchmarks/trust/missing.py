@@ -1,0 +1,70 @@
+"""Files that are removed: under a reader that has opened the store, and before a command that needs them."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from benchmarks.trust.process import Outcome
+from benchmarks.trust.scenarios import CALL, RUN, STORE, Arguments, train
+from benchmarks.trust.trees import copy
+from benchmarks.trust.trials import Attempt, Drill, shows_traceback
+
+START = "model"
+STORE_FILES, ALL_FILES = ("store",), ("store", "runs")
+COMMANDS: tuple[Arguments, ...] = (
+    ("validate", *STORE),
+    ("export", "out", "--format", "npz", *STORE),
+    (*train("field"), "--resume"),
+    (*train("denoiser"), "--overwrite"),
+    ("generate", "--action", "walk", "--fps", "30", "--seconds", "1", "--out", "made", *RUN),
+)
+
+
+def removed_under_a_reader(drill: Drill) -> Iterator[Attempt]:
+    """Open the store and its cache, remove one file, read everything: all is there, or the file is named."""
+    for name in files_of(drill.start_of(START), STORE_FILES):
+        place = drill.folder / "place"
+        copy(drill.start_of(START), place)
+        outcome = drill.commands.run(place, (f"{CALL}read_without", "store", name))
+        yield Attempt("under a reader", f"{name} removed", fault_of(outcome))
+
+
+def removed_before_a_command(drill: Drill) -> Iterator[Attempt]:
+    """Remove one file, run a command: it succeeds, or says in a line what is wrong; `validate` names what it needs."""
+    start = drill.start_of(START)
+    for name in files_of(start, ALL_FILES):
+        for arguments in COMMANDS:
+            place = drill.folder / "place"
+            copy(start, place)
+            (place / name).unlink()
+            outcome = drill.commands.run(place, arguments)
+            problem = fault_of(outcome)
+            if arguments[0] == "validate" and is_committed(name) and outcome.code == 0:
+                problem = "validate does not miss it"
+            yield Attempt(arguments[0], f"{name} removed, {' '.join(arguments[:3])}", problem)
+
+
+MISSING: dict[str, Callable[[Drill], Iterator[Attempt]]] = {
+    "a file removed under a reader": removed_under_a_reader,
+    "a file removed before a command": removed_before_a_command,
+}
+
+
+def files_of(start: Path, folders: tuple[str, ...]) -> list[str]:
+    """Names of all files in some of the folders."""
+    found = [path for folder in folders for path in (start / folder).rglob("*") if path.is_file()]
+    return sorted(path.relative_to(start).as_posix() for path in found)
+
+
+def is_committed(name: str) -> bool:
+    """Whether a file is of the store itself: not of its cache, and no lock."""
+    return name.startswith("store/") and not name.startswith("store/cache/") and not name.endswith(".lock")
+
+
+def fault_of(outcome: Outcome) -> str:
+    """What is wrong with how a command ended that lacked a file."""
+    if shows_traceback(outcome):
+        return f"a traceback: {outcome.last_line}"
+    if outcome.code not in (0, 1, 2):
+        return f"exit code {outcome.code}: {outcome.last_line}"
+    told = outcome.last_line.startswith("motionkit: ") or "is missing" in outcome.out
+    return "" if outcome.code == 0 or told else f"exit code {outcome.code} without a word: {outcome.last_line}"
