@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from motionkit.errors import MotionkitError, UsageError
+from motionkit.plain_text import shown, whole_number
 from motionkit.timegrid import TimeGrid, format_fps, parse_fps
 
 # A minute of a body that nobody observed is a slip of the pen.
@@ -132,8 +133,10 @@ def parse_keep(text: str) -> tuple[FrameRange, ...]:
         match = _RANGE.fullmatch(part.strip())
         if match is None or not (match["start"] or match["colon"]):
             raise UsageError(f"--keep {text}: {part.strip()!r} is no range of frames such as 0:10, 40: or 7")
-        start = int(match["start"] or 0)
-        stop = (int(match["stop"]) if match["stop"] else None) if match["colon"] else start + 1
+        start, end = (whole_number(match[which] or "0") for which in ("start", "stop"))
+        if start is None or end is None:
+            raise UsageError(f"--keep {shown(text)}: no clip has as many frames")
+        stop = (end if match["stop"] else None) if match["colon"] else start + 1
         if stop is not None and stop <= start:
             raise UsageError(f"--keep {text}: {part.strip()} holds no frame; it ends before its second number")
         found.append(FrameRange(start, stop))

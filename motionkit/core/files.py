@@ -58,6 +58,15 @@ def read_regular(path: Path) -> bytes:
     return path.read_bytes()
 
 
+def read_at_most(path: Path, num_bytes: int) -> bytes:
+    """Content of a file or a pipe of up to so many bytes; raises `OSError` for more, which a device never ends."""
+    with path.open("rb") as file:
+        content = file.read(num_bytes + 1)
+    if len(content) > num_bytes:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
+    return content
+
+
 def require_regular(path: Path) -> None:
     """Raise `OSError` for what is there but is no file: a folder, a pipe, a device. A link to a file is one."""
     if not stat.S_ISREG(path.stat().st_mode):

@@ -12,11 +12,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from motionkit.core.files import read_at_most
 from motionkit.errors import UsageError
 from motionkit.formats import clock
 from motionkit.formats.globs import parse_glob
 from motionkit.motion import Motion
-from motionkit.plain_text import parse_toml, shown
+from motionkit.plain_text import LONGEST_TOML, parse_toml, shown
 from motionkit.timegrid import parse_fps
 
 KEYS = frozenset({"files", "stated", "fps", "reason", "source"})
@@ -40,9 +41,9 @@ class FramerateRule:
 def read_rules(path: Path) -> tuple[FramerateRule, ...]:
     """The rules of a TOML file in its order; raises `UsageError` that names the file, the rule, and what is wrong."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_at_most(path, LONGEST_TOML).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read ({error})") from None
+        raise UsageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     return parse_rules(text, str(path))
 
 

@@ -15,8 +15,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from motionkit.core.files import read_at_most
 from motionkit.errors import FormatError, MotionkitError
-from motionkit.plain_text import parse_json, parse_toml, shown
+from motionkit.plain_text import LONGEST_TOML, parse_json, parse_toml, shown
 from motionkit.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 
 # Toes can be made up where nothing stands for them; every other joint of the layout needs a row.
@@ -45,7 +46,7 @@ class SkeletonFamily:
 def read_skeleton_map(path: Path) -> str:
     """Read a user's TOML file as canonical text; raises `FormatError` (`skeleton-map`) saying what to mend."""
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = read_at_most(path, LONGEST_TOML).decode("utf-8-sig")
     except OSError as error:
         raise FormatError(f"cannot be read ({error.strerror or error})", path=path, reason="unreadable") from None
     except UnicodeDecodeError as error:

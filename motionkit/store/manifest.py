@@ -12,7 +12,7 @@ import motionkit
 from motionkit.checksums import sha256_of
 from motionkit.core import files
 from motionkit.core.sealed import read_json, sealed
-from motionkit.errors import DamagedFileError, StoreError
+from motionkit.errors import DamagedFileError, StoreError, describe
 from motionkit.store.schema import (
     FORMAT_NAME,
     FORMAT_VERSION,
@@ -141,7 +141,7 @@ def read_manifest(store: Path) -> Manifest:
             f"there is no store at {store}: make one with 'motionkit ingest SOURCE --store {store}'"
         ) from None
     except (OSError, DamagedFileError) as error:
-        raise StoreError(str(error)) from None
+        raise StoreError(describe(error)) from None
     if document.get("format") != FORMAT_NAME:
         raise StoreError(f"{path} is not the manifest of a store: its 'format' is not {FORMAT_NAME!r}")
     version = document.get("format_version")

@@ -87,6 +87,12 @@ def test_the_system_s_own_errors_name_the_file_in_one_line(motionkit: Run, takes
         assert outcome.error_lines[-1].endswith(": Not a directory") and str(tmp_path / "file") in outcome.stderr
 
 
+def test_a_device_is_no_table(motionkit: Run, takes: Path, tmp_path: Path) -> None:
+    for option in ("--fps-rules", "--skeleton-map"):
+        outcome = check(motionkit("ingest", takes, "--store", tmp_path / "store", option, "/dev/zero"))
+        assert outcome.code in (1, 2) and "/dev/zero: cannot be read (File too large)" in outcome.stderr
+
+
 def test_samples(motionkit: Run, tmp_path: Path) -> None:
     folder = tmp_path / "samples"
     folder.mkdir()

@@ -37,6 +37,8 @@ def test_ranges_of_frames() -> None:
         ("0:10,5:20", "overlap"),
         ("40:,50:60", "overlap"),
         ("3,3", "overlap"),
+        ("9" * 5000, "no clip has as many frames"),
+        (f"0:{'9' * 5000}", "no clip has as many frames"),
     ],
 )
 def test_ranges_that_are_none(text: str, told: str) -> None:

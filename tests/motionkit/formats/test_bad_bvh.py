@@ -103,6 +103,8 @@ def test_a_missing_file_is_explained(tmp_path: Path) -> None:
         TEXT.replace("OFFSET 0 95 0", "OFFSET 0.0 9.5e+01 0"),
         TEXT + "\n\n",
         TEXT.replace("\n0 ", "\n\n0 "),
+        # Each empty line was once a count of all lines before it: minutes.
+        TEXT.replace("Frames: 4", "\n" * 200_000 + "Frames: 4\n" + "\n" * 200_000),
         TEXT.rstrip("\n"),
         TEXT.replace("Zrotation", "ZROTATION").replace("End Site", "End site"),
     ],
@@ -113,6 +115,14 @@ def test_the_ways_in_which_good_files_differ(tmp_path: Path, variant: str) -> No
     motion = read_bvh(path)
     assert motion.num_frames == 4 and motion.fps == 30
     assert motion.joint_positions[3, 0].tolist() == pytest.approx([0, 0.95, 0.06])
+
+
+def test_lines_are_counted_across_empty_ones(tmp_path: Path) -> None:
+    path = tmp_path / "bad.bvh"
+    path.write_text(TEXT.replace("Frames: 4", "\n\nFrames: 4\n").replace("0.0333333", "0.0333333\n\nx"))
+    with pytest.raises(FormatError) as caught:
+        read_bvh(path)
+    assert caught.value.line == 1 + path.read_text().splitlines().index("x")
 
 
 def test_names_with_spaces_and_colons_and_repeated_ones(tmp_path: Path) -> None:
