@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motionkit.checksums import sha256_of
-from motionkit.errors import LinkError
+from motionkit.errors import LinkError, StoreError
 from motionkit.skeleton import Skeleton
 from motionkit.store.cache import cache_faults
 from motionkit.store.footer import read_footer
@@ -38,10 +38,17 @@ from motionkit.store.tables import read_committed_table
 def faults(path: Path, on_file: Callable[[str], None] = lambda name: None, *, deep: bool = False) -> Iterator[str]:
     """One line for each fault of a store, none where it is intact; `on_file` is told before each file is read.
 
-    If `deep`, its training caches are read too. Raises `StoreError` where there is no store, or its manifest is
-    unreadable or of another format version.
+    If `deep`, its training caches are read too. Raises `StoreError` where there is no store, its manifest is
+    unreadable or of another format version, or a writer has changed it meanwhile.
     """
     manifest = read_manifest(path)
+    for fault in _faults(path, manifest, on_file, deep):
+        if read_manifest(path) != manifest:  # then the file is one that a writer has replaced or deleted
+            raise StoreError(f"the store {path} was written to while it was checked: check it again")
+        yield fault
+
+
+def _faults(path: Path, manifest: Manifest, on_file: Callable[[str], None], deep: bool) -> Iterator[str]:
     if (path / SEGMENTS_FOLDER).is_symlink():
         yield f"{SEGMENTS_FOLDER}: it is a symbolic link to {str((path / SEGMENTS_FOLDER).readlink())!r}"
     tables: dict[str, pa.Table] = {}

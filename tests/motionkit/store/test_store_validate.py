@@ -8,6 +8,7 @@ import pytest
 from motionkit.errors import StoreError
 from motionkit.store import StoreWriter
 from motionkit.store.removal import remove
+from motionkit.store.rewrite import compact
 from motionkit.store.validate import faults
 from tests.motionkit.store.signed_again import rewrite, sign, with_number, with_value
 
@@ -20,6 +21,22 @@ def test_an_intact_store_has_no_faults(small_store, make_motion):
     seen: list[str] = []
     assert list(faults(small_store, seen.append)) == []
     assert seen == ["sequences.parquet", "skeletons.parquet", PART, "segments/part-00001.parquet"]
+
+
+def test_what_a_writer_deletes_meanwhile_is_no_fault(small_store, make_motion):
+    with StoreWriter.append(small_store) as writer:
+        writer.add(make_motion("later", 300))
+    remove(small_store, ["later"])
+    with StoreWriter.append(small_store) as writer:
+        writer.add(make_motion("last", 300))
+
+    def compact_meanwhile(name: str) -> None:
+        if name == PART:
+            compact(small_store)
+
+    with pytest.raises(StoreError, match="was written to while it was checked: check it again"):
+        list(faults(small_store, compact_meanwhile))
+    assert list(faults(small_store)) == []
 
 
 @pytest.mark.parametrize("name", ["sequences.parquet", "skeletons.parquet", PART])
