@@ -10,8 +10,8 @@ from typing import Annotated
 
 import typer
 
-import motionkit
 from motionkit.console import stderr, stdout
+from motionkit.core.version import __version__
 from motionkit.errors import MotionkitError, UsageError, describe
 
 # The exit code of what Ctrl-C has ended.
@@ -40,7 +40,7 @@ def build_app(only: str = "") -> typer.Typer:
 def _print_version(wanted: bool) -> bool:
     # What it returns becomes the option's value.
     if wanted:
-        stdout.print(f"motionkit {motionkit.__version__}")
+        stdout.print(f"motionkit {__version__}")
         raise typer.Exit
     return wanted
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import motionkit
 from motionkit.checksums import sha256_of
 from motionkit.core import files
 from motionkit.core.sealed import read_json, sealed
+from motionkit.core.version import __version__
 from motionkit.errors import DamagedFileError, StoreError, describe
 from motionkit.store.schema import (
     FORMAT_NAME,
@@ -69,7 +69,7 @@ class Manifest:
     next_sequence_index: int
     next_part: int
     files: dict[str, FileEntry]
-    tool: str = field(default=f"motionkit {motionkit.__version__}")
+    tool: str = field(default=f"motionkit {__version__}")
     format_version: int = FORMAT_VERSION
 
     def __post_init__(self) -> None:
@@ -148,7 +148,7 @@ def read_manifest(store: Path) -> Manifest:
     if version not in READABLE_VERSIONS:
         raise StoreError(
             f"the store {store} has format version {version!r} and was written by {document.get('tool', 'another')!r}, "
-            f"but motionkit {motionkit.__version__} reads versions {READABLE_VERSIONS[0]} to "
+            f"but motionkit {__version__} reads versions {READABLE_VERSIONS[0]} to "
             f"{FORMAT_VERSION}: install the motionkit that wrote it, or ingest the sources again"
         )
     try:

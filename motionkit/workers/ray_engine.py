@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any
 
-import motionkit
+from motionkit.core.version import __version__
 from motionkit.errors import MissingExtraError, MotionkitError
 from motionkit.workers.parallel import WorkerDied, map_in_order
 from motionkit.workers.process_engine import usable_cores
@@ -73,9 +73,9 @@ class RayEngine:
         ((_, version),) = map_in_order(self, _version, [[None]])
         if isinstance(version, WorkerDied):
             raise MotionkitError("two workers of Ray ended before they had done anything: killed, or out of memory?")
-        if version != motionkit.__version__:
+        if version != __version__:
             raise MotionkitError(
-                f"Ray's workers have motionkit {version}, this is {motionkit.__version__}: install the same everywhere"
+                f"Ray's workers have motionkit {version}, this is {__version__}: install the same everywhere"
             )
 
     def submit(self, function: Function, batch: Sequence[Any]) -> object:
@@ -93,7 +93,7 @@ class RayEngine:
         except faults.RayError as error:
             reason = str(error).strip().splitlines()[-1]
             raise MotionkitError(
-                f"a worker of Ray failed ({reason}): motionkit {motionkit.__version__} must be installed where it runs"
+                f"a worker of Ray failed ({reason}): motionkit {__version__} must be installed where it runs"
             ) from None
         return outputs
 
@@ -106,4 +106,4 @@ def _compute(function: Function, batch: Sequence[Any]) -> Sequence[Any]:
 
 
 def _version(_: Sequence[None]) -> list[str]:
-    return [motionkit.__version__]
+    return [__version__]
