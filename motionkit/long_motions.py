@@ -5,18 +5,23 @@ itself; `motionkit.assembly.chain` turns and moves each onto the one before it a
 nothing of what came before: what is done goes on because each piece is asked for the same.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import accumulate, pairwise
+from itertools import accumulate, groupby, pairwise
 
 import numpy as np
 
 from motionkit.assembly import chain
 from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.generation import ChecksRequests, GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.motion import Caption
 from motionkit.motionfield import MotionField
 
 OVERLAP_SECONDS = 0.5
+# Motions whose latents are drawn in one batch; their poses are decoded one by one.
+MOTIONS_AT_ONCE = 64
+# One motion's poses are in memory at once: an hour at 120 fps is 114 MB of positions.
+LONGEST_SECONDS = 3600.0
 
 # One motion that is wanted: what is done, one request after the other. Each but a sole one states its seconds.
 Script = tuple[GenerationRequest, ...]
@@ -74,6 +79,48 @@ def generate_joined(
     own_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint64)[0] >> np.uint64(1))
     fields = model.generate(requests, seed=own_seed, sampling=sampling)
     return chain(fields, overlap_seconds)
+
+
+def check_script(model: GenerativeModel, script: Script, sampling: SamplingOptions, overlap_seconds: float) -> None:
+    """Raise `UsageError` for what a model cannot do of a script, and for a script of more than an hour."""
+    pieces = list(script)
+    if is_joined(script, model.max_duration_seconds):
+        seconds = sum(request.duration_seconds or 0.0 for request in script)
+        if seconds > LONGEST_SECONDS:
+            raise UsageError(f"{seconds:g} s: a motion lasts up to {LONGEST_SECONDS:g} s; ask for several")
+        pieces = pieces_of(script, model.max_duration_seconds, overlap_seconds)
+    if isinstance(model, ChecksRequests):
+        for piece in dict.fromkeys(pieces):
+            model.check(piece, sampling)
+
+
+def generate_scripts(
+    model: GenerativeModel,
+    scripts: Sequence[Script],
+    *,
+    seed: int,
+    first: int = 0,
+    sampling: SamplingOptions = SamplingOptions(),
+    overlap_seconds: float = OVERLAP_SECONDS,
+) -> Iterator[MotionField]:
+    """The motions of scripts from number `first` on, in order; script i is number i of the seed.
+
+    Neighbours that one latent describes are drawn together. Batches begin at the same numbers whatever the first, so a
+    call that goes on gives the same motions. Raises what `pieces_of` and the model raise.
+    """
+    for start in range(first - first % MOTIONS_AT_ONCE, len(scripts), MOTIONS_AT_ONCE):
+        batch = enumerate(scripts[start : start + MOTIONS_AT_ONCE], start=start)
+        for joined, group in groupby(batch, lambda each: is_joined(each[1], model.max_duration_seconds)):
+            numbered = list(group)
+            begin, last = numbered[0][0], numbered[-1][0]
+            if joined:
+                for number, script in numbered[max(0, first - begin) :]:
+                    yield generate_joined(
+                        *(model, script), seed=seed, number=number, sampling=sampling, overlap_seconds=overlap_seconds
+                    )
+            elif last >= first:
+                requests = [request for _, (request,) in numbered]
+                yield from model.generate(requests, seed=seed, sampling=sampling, first=begin)[max(0, first - begin) :]
 
 
 def captions_of(script: Script) -> tuple[Caption, ...]:

@@ -13,10 +13,11 @@ from typing import Any, TextIO
 
 from motionkit.errors import UsageError
 from motionkit.export.files import TABLE, captions_json
+from motionkit.generate.samples import GeneratedSample
 from motionkit.plain_text import parse_json
 from motionkit.timegrid import format_fps
 from motionkit.training.run import write_json
-from nerm.generation.files import OUTPUTS, GeneratedSample
+from nerm.generation.files import OUTPUTS
 
 MANIFEST = "generation.json"
 FORMAT = "motionkit-generation"

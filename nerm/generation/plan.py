@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +10,15 @@ import numpy as np
 
 from motionkit.checksums import sha256_of
 from motionkit.errors import UsageError
-from motionkit.generation import ChecksRequests, GenerationRequest, GenerativeModel, SamplingOptions
-from motionkit.long_motions import OVERLAP_SECONDS, Script, generate_joined, is_joined, pieces_of
+from motionkit.generate.samples import GeneratedSample, motion_name, sample_field
+from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts, is_joined
 from motionkit.motionfield import MotionField
 from motionkit.timegrid import format_fps
 from motionkit.training.run import versions
-from nerm.generation.files import OUTPUTS, GeneratedSample, OutputFormat, motion_name, sample_field
+from nerm.generation.files import OUTPUTS, OutputFormat
 from nerm.generation.folder import FORMAT
 from nerm.generation.prompts import Prompt
-
-# Motions whose latents are drawn in one batch; their poses are decoded and written one by one.
-MOTIONS_AT_ONCE = 64
-# One motion's poses are in memory at once: an hour at 120 fps is 114 MB of positions.
-LONGEST_SECONDS = 3600.0
 
 
 @dataclass(frozen=True)
@@ -63,22 +58,11 @@ class GenerationPlan:
         """
         for prompts in self.scripts:
             try:
-                self._check(_requests(prompts), model)
+                check_script(model, _requests(prompts), self.sampling, self.overlap_seconds)
             except UsageError as error:
                 where = prompts[0].where if len(prompts) == 1 else ""
                 raise UsageError(f"{where}: {error}" if where else str(error)) from None
         return replace(self, max_training_fps=model.max_training_fps)
-
-    def _check(self, script: Script, model: GenerativeModel) -> None:
-        pieces = list(script)
-        if is_joined(script, model.max_duration_seconds):
-            seconds = sum(request.duration_seconds or 0.0 for request in script)
-            if seconds > LONGEST_SECONDS:
-                raise UsageError(f"{seconds:g} s: a motion lasts up to {LONGEST_SECONDS:g} s; ask for several")
-            pieces = pieces_of(script, model.max_duration_seconds, self.overlap_seconds)
-        if isinstance(model, ChecksRequests):
-            for piece in dict.fromkeys(pieces):
-                model.check(piece, self.sampling)
 
     def num_joined(self, model: GenerativeModel) -> int:
         """How many motions are joined from several."""
@@ -112,40 +96,16 @@ class GenerationPlan:
         """
         motions = self.motions
         times = np.array(self.times, dtype=np.float64) if self.times else None
-        for start in range(num_done - num_done % MOTIONS_AT_ONCE, len(motions), MOTIONS_AT_ONCE):
-            batch = motions[start : start + MOTIONS_AT_ONCE]
-            for index, field in enumerate(self._fields(model, batch, start, num_done), start=start):
-                if field is not None:
-                    name = motion_name(index, motions[index])
-                    yield field, sample_field(field, name, motions[index], self.fps, times)
-
-    def _fields(
-        self, model: GenerativeModel, batch: Sequence[Script], start: int, num_done: int
-    ) -> Iterator[MotionField | None]:
-        """The fields of a batch's motions in order, None for those that are there; neighbours that one latent describes
-        are drawn together."""
-        numbered = enumerate(batch, start=start)
-        for joined, run in groupby(numbered, lambda motion: is_joined(motion[1], model.max_duration_seconds)):
-            numbers, scripts = zip(*run, strict=True)
-            if numbers[-1] < num_done:
-                yield from (None for _ in numbers)
-            elif joined:
-                for number, script in zip(numbers, scripts, strict=True):
-                    yield None if number < num_done else self._joined(model, script, number)
-            else:
-                requests = [request for (request,) in scripts]
-                fields = model.generate(requests, seed=self.seed, sampling=self.sampling, first=numbers[0])
-                yield from (None if number < num_done else field for number, field in zip(numbers, fields, strict=True))
-
-    def _joined(self, model: GenerativeModel, script: Script, number: int) -> MotionField:
-        return generate_joined(
-            model,
-            script,
+        fields = generate_scripts(
+            *(model, motions),
             seed=self.seed,
-            number=number,
+            first=num_done,
             sampling=self.sampling,
             overlap_seconds=self.overlap_seconds,
         )
+        for index, field in enumerate(fields, start=num_done):
+            name = motion_name(index, motions[index])
+            yield field, sample_field(field, name, motions[index], self.fps, times)
 
 
 def _requests(prompts: Sequence[Prompt]) -> Script:

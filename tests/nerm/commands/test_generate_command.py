@@ -15,13 +15,13 @@ from motionkit.errors import FormatError, UsageError
 from motionkit.features.humanml3d import positions
 from motionkit.formats.arrays.npz import read_npz
 from motionkit.formats.bvh.motion import read_bvh
+from motionkit.generate.samples import motion_name
 from motionkit.generation import GenerationRequest
 from motionkit.motion import Caption
 from motionkit.motionfield import Poses, check_times
 from motionkit.skeleton import SMPL22
 from motionkit.store import Store
 from nerm.commands.generate import generate
-from nerm.generation.files import motion_name
 
 
 @dataclass(frozen=True, eq=False)

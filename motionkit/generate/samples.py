@@ -1,0 +1,83 @@
+"""Generated motions as poses: their fields sampled at a framerate, or at arbitrary instants."""
+
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from motionkit.errors import UsageError
+from motionkit.long_motions import Script, captions_of
+from motionkit.motion import Caption, Motion
+from motionkit.motionfield import MotionField, told_fps
+from motionkit.skeleton import Skeleton
+from motionkit.timegrid import TimeGrid
+
+SLUG_LENGTH = 40
+
+
+@dataclass(frozen=True, eq=False)
+class GeneratedSample:
+    """Poses of one generated motion: uniformly at `fps`, or at arbitrary `seconds` where `fps` is None."""
+
+    name: str
+    joint_positions: Float32[np.ndarray, "frames joints 3"]
+    seconds: Float64[np.ndarray, "frames"]
+    fps: Fraction | None
+    duration_seconds: float
+    skeleton: Skeleton
+    captions: tuple[Caption, ...]
+    action: str
+
+    def motion(self) -> Motion:
+        """The poses as a motion; raises `UsageError` for poses without a uniform framerate."""
+        if self.fps is None:
+            raise UsageError("poses at arbitrary instants have no framerate: write them as npz")
+        grid = TimeGrid(self.fps, len(self.seconds), float(self.seconds[0]))
+        return Motion(
+            self.joint_positions,
+            self.skeleton,
+            grid,
+            captions=self.captions,
+            action=self.action,
+            sequence_id=self.name,
+        )
+
+
+def sample_field(
+    field: MotionField,
+    name: str,
+    script: Script,
+    fps: Fraction,
+    times_seconds: Float64[np.ndarray, "times"] | None = None,
+) -> GeneratedSample:
+    """Sample a generated field: at `times_seconds`, or the frames k / fps of the half-open interval it lasts.
+
+    Four seconds asked for at 20 fps are a file of 80 frames that lasts four seconds; `to_motion` would give the frame
+    at the closed end too, as the instants do that a capture was observed at.
+    """
+    duration = field.end_seconds - field.start_seconds
+    if times_seconds is None:
+        field = told_fps(field, fps)
+        num_frames = max(1, int(np.ceil(duration * float(fps) - 1e-6)))
+        seconds = TimeGrid(fps, num_frames, field.start_seconds).seconds()
+    else:
+        seconds = times_seconds
+    return GeneratedSample(
+        name=name,
+        joint_positions=field.query(seconds).joint_positions,
+        seconds=seconds,
+        fps=fps if times_seconds is None else None,
+        duration_seconds=duration,
+        skeleton=field.skeleton,
+        captions=captions_of(script),
+        action=script[0].action if len({request.action for request in script}) == 1 else "",
+    )
+
+
+def motion_name(index: int, script: Script) -> str:
+    """A name for the index-th motion that says what was asked for: `0003-a-person-walks`."""
+    asked = " ".join(request.text or request.action for request in script).strip() or "unconditional"
+    slug = re.sub(r"[^a-z0-9]+", "-", asked.lower()).strip("-")
+    return f"{index:04d}-{slug[:SLUG_LENGTH].strip('-') or 'motion'}"
