@@ -5,7 +5,7 @@ BVH files are read and written piece by piece; clips of other forms are held in 
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -21,9 +21,9 @@ from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.arrays.npz import write_npz
 from motionkit.formats.bvh.channel_lines import ChannelLines
 from motionkit.formats.bvh.document import BvhDocument, read_document
-from motionkit.formats.bvh.motion import write_bvh
 from motionkit.formats.items import ReadOptions, SourceItem
 from motionkit.formats.pose_folders.humanml3d import VECTORS_FOLDER
+from motionkit.formats.writing import WRITERS
 from motionkit.interpolation.rigid import on_bones
 from motionkit.long_observation import LongObservation
 from motionkit.motion import Caption, Motion
@@ -75,7 +75,7 @@ def find_clips(names: Sequence[str], options: ReadOptions, store: Path) -> tuple
 
     Raises `UsageError` for a name that says nothing.
     """
-    readers = Readers(partial(_read, options=options), partial(_vectors, options=options), _stored)
+    readers = Readers(partial(_read, options=options), partial(_vectors, options=options), clip_of_motion)
     found, problems = find_motions(names, options, store, readers)
     named = {Path(name) for name in names}
     return [clip for clip in found if clip.name in names or not _is_made(clip.beside, named)], problems
@@ -96,11 +96,16 @@ def _read(item: SourceItem, options: ReadOptions) -> Clip:
     if options.fps is None and item.fps is not None:
         options = replace(options, fps=item.fps)
     if item.path.suffix.lower() == ".bvh" or item.format == "bvh":
-        return clip_of_document(read_document(item.path, options), item.captions)
+        clip = clip_of_document(read_document(item.path, options), item.captions)
+        return replace(clip, label=lambda made: _labelled(clip.label(made), item))
     read = read_with_holes(item, options)
     if item.path.parent.name == VECTORS_FOLDER:
         return _in_memory(read, ".npy", vectors_npy.write_vectors)
     return _as_it_came(read, item.path.suffix.lower(), f"{item.format} cannot be written")
+
+
+def _labelled(motion: Motion, item: SourceItem) -> Motion:
+    return replace(motion, sequence_id=item.sequence_id, action=item.action, style=item.style, split=item.split)
 
 
 def _as_it_came(read: ReadClip, suffix: str, why_not: str) -> Clip:
@@ -161,11 +166,8 @@ def _in_memory(read: ReadClip, suffix: str, write: Callable[[Motion, Path], None
     )
 
 
-WRITERS: Mapping[str, Callable[[Motion, Path], None]] = {".npz": write_npz, ".bvh": write_bvh}
-
-
 def as_format(clip: Clip, suffix: str) -> Clip:
-    """The same clip, to be written as another format; raises `UsageError` for one that holds no single clip."""
+    """The same clip, to be written as another format by its suffix; raises `UsageError` for one that is not written."""
     if clip.suffix == suffix:
         return clip
     if suffix not in WRITERS:
@@ -177,7 +179,8 @@ def _vectors(path: Path, options: ReadOptions) -> Clip:
     return _in_memory(vectors_npy.read_vectors(path, options), ".npy", vectors_npy.write_vectors)
 
 
-def _stored(motion: Motion) -> Clip:
+def clip_of_motion(motion: Motion) -> Clip:
+    """A motion in memory as a clip."""
     return _in_memory(ReadClip.whole(motion), ".npz", write_npz)
 
 

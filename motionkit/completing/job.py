@@ -81,18 +81,15 @@ class Job:
         for each in (path, page):
             if each is not None and each.exists() and not self.overwrite:
                 raise MotionkitError(f"{each} exists: --overwrite replaces it, --out writes elsewhere")
-        made, name, warnings = self._begin(clip, wanted, self.chosen)
+        made, name, warnings = begin_clip(clip, wanted, self.chosen)
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as temporary:
             clip.write(made, temporary, progress)
             if page is not None:
-                others = [(other.name, self._begin(clip, wanted, other)[0]) for other in self.compared]
+                others = [(other.name, begin_clip(clip, wanted, other)[0]) for other in self.compared]
                 write_comparison(page, source.name, clip, wanted.observed, [(name, made), *others])
         if clip.note:
             warnings.append(clip.note)
-        lost = int((~clip.seen).sum())
-        if lost:
-            warnings.append(f"{lost:,} frames hold nan and were made like any gap")
         return CompletedClip(
             source=source.name,
             path=path,
@@ -107,15 +104,23 @@ class Job:
             warnings=tuple(warnings),
         )
 
-    def _begin(self, clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> tuple[Completion, str, list[str]]:
-        encoder, warning = chosen.for_skeleton(clip.skeleton)
-        name = encoder.name if warning else chosen.name
-        warnings = [warning] if warning else _warnings(clip, wanted, chosen)
-        try:
-            made = _encoded(clip, wanted, encoder)
-        except ValueError as error:
-            raise MotionkitError(f"{chosen.name} cannot complete it: {error}") from None
-        return made, name, warnings
+
+def begin_clip(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> tuple[Completion, str, list[str]]:
+    """What is asked of a clip, ready to be sampled; the name of the encoder that does it; what to know of it.
+
+    Raises `MotionkitError` where the encoder cannot.
+    """
+    encoder, warning = chosen.for_skeleton(clip.skeleton)
+    name = encoder.name if warning else chosen.name
+    warnings = [warning] if warning else _warnings(clip, wanted, chosen)
+    try:
+        made = _encoded(clip, wanted, encoder)
+    except ValueError as error:
+        raise MotionkitError(f"{chosen.name} cannot complete it: {error}") from None
+    lost = int((~clip.seen).sum())
+    if lost:
+        warnings.append(f"{lost:,} frames hold nan and were made like any gap")
+    return made, name, warnings
 
 
 def _encoded(clip: Clip, wanted: ClipRequest, encoder: MotionEncoder) -> Completion:

@@ -53,7 +53,10 @@ class CompletionRequest:
 
     def __post_init__(self) -> None:
         if self.fps is None and not self.keep and not self.before.amount and not self.after.amount:
-            raise UsageError("nothing to make: give --fps 120, --keep 0:10,40:50 or --extend 0.5,1")
+            raise UsageError(
+                "nothing to make: give a framerate (--fps 120), frames to keep (--keep 0:10,40:50), or seconds beyond "
+                "the ends (--extend 0.5,1)"
+            )
 
     def for_clip(
         self,
@@ -73,7 +76,8 @@ class CompletionRequest:
         if fps < timegrid.fps:
             raise MotionkitError(
                 f"{format_fps(fps)} fps is less than its {format_fps(timegrid.fps)}: frames would be dropped, not "
-                f"made; filter it down instead (motionkit ingest, then motionkit export --fps {format_fps(fps)})"
+                f"made; filter it down instead: motion.resample({format_fps(fps)}) in Python, or motionkit ingest and "
+                f"motionkit export --fps {format_fps(fps)}"
             )
         observed = seen & kept_frames(self.keep, timegrid.num_frames)
         if not observed.any():
