@@ -21,11 +21,10 @@ from motionkit.motionfield import (
     to_motion,
     told_fps,
 )
-from motionkit.timegrid import TimeGrid, num_frames_within
+from motionkit.timegrid import SAME_SECONDS, TimeGrid, num_frames_within
 
 SLERP: MotionEncoder = INTERPOLATORS["slerp"]
 _TOLERANCE_FRAMES = 1e-6
-_SAME_SECONDS = 1e-6
 
 
 def upsample(motion: Motion, fps: Fraction, encoder: MotionEncoder = SLERP) -> Motion:
@@ -180,7 +179,7 @@ def begin_uneven(
     seconds = observation.times_seconds
     rows = np.rint((seconds - grid.start_seconds) * float(fps)).astype(np.int64)
     rows = np.clip(rows, 0, grid.num_frames - 1)
-    near = np.flatnonzero(np.abs(grid.seconds()[rows] - seconds) < _SAME_SECONDS)
+    near = np.flatnonzero(np.abs(grid.seconds()[rows] - seconds) < SAME_SECONDS)
     return _completion(observation, known_frames, encoder, grid, rows[near], near)
 
 

@@ -25,10 +25,15 @@ COMMON_FPS: tuple[Fraction, ...] = (
 SNAP_TOLERANCE = 1e-3
 MIN_FPS, MAX_FPS = Fraction(1), Fraction(10_000)
 LARGEST_FLOAT = 1e308
+# Two readings of the same instant differ by less than this.
+SAME_SECONDS = 1e-6
+
+# What stands for a framerate wherever people give one (`parse_fps`).
+Framerate = Fraction | int | float | str
 
 
 @lru_cache(maxsize=256, typed=True)  # a corpus says the same few thousands of times
-def parse_fps(value: str | int | float | Fraction) -> Fraction:
+def parse_fps(value: Framerate) -> Fraction:
     """Read a framerate exactly: `120`, `"30000/1001"`, `"59.94"`, or a float that is snapped to a common rate.
 
     A float or decimal string within 0.1 % of a common framerate becomes that rate (120.00004577636719 → 120), because
@@ -106,5 +111,5 @@ def normalise_seconds(
 
 
 def num_frames_within(span_seconds: float, fps: Fraction) -> int:
-    """Number of frames k / fps that lie in [0, span_seconds], the end included within a microsecond."""
-    return int(np.floor((span_seconds + 1e-6) * float(fps))) + 1
+    """Number of frames k / fps that lie in [0, span_seconds], the end included within `SAME_SECONDS`."""
+    return int(np.floor((span_seconds + SAME_SECONDS) * float(fps))) + 1

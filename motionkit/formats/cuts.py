@@ -13,11 +13,9 @@ from pathlib import Path
 
 from motionkit.errors import FormatError
 from motionkit.motion import Motion
-from motionkit.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
+from motionkit.timegrid import SAME_SECONDS, SNAP_TOLERANCE, TimeGrid, parse_fps
 
 PUBLISHED_FPS = 20
-# Two readings of the same instant differ by less than this.
-SAME_SECONDS = 1e-6
 # AMASS' releases differ by some frames at the ends of files; wrong framerates are off by a fifth or more.
 UNLIKE_SECONDS = 0.25
 UNLIKE_SHARE = 0.05
