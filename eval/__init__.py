@@ -5,5 +5,15 @@ its modules importable beside this package.
 """
 
 from pkgutil import extend_path
+from typing import TYPE_CHECKING
+
+from motionkit.core.public_names import give_names
+
+if TYPE_CHECKING:
+    from eval.clip_fid.motions import clip_fid
+
+__all__ = ["clip_fid"]
 
 __path__ = extend_path(__path__, __name__)
+
+give_names(__name__, {"clip_fid": "eval.clip_fid.motions"})

@@ -16,7 +16,7 @@ from motionkit.interpolation.joints import Joints
 from motionkit.kinematics import continuous_quaternions
 from motionkit.motion import Motion
 from motionkit.motionfield import Poses
-from motionkit.timegrid import TimeGrid, num_frames_within
+from motionkit.timegrid import Framerate, TimeGrid, num_frames_within, parse_fps
 
 STOPBAND_DECIBEL = 80.0
 PASSBAND = 0.8
@@ -56,9 +56,18 @@ def downsample(motion: Motion, fps: Fraction) -> Motion:
     return sampled.annotated_like(motion).logged(f"downsample {motion.fps} -> {fps} fps (low-pass)")
 
 
-def resample(motion: Motion, fps: Fraction, method: Method = "slerp") -> Motion:
-    """The motion at any framerate: `downsample` below its own, `motionkit.completion.upsample` above it."""
-    return downsample(motion, fps) if fps < motion.fps else upsample(motion, fps, INTERPOLATORS[method])
+def resample(motion: Motion, fps: Framerate, method: Method = "slerp") -> Motion:
+    """The motion at any framerate: filtered below the new Nyquist frequency downwards, interpolated upwards.
+
+    Downwards it is `downsample`; upwards the frames of the motion that fall on the new grid are kept, and `method` (an
+    interpolator, docs/motion-fields.md) makes the others. Raises `ValueError` for a framerate that is none.
+
+    >>> motion = mk.read("walk.bvh")
+    >>> mk.resample(motion, 59.94).fps, mk.resample(motion, "120", "squad").num_frames
+    (Fraction(60000, 1001), 479)
+    """
+    rate = parse_fps(fps)
+    return downsample(motion, rate) if rate < motion.fps else upsample(motion, rate, INTERPOLATORS[method])
 
 
 def resample_positions(

@@ -47,6 +47,8 @@ def test_imports_run_one_way() -> None:
         ("pahires/network.py", "import nerm", "data flows one way"),
         ("pahires/training.py", "import pahires.model", "PA-HiRes and its peers share no network"),
         ("eval/baselines/peers/liif.py", "import pahires.recipes", "PA-HiRes and its peers share no network"),
+        ("motionkit/timegrid.py", "from motionkit import Store", "data flows one way"),
+        ("eval/metrics/frechet.py", "from eval import clip_fid", "data flows one way in eval"),
         (
             "nerm/denoiser/diffusion.py",
             "import motionkit.cli.app",

@@ -14,6 +14,9 @@ class Estimate:
     ci95: float
     replications: int
 
+    def __str__(self) -> str:
+        return f"{self.mean:.4g} ± {self.ci95:.2g}"
+
 
 def estimate(values: Sequence[float]) -> Estimate:
     """Mean ± 1.96·std(ddof 0)/√R over R replications (text-to-motion final_evaluations.py)."""

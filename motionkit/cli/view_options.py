@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-MOST_MOTIONS = 24
+from motionkit.viewing import MOST_MOTIONS
 
 Clips = Annotated[
     list[str] | None, typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)

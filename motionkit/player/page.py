@@ -45,12 +45,11 @@ def check_places(take: Take) -> None:
         )
 
 
-def write_page(path: Path, title: str, takes: Sequence[Take], *, note: str = "", one_camera: bool = False) -> int:
-    """Write the page of one or more takes, side by side on one clock in seconds, and return its size in bytes.
+def page_of(title: str, takes: Sequence[Take], *, note: str = "", one_camera: bool = False) -> str:
+    """The page of one or more takes, side by side on one clock in seconds, as HTML that loads nothing.
 
-    It appears whole or not at all. `note` is said below the title. The camera follows each take from its own front,
-    or with `one_camera` at first all look at the same place. Raises `MotionkitError` for a joint that is nowhere, and
-    for a page that is too large.
+    `note` is said below the title. The camera follows each take from its own front, or with `one_camera` at first all
+    look at the same place. Raises `MotionkitError` for a joint that is nowhere, and for a page that is too large.
     """
     check_size(takes)
     shown = [_shown(take) for take in takes]
@@ -68,7 +67,12 @@ def write_page(path: Path, title: str, takes: Sequence[Take], *, note: str = "",
     }
     # In one pass, for a title may hold anything.
     page = re.sub("__(TITLE|STYLE|SCRIPTS|DATA)__", lambda place: contents[place[1]], page)
-    written = page.encode("utf-8", "backslashreplace")  # bytes of a file's name may be no letters
+    return page.encode("utf-8", "backslashreplace").decode()  # bytes of a file's name may be no letters
+
+
+def write_page(path: Path, title: str, takes: Sequence[Take], *, note: str = "", one_camera: bool = False) -> int:
+    """Write `page_of` some takes, which appears whole or not at all, and return its size in bytes."""
+    written = page_of(title, takes, note=note, one_camera=one_camera).encode("utf-8")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         temporary.write_bytes(written)

@@ -38,7 +38,13 @@ class Store:
     """A committed state of a store, read only; it stays readable while a writer appends.
 
     Owns the manifest, the two small tables and the row groups that were decoded last. A sequence is known by its id or
-    by its `sequence_index`; the indices ascend, with gaps where sequences were removed.
+    by its `sequence_index`; the indices ascend, with gaps where sequences were removed. Iterating gives the ids.
+
+    >>> store = mk.Store.open("store")
+    >>> len(store), list(store)[:2]
+    (6, ['walk/0', 'walk/1'])
+    >>> store["walk/0"].fps
+    Fraction(60, 1)
     """
 
     def __init__(self, path: Path, manifest: Manifest, sequences: pa.Table, skeletons: pa.Table) -> None:
@@ -128,6 +134,21 @@ class Store:
             frames.get("root_translation"),
         )
 
+    def __getitem__(self, sequence: int | str) -> Motion:
+        """One motion by id or index, as `read` gives it."""
+        return self.read(sequence)
+
+    def __len__(self) -> int:
+        return self.num_sequences
+
+    def __iter__(self) -> Iterator[str]:
+        """The ids of the sequences, in order of their indices."""
+        ids: list[str] = self.sequences_table["sequence_id"].to_pylist()
+        return iter(ids)
+
+    def __contains__(self, sequence_id: object) -> bool:
+        return isinstance(sequence_id, str) and pc.index(self.sequences_table["sequence_id"], sequence_id).as_py() >= 0
+
     def read_many(self, sequences: Iterable[int | np.integer | str], *, rotations: bool = True) -> Iterator[Motion]:
         """Motions in the order asked for; in ascending order of index every row group is decoded once."""
         for sequence in sequences:
@@ -168,6 +189,19 @@ class Store:
     def part(self, name: str) -> Path:
         """Path of a part whose footer is what the manifest says; raises `StoreError` where it is damaged."""
         return self._segments.checked_part(name)
+
+    def sql(self, sql: str) -> "pd.DataFrame":
+        """Result of one SQL statement as a pandas table; `query` gives the same as an Arrow table.
+
+        The tables are `sequences`, `segments` and `skeletons` (docs/store.md). Raises `UsageError` for bad SQL.
+
+        >>> mk.Store.open("store").sql("SELECT fps, count(*) AS takes FROM sequences GROUP BY fps ORDER BY fps")
+            fps  takes
+        0  30.0      3
+        1  60.0      3
+        """
+        frame: pd.DataFrame = self.query(sql).to_pandas()
+        return frame
 
     def _segments_dataset(self) -> Any:
         import pyarrow.dataset as ds  # which imports pandas: a third of a second that no worker of an ingest needs

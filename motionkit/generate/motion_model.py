@@ -1,0 +1,267 @@
+"""A trained generative model, in Python: texts or actions in, motions out."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import overload
+
+from motionkit import generation
+from motionkit.errors import UsageError
+from motionkit.generate.samples import motion_name, sample_field
+from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions, model_of
+from motionkit.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts
+from motionkit.motion import Motion
+from motionkit.motionfield import MotionField
+from motionkit.settings import default_path
+from motionkit.skeleton import Skeleton
+from motionkit.timegrid import Framerate, format_fps, parse_fps
+
+Several = list[str] | tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class MotionModel:
+    """A trained model that makes motions; `model` is what its package registered (docs/extending.md).
+
+    >>> model = mk.load_model("runs/nano")
+    >>> motion = model.generate("a person walks", fps=120, seconds=2)
+    >>> motion.num_frames, motion.captions[0].text
+    (240, 'a person walks')
+    """
+
+    model: GenerativeModel
+    run: Path
+
+    @property
+    def name(self) -> str:
+        """Its name in tables."""
+        return self.model.name
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton of its motions."""
+        return self.model.skeleton
+
+    @property
+    def max_training_fps(self) -> Fraction:
+        """Highest framerate of its training data; detail above it is interpolated, not learned."""
+        return self.model.max_training_fps
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """Longest motion that it makes at once; longer ones are joined from several."""
+        return self.model.max_duration_seconds
+
+    @overload
+    def generate(
+        self,
+        text: str | None = None,
+        *,
+        action: str | None = None,
+        fps: Framerate | None = None,
+        seconds: int | float | None = None,
+        n: None = None,
+        seed: int = 0,
+        sampling: SamplingOptions | None = None,
+    ) -> Motion: ...
+
+    @overload
+    def generate(
+        self,
+        text: str | None = None,
+        *,
+        action: str | None = None,
+        fps: Framerate | None = None,
+        seconds: int | float | None = None,
+        n: int,
+        seed: int = 0,
+        sampling: SamplingOptions | None = None,
+    ) -> list[Motion]: ...
+
+    @overload
+    def generate(
+        self,
+        text: Several,
+        *,
+        action: str | None = None,
+        fps: Framerate | None = None,
+        seconds: int | float | None = None,
+        n: int | None = None,
+        seed: int = 0,
+        sampling: SamplingOptions | None = None,
+    ) -> list[Motion]: ...
+
+    def generate(
+        self,
+        text: str | Several | None = None,
+        *,
+        action: str | None = None,
+        fps: Framerate | None = None,
+        seconds: int | float | None = None,
+        n: int | None = None,
+        seed: int = 0,
+        sampling: SamplingOptions | None = None,
+    ) -> Motion | list[Motion]:
+        """A motion of a text, an action, or neither; with `n`, or of several texts, a list: n of each.
+
+        `fps` is by default the highest framerate of the training data; above it a warning says that detail is
+        interpolated. `seconds` are drawn from those of the training data by default; a motion longer than the model
+        makes at once is joined from several. The same seed gives the same motions at every framerate. Raises
+        `UsageError` for what the model does not know.
+
+        >>> model = mk.load_model("runs/nano")
+        >>> [motion.duration_seconds for motion in model.generate("a person jumps", fps=30, seconds=2, n=2, seed=1)]
+        [2.0, 2.0]
+        """
+        return _generate(self, text, action, fps, seconds, n, seed, sampling)
+
+    def fields(
+        self,
+        text: str | Several | None = None,
+        *,
+        action: str | None = None,
+        seconds: int | float | None = None,
+        n: int = 1,
+        seed: int = 0,
+        sampling: SamplingOptions | None = None,
+    ) -> list[MotionField]:
+        """The same motions as functions of time, for poses at any instants (docs/motion-fields.md).
+
+        >>> [field] = mk.load_model("runs/nano").fields("a person walks", seconds=2)
+        >>> field.query(np.array([0.5, 1.25])).joint_positions.shape
+        (2, 22, 3)
+        """
+        return self.draw(_scripts(text, action, seconds, n), seed, sampling or SamplingOptions())
+
+    def draw(self, scripts: Sequence[Script], seed: int, sampling: SamplingOptions) -> list[MotionField]:
+        """The motions of scripts, one or several requests in a row each; all are checked before the first is made."""
+        for script in dict.fromkeys(scripts):
+            check_script(self.model, script, sampling, OVERLAP_SECONDS)
+        return list(generate_scripts(self.model, scripts, seed=seed, sampling=sampling))
+
+    def __repr__(self) -> str:
+        return (
+            f"MotionModel({self.name!r}, {str(self.run)!r}, {self.skeleton.num_joints} joints, up to "
+            f"{self.max_duration_seconds:g} s at once, trained at up to {format_fps(self.max_training_fps)} fps)"
+        )
+
+
+def load_model(run: str | Path, name: str | None = None) -> MotionModel:
+    """Load the generative model that a run holds; where it holds several, the one of this `name`.
+
+    A run is a folder, or its name in the folder of all runs. Raises `UsageError` for a run that does not exist, and
+    where none or several of the installed models are in it, `MotionkitError` for one that is damaged or not complete.
+
+    >>> mk.load_model("runs/nano").name
+    'NeRM'
+    """
+    path = Path(run)
+    if not path.is_dir():
+        path = default_path("runs") / path
+    if not path.is_dir():
+        raise UsageError(f"there is no run {str(run)!r}, neither as a folder nor in {default_path('runs')}")
+    return MotionModel(generation.load_model(name or model_of(path), path), path)
+
+
+@overload
+def generate(
+    text: str | None = None,
+    *,
+    run: str | Path = "nano",
+    action: str | None = None,
+    fps: Framerate | None = None,
+    seconds: int | float | None = None,
+    n: None = None,
+    seed: int = 0,
+    sampling: SamplingOptions | None = None,
+) -> Motion: ...
+
+
+@overload
+def generate(
+    text: str | None = None,
+    *,
+    run: str | Path = "nano",
+    action: str | None = None,
+    fps: Framerate | None = None,
+    seconds: int | float | None = None,
+    n: int,
+    seed: int = 0,
+    sampling: SamplingOptions | None = None,
+) -> list[Motion]: ...
+
+
+@overload
+def generate(
+    text: Several,
+    *,
+    run: str | Path = "nano",
+    action: str | None = None,
+    fps: Framerate | None = None,
+    seconds: int | float | None = None,
+    n: int | None = None,
+    seed: int = 0,
+    sampling: SamplingOptions | None = None,
+) -> list[Motion]: ...
+
+
+def generate(
+    text: str | Several | None = None,
+    *,
+    run: str | Path = "nano",
+    action: str | None = None,
+    fps: Framerate | None = None,
+    seconds: int | float | None = None,
+    n: int | None = None,
+    seed: int = 0,
+    sampling: SamplingOptions | None = None,
+) -> Motion | list[Motion]:
+    """Motions of the model of a run: `load_model(run).generate(…)`, for a single call.
+
+    >>> mk.generate("a person walks", run="runs/nano", fps="30000/1001", seconds=1).fps
+    Fraction(30000, 1001)
+    """
+    return _generate(load_model(run), text, action, fps, seconds, n, seed, sampling)
+
+
+def _generate(
+    model: MotionModel,
+    text: str | Several | None,
+    action: str | None,
+    fps: Framerate | None,
+    seconds: int | float | None,
+    n: int | None,
+    seed: int,
+    sampling: SamplingOptions | None,
+) -> Motion | list[Motion]:
+    rate = model.max_training_fps if fps is None else parse_fps(fps)
+    if rate > model.max_training_fps:
+        warnings.warn(
+            f"{float(rate):g} fps is above the {float(model.max_training_fps):g} fps of {model.name}'s fastest "
+            "training data; detail beyond that is interpolated, not learned",
+            stacklevel=3,
+        )
+    scripts = _scripts(text, action, seconds, n)
+    fields = model.draw(scripts, seed, sampling or SamplingOptions())
+    motions = [
+        sample_field(field, motion_name(number, script), script, rate)
+        .motion()
+        .logged(f"generate motion {number} of seed {seed} at {format_fps(rate)} fps ({model.name}, {model.run})")
+        for number, (script, field) in enumerate(zip(scripts, fields, strict=True))
+    ]
+    return motions[0] if n is None and not isinstance(text, list | tuple) else motions
+
+
+def _scripts(
+    text: str | Several | None, action: str | None, seconds: int | float | None, n: int | None
+) -> list[Script]:
+    """What is asked for, n times each; raises `UsageError` for an empty text or action and for fewer than one."""
+    texts = [""] if text is None else [text] if isinstance(text, str) else list(text)
+    if (text is not None and not all(each.strip() for each in texts)) or (action is not None and not action.strip()):
+        raise UsageError("a text or action is empty; without either the motion is of no stated kind")
+    if not texts or (n is not None and n < 1):
+        raise UsageError("nothing is asked for: at least one text, and n of 1 or more")
+    length = None if seconds is None else float(seconds)
+    return [(GenerationRequest(length, each, action or ""),) for each in texts for _ in range(n or 1)]

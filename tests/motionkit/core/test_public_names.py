@@ -1,0 +1,87 @@
+"""Names that packages give without having imported them: quick to import, known to type checkers, never a module."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import eval
+import motionkit
+
+HEAVY = ("torch", "pyarrow", "pandas", "numpy", "scipy", "duckdb", "matplotlib")
+
+
+def run(script: str) -> str:
+    """What a fresh interpreter prints."""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.mark.parametrize("package", ["motionkit", "eval"])
+def test_importing_loads_nothing_heavy(package: str) -> None:
+    seen = f"print(*sorted(set(sys.modules) & set({HEAVY!r})))"
+    assert run(f"import sys, {package}; dir({package}); {seen}") == ""
+    assert "numpy" in run(f"import sys, {package}; {package}.{motionkit_or_eval(package)}; {seen}")
+
+
+def motionkit_or_eval(package: str) -> str:
+    return {"motionkit": "Motion", "eval": "clip_fid"}[package]
+
+
+@pytest.mark.parametrize("package", [motionkit, eval], ids=lambda package: package.__name__)
+def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
+    tree = ast.parse(Path(str(package.__file__)).read_text(encoding="utf-8"))
+    typed, given = {}, {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            typed = {name.name: each.module for each in node.body for name in each.names}  # type: ignore[attr-defined]
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "give_names":
+            given = ast.literal_eval(node.args[1])
+    assert typed == given and given
+    assert set(package.__all__) - {"__version__"} == set(given)
+    assert set(given) <= set(dir(package))
+
+
+@pytest.mark.parametrize("package", [motionkit, eval], ids=lambda package: package.__name__)
+def test_every_name_is_there_and_documented(package: ModuleType) -> None:
+    for name in set(package.__all__) - {"__version__", "SMPL22", "KIT21"}:
+        assert not isinstance(getattr(package, name), ModuleType), name
+        assert getattr(package, name).__doc__, name
+
+
+def test_a_name_that_is_none_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="module 'motionkit' has no attribute 'foo'"):
+        motionkit.foo  # noqa: B018
+    with pytest.raises(ImportError, match="foo"):
+        from motionkit import foo  # noqa: F401
+
+
+@pytest.mark.parametrize(
+    "first", ["import motionkit.generate.samples", "from motionkit.generate import samples", "import motionkit as mk"]
+)
+def test_a_function_is_never_the_subpackage_of_its_name(first: str) -> None:
+    script = "import motionkit as mk; print(callable(mk.generate), callable(mk.resample))"
+    again = "; from motionkit.generate import samples; from motionkit.resample import downsample; "
+    assert run(f"{first}; {script}{again}{script}").split() == ["True"] * 4
+
+
+def test_clip_fid_is_a_function_beside_its_package() -> None:
+    script = "import eval.clip_fid.score; from eval import clip_fid; from eval.clip_fid import calibration; "
+    assert run(f"{script}print(callable(clip_fid), calibration.__name__)") == "True eval.clip_fid.calibration"
+
+
+def test_names_can_be_replaced_and_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motionkit, "read", len)
+    assert motionkit.read is len
+    monkeypatch.undo()
+    assert motionkit.read is not len and callable(motionkit.read)
+
+
+def test_everything_can_be_imported_at_once() -> None:
+    assert run("from motionkit import *; print(Motion.__name__, callable(read), __version__)") == (
+        f"Motion True {motionkit.__version__}"
+    )

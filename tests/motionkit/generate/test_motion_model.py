@@ -1,0 +1,156 @@
+"""A generative model in Python: what is asked for in words and numbers becomes motions, by the code of `generate`."""
+
+from fractions import Fraction
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import motionkit as mk
+from motionkit import generation
+from motionkit.errors import MotionkitError
+from tests.scripted_model import ScriptedModel
+
+
+def script(request: generation.GenerationRequest, chance: tuple[int, int]):
+    """A body that moves along z at a speed that its text, seed and number give."""
+    speed = len(request.text) + 0.1 * chance[0] + 0.01 * chance[1]
+    body = np.random.default_rng(0).normal(size=(22, 3))
+    return lambda seconds: (body + speed * seconds[:, None, None] * np.array([0, 0, 1])).astype(np.float32)
+
+
+class Drawing(ScriptedModel):
+    """Draws a length of 1.5 s where none is asked for, and knows no "fly"."""
+
+    def generate(self, requests, *, seed, sampling=generation.SamplingOptions(), first=0):
+        self.sampling = sampling
+        requests = [
+            request if request.duration_seconds else generation.GenerationRequest(1.5, request.text, request.action)
+            for request in requests
+        ]
+        return super().generate(requests, seed=seed, sampling=sampling, first=first)
+
+    def check(self, request, sampling=generation.SamplingOptions()):
+        if "fly" in (request.text, request.action):
+            raise mk.UsageError("it cannot fly")
+
+
+@pytest.fixture
+def model() -> mk.MotionModel:
+    """A model of up to 4 s, trained at up to 120 fps."""
+    return mk.MotionModel(Drawing(script, 4.0), Path("runs/nano"))
+
+
+def test_one_text_is_one_motion(model: mk.MotionModel) -> None:
+    motion = model.generate("a walk", fps=60, seconds=2)
+    assert isinstance(motion, mk.Motion)
+    assert motion.num_frames == 120 and motion.fps == 60 and motion.duration_seconds == 2.0
+    assert motion.captions == (mk.Caption("a walk"),) and motion.sequence_id == "0000-a-walk"
+    assert motion.provenance.operations == ("generate motion 0 of seed 0 at 60 fps (NeRM, runs/nano)",)
+    speed = np.diff(motion.joint_positions[:, 0, 2]).mean() * 60
+    assert speed == pytest.approx(len("a walk"), rel=1e-3)
+
+
+def test_several_texts_or_a_number_are_a_list(model: mk.MotionModel) -> None:
+    assert [m.sequence_id for m in model.generate("walk", seconds=1, n=2)] == ["0000-walk", "0001-walk"]
+    assert len(model.generate("walk", seconds=1, n=1)) == 1
+    assert [m.captions[0].text for m in model.generate(["a", "b"], seconds=1)] == ["a", "b"]
+    assert [m.captions[0].text for m in model.generate(("a", "b"), seconds=1, n=2)] == ["a", "a", "b", "b"]
+
+
+def test_a_motion_is_the_same_at_every_framerate_and_in_every_number(model: mk.MotionModel) -> None:
+    slow = model.generate("walk", fps="30", seconds=2, seed=3)
+    fast = model.generate("walk", fps=60, seconds=2, seed=3, n=3)
+    np.testing.assert_allclose(fast[0].joint_positions[::2], slow.joint_positions, atol=1e-5)
+    assert np.abs(fast[1].joint_positions - fast[0].joint_positions).max() > 1e-3
+
+
+def test_framerates_lengths_and_conditions_by_default(model: mk.MotionModel) -> None:
+    motion = model.generate()
+    assert motion.fps == 120 and motion.duration_seconds == 1.5
+    assert motion.captions == () and motion.sequence_id == "0000-unconditional"
+    acted = model.generate(action="run", fps=23.976, seconds=1)
+    assert acted.action == "run" and acted.fps == Fraction(24000, 1001)
+    options = mk.SamplingOptions(guidance_scale=2.0)
+    model.generate("walk", seconds=1, sampling=options)
+    assert model.model.sampling == options  # type: ignore[attr-defined]
+
+
+def test_above_the_training_data_is_told(model: mk.MotionModel) -> None:
+    with pytest.warns(UserWarning, match="144 fps is above the 120 fps"):
+        assert model.generate("walk", fps=144, seconds=6).num_frames == 864
+
+
+def test_longer_motions_are_joined(model: mk.MotionModel) -> None:
+    motion = model.generate("walk", fps=20, seconds=10)
+    assert motion.num_frames == 200 and model.model.asked > 1  # type: ignore[attr-defined]
+
+
+def test_poses_at_any_instants(model: mk.MotionModel) -> None:
+    (field,) = model.fields("walk", seconds=2, seed=3)
+    poses = field.query(np.array([0.0, 1.0])).joint_positions
+    motion = model.generate("walk", fps=20, seconds=2, seed=3)
+    np.testing.assert_allclose(poses, motion.joint_positions[[0, 20]], atol=1e-5)
+
+
+@pytest.mark.parametrize("given", [{"text": ""}, {"text": ["a", " "]}, {"action": ""}, {"text": []}, {"n": 0}])
+def test_nothing_is_refused(model: mk.MotionModel, given: dict) -> None:
+    with pytest.raises(mk.UsageError):
+        model.generate(**given)
+
+
+def test_all_is_checked_before_the_first_is_made(model: mk.MotionModel) -> None:
+    with pytest.raises(mk.UsageError, match="cannot fly"):
+        model.generate(["walk", "fly"], seconds=1)
+    with pytest.raises(mk.UsageError, match="up to 3600 s"):
+        model.generate("walk", seconds=4000)
+    with pytest.raises(ValueError, match="framerate"):
+        model.generate("walk", fps="fast")
+    assert model.model.asked == 0  # type: ignore[attr-defined]
+
+
+def loads(run: Path) -> Drawing:
+    """The loader of a model that a run called `held` holds."""
+    if "held" not in run.name:
+        raise MotionkitError(f"{run} holds no such model")
+    return Drawing(script)
+
+
+def only_other(run: Path) -> Drawing:
+    """The loader of a model that runs called `both…` hold beside."""
+    if "both" not in run.name:
+        raise MotionkitError(f"{run} holds no other model")
+    return Drawing(script)
+
+
+@pytest.fixture
+def installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two models."""
+    entries = EntryPoints(
+        EntryPoint(name, f"{__name__}:{loader}", "motionkit.models")
+        for name, loader in (("first", "loads"), ("other", "only_other"))
+    )
+    monkeypatch.setattr(generation, "entry_points", lambda **chosen: entries.select(**chosen))
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_model_that_a_run_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("held", "held-both", "empty"):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+    for run in ("runs/held", Path("runs/held"), "held"):
+        model = mk.load_model(run)
+        assert model.run == Path("runs/held") and model.name == "NeRM"
+    assert mk.generate("walk", run="held", seconds=1, fps=20).num_frames == 20
+    with pytest.raises(mk.UsageError, match=r"several models, first, other"):
+        mk.load_model("held-both")
+    assert mk.load_model("held-both", "other").run == Path("runs/held-both")
+    with pytest.raises(mk.MotionkitError, match=r"no such model; .*no other model"):
+        mk.load_model("empty")
+    with pytest.raises(mk.MotionkitError, match=r"^runs/empty holds no other model$"):
+        mk.load_model("empty", "other")
+    with pytest.raises(mk.UsageError, match="no model is called 'third'"):
+        mk.load_model("held", "third")
+    with pytest.raises(mk.UsageError, match="no run 'nowhere'"):
+        mk.load_model("nowhere")
