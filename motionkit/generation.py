@@ -131,5 +131,5 @@ def model_of(run: Path) -> str:
     if len(held) == 1:
         return held[0]
     if held:
-        raise UsageError(f"{run} holds several models: --model {' or '.join(held)}")
+        raise UsageError(f"{run} holds several models, {' and '.join(held)}: name one of them (--model {held[0]})")
     raise UsageError(f"{run} holds none of the installed models ({', '.join(installed) or 'there is none'})")

@@ -57,7 +57,7 @@ def test_the_model_of_a_run_is_the_one_that_it_holds(tmp_path: Path, two: None) 
     finish(tmp_path, "plain")
     assert model_of(tmp_path) == "plain"
     finish(tmp_path, "first")
-    with pytest.raises(UsageError, match="holds several models: --model full or plain"):
+    with pytest.raises(UsageError, match="holds several models, full and plain"):
         model_of(tmp_path)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import motionkit as mk
 from motionkit import generation
-from motionkit.errors import MotionkitError
+from motionkit.training import loaders
 from tests.scripted_model import ScriptedModel
 
 
@@ -111,45 +111,39 @@ def test_all_is_checked_before_the_first_is_made(model: mk.MotionModel) -> None:
 
 
 def loads(run: Path) -> Drawing:
-    """The loader of a model that a run called `held` holds."""
-    if "held" not in run.name:
-        raise MotionkitError(f"{run} holds no such model")
-    return Drawing(script)
-
-
-def only_other(run: Path) -> Drawing:
-    """The loader of a model that runs called `both…` hold beside."""
-    if "both" not in run.name:
-        raise MotionkitError(f"{run} holds no other model")
+    """What an entry point of this group names: a loader."""
+    if "damaged" in run.name:
+        raise mk.MotionkitError(f"{run} is damaged")
     return Drawing(script)
 
 
 @pytest.fixture
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two models."""
-    entries = EntryPoints(
-        EntryPoint(name, f"{__name__}:{loader}", "motionkit.models")
-        for name, loader in (("first", "loads"), ("other", "only_other"))
-    )
-    monkeypatch.setattr(generation, "entry_points", lambda **chosen: entries.select(**chosen))
+    """Two models, each of one stage of its own name."""
+    entries = EntryPoints(EntryPoint(name, f"{__name__}:loads", "motionkit.models") for name in ("first", "other"))
+    for module in (generation, loaders):
+        monkeypatch.setattr(module, "entry_points", lambda **chosen: entries.select(**chosen))
 
 
 @pytest.mark.usefixtures("installed")
 def test_the_model_that_a_run_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in ("held", "held-both", "empty"):
-        (tmp_path / "runs" / name).mkdir(parents=True)
+    for run, stages in {"held": ["first"], "both": ["first", "other"], "damaged": ["other"], "empty": []}.items():
+        (tmp_path / "runs" / run).mkdir(parents=True)
+        for stage in stages:
+            (tmp_path / "runs" / run / stage).mkdir()
+            (tmp_path / "runs" / run / stage / "summary.json").write_text("{}")
     for run in ("runs/held", Path("runs/held"), "held"):
         model = mk.load_model(run)
         assert model.run == Path("runs/held") and model.name == "NeRM"
     assert mk.generate("walk", run="held", seconds=1, fps=20).num_frames == 20
-    with pytest.raises(mk.UsageError, match=r"several models, first, other"):
-        mk.load_model("held-both")
-    assert mk.load_model("held-both", "other").run == Path("runs/held-both")
-    with pytest.raises(mk.MotionkitError, match=r"no such model; .*no other model"):
+    with pytest.raises(mk.UsageError, match="several models, first and other"):
+        mk.load_model("both")
+    assert mk.load_model("both", "other").run == Path("runs/both")
+    with pytest.raises(mk.MotionkitError, match="is damaged"):
+        mk.load_model("damaged")
+    with pytest.raises(mk.UsageError, match="holds none of the installed models"):
         mk.load_model("empty")
-    with pytest.raises(mk.MotionkitError, match=r"^runs/empty holds no other model$"):
-        mk.load_model("empty", "other")
     with pytest.raises(mk.UsageError, match="no model is called 'third'"):
         mk.load_model("held", "third")
     with pytest.raises(mk.UsageError, match="no run 'nowhere'"):
