@@ -8,6 +8,7 @@ from motionkit.errors import FormatError
 from motionkit.formats import cuts, framerate_rules
 from motionkit.formats.catalogue import FORMATS
 from motionkit.formats.items import ReadOptions, SourceItem
+from motionkit.formats.sizes import check_size
 from motionkit.mirror import mirror
 from motionkit.motion import Motion
 from motionkit.skeletons.families import with_layout_map
@@ -17,7 +18,7 @@ NO_FRAMERATE = frozenset({"no-framerate", "framerate", "frame-time"})
 
 
 def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
-    """Read one sequence with its annotations; raises `FormatError`."""
+    """Read one sequence with its annotations; raises `FormatError`, `too-large` for more than a store takes."""
     options = options or ReadOptions()
     if options.fps is None and item.fps is not None:
         options = replace(options, fps=item.fps)
@@ -26,6 +27,7 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
         motion = replace(motion, captions=item.captions or motion.captions)
     else:
         motion = _read_stretch(item, options)
+    check_size(motion.num_frames, motion.skeleton.num_joints, item.path)
     provenance = replace(
         motion.provenance,
         source=item.source,

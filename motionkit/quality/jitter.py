@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float32
 
+from motionkit.quality.steps import squared_differences
 from motionkit.quality.timescale import BINS_PER_SECOND, bin_means
 
 # Below this framerate the bins of 1/30 s would hold interpolated values (29.97 fps is still measured).
@@ -22,7 +23,6 @@ def jitter(positions: Float32[np.ndarray, "frames joints 3"], fps: float) -> flo
     bins = bin_means(positions, fps)
     if len(bins) < MIN_BINS:
         return None
-    third = np.diff(bins, n=3, axis=0)
-    jerk_squared = np.einsum("tjc,tjc->tj", third, third).ravel()
+    jerk_squared = squared_differences(bins, 3).ravel()
     quarter = len(jerk_squared) // 4
     return float(np.sqrt(np.partition(jerk_squared, quarter)[quarter]) * BINS_PER_SECOND**3)

@@ -8,7 +8,7 @@ from motionkit.motion import Motion
 from motionkit.quality.bones import bone_length_drift
 from motionkit.quality.feet import foot_skate
 from motionkit.quality.jitter import jitter
-from motionkit.quality.steps import longest_steps, measure_steps, squared_lengths
+from motionkit.quality.steps import longest_steps, measure_steps, squared_differences
 from motionkit.quality.upsampled import effective_fps
 
 # Above these a sequence is flagged, not refused: real captures hold glitches and floors that are off, and the reader
@@ -57,7 +57,7 @@ def measure(motion: Motion) -> Quality:
     """
     motion = _bounded(motion)
     positions, fps = motion.joint_positions, float(motion.fps)
-    squared = squared_lengths(np.diff(positions, axis=0))
+    squared = squared_differences(positions, 1)
     steps = measure_steps(squared, fps)
     noise = jitter(positions, fps)
     skate = foot_skate(motion)

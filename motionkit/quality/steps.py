@@ -16,6 +16,10 @@ JUMP_ACCELERATION = 500.0
 MAX_JUMP_SPEED = 10.0
 
 
+# Of long takes: the differences of all rows are three times as large as their lengths.
+ROWS_AT_ONCE = 4096
+
+
 @dataclass(frozen=True)
 class Steps:
     """What the steps between frames say; speeds in m/s, times in seconds from the first frame.
@@ -83,7 +87,13 @@ def _runs(
     return starts, np.flatnonzero(edges == -1) - starts
 
 
-def squared_lengths(vectors: Float32[np.ndarray, "rows joints 3"]) -> Float32[np.ndarray, "rows joints"]:
-    """Squared Euclidean lengths."""
-    squared: Float32[np.ndarray, "rows joints"] = np.einsum("tjc,tjc->tj", vectors, vectors)
+def squared_differences(
+    positions: Float32[np.ndarray, "rows joints 3"], order: int
+) -> Float32[np.ndarray, "differences joints"]:
+    """Squared lengths of the differences of an order in time; none where there are not more rows than that."""
+    num_rows = max(0, len(positions) - order)
+    squared = np.empty((num_rows, positions.shape[1]), np.float32)
+    for start in range(0, num_rows, ROWS_AT_ONCE):
+        vectors = np.diff(positions[start : start + ROWS_AT_ONCE + order], n=order, axis=0)
+        squared[start : start + ROWS_AT_ONCE] = np.einsum("tjc,tjc->tj", vectors, vectors)
     return squared

@@ -1,7 +1,7 @@
 """Motion → what the store keeps of it, wherever its place will be: the work that ingest leaves to its workers."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float32
@@ -12,8 +12,10 @@ from motionkit.skeleton import Skeleton
 from motionkit.store import codec
 from motionkit.store.codec import Row
 from motionkit.store.pages import Run, float_runs
-from motionkit.store.resolution import at_resolution
-from motionkit.store.schema import SEGMENT_FRAMES
+from motionkit.store.resolution import rounded
+from motionkit.store.schema import RUN_SEGMENTS, SEGMENT_FRAMES
+
+RUN_FRAMES = RUN_SEGMENTS * SEGMENT_FRAMES
 
 
 class RefusedMotion(StoreError):
@@ -51,15 +53,23 @@ class EncodedMotion:
 
 
 def encode(motion: Motion) -> EncodedMotion:
-    """Check a motion, round it to 2^-22, describe it, and bring its frames into the order in which they are stored.
+    """Check a motion, round it to 2^-22, describe it, and compress its frames in the order in which they are stored.
 
     Raises `RefusedMotion` for one that no store may hold.
     """
     _check(motion)
-    motion = at_resolution(motion)
+    motion = replace(motion, joint_positions=rounded(motion.joint_positions))  # what is stored is what is measured
+    row = codec.motion_row(motion)
     arrays = (motion.joint_positions, motion.local_rotations, motion.root_translation)
-    flat = [None if array is None else _channel_major(array) for array in arrays]
-    return EncodedMotion(codec.motion_row(motion), motion.skeleton, compressed(flat, motion.num_frames))
+    return EncodedMotion(row, motion.skeleton, tuple(_runs(array, motion.num_frames) for array in arrays))
+
+
+def _runs(array: Float32[np.ndarray, "frames *channels"] | None, num_frames: int) -> tuple[Run, ...]:
+    # Run by run, so that no other copy of a long take is made.
+    if array is None:
+        return float_runs(None, num_frames)
+    parts = (rounded(array[start : start + RUN_FRAMES]) for start in range(0, num_frames, RUN_FRAMES))
+    return tuple(run for part in parts for run in float_runs(_channel_major(part), len(part)))
 
 
 def compressed(columns: Sequence[Float32[np.ndarray, "_"] | None], num_frames: int) -> tuple[tuple[Run, ...], ...]:

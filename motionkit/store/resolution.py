@@ -1,11 +1,7 @@
 """The grid that every stored number lies on: finer digits of float32 are noise, and noise does not compress."""
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Float32
-
-from motionkit.motion import Motion
 
 # 2^-22: 0.24 micrometres, or half a microradian of a quaternion's turn. It is the spacing of float32 itself from 2 to
 # 4 metres from the origin, so no coordinate loses what it would have kept a few steps further away.
@@ -25,16 +21,3 @@ def rounded(values: Float32[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shap
     np.rint(on_grid, out=on_grid)
     on_grid /= _SCALE
     return on_grid
-
-
-def at_resolution(motion: Motion) -> Motion:
-    """The motion as a store holds it: positions, rotations and the root's translation rounded to 2^-22.
-
-    Rounding again changes nothing.
-    """
-    return replace(
-        motion,
-        joint_positions=rounded(motion.joint_positions),
-        local_rotations=None if motion.local_rotations is None else rounded(motion.local_rotations),
-        root_translation=None if motion.root_translation is None else rounded(motion.root_translation),
-    )

@@ -1,6 +1,8 @@
 """From a BVH file's channel table to local rotations, a root path and bones, still in file units."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -52,6 +54,26 @@ def read_channels(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhH
     # Time is contiguous in memory, as everything that follows wants it.
     places = places.transpose(2, 0, 1)
     return ChannelPose(skeleton, _rotations(table, hierarchy), places[:, 0], placed, places[:, 1:], operations)
+
+
+def join(pieces: Iterable[ChannelPose], num_frames: int) -> ChannelPose:
+    """Poses of `num_frames` frames in all that follow each other as one; the first says what they have in common."""
+    rest = iter(pieces)
+    first = next(rest)
+    if len(first.root) == num_frames:
+        assert next(rest, None) is None
+        return first
+    arrays = [
+        np.empty((num_frames, *array.shape[1:]), array.dtype) for array in (first.rotations, first.root, first.places)
+    ]
+    start = 0
+    for piece in chain([first], rest):
+        stop = start + len(piece.root)
+        for array, part in zip(arrays, (piece.rotations, piece.root, piece.places), strict=True):
+            array[start:stop] = part
+        start = stop
+    rotations, root, places = arrays
+    return replace(first, rotations=rotations, root=root, places=places)
 
 
 def starts_with_t_pose(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy) -> bool:
@@ -128,14 +150,15 @@ def settle_offsets(pose: ChannelPose, tolerance: float) -> ChannelPose:
     astray = np.flatnonzero(np.maximum(offsets[joints] - lowest, highest - offsets[joints]).max(axis=1) > tolerance)
     if not astray.size:
         return replace(pose, placed_joints=(), places=pose.places[:, :0])
-    middle = np.median(pose.places[:, astray], axis=0)
+    # One joint after the other: of a long take copies of all would be as large as all else.
+    middle = np.stack([np.median(pose.places[:, joint], axis=0) for joint in astray.tolist()])
     offsets[joints[astray]] = middle
     moving = astray[np.maximum(middle - lowest[astray], highest[astray] - middle).max(axis=1, initial=0.0) > tolerance]
     return replace(
         pose,
         skeleton=replace(pose.skeleton, offsets=offsets),
         placed_joints=tuple(joints[moving].tolist()),
-        places=pose.places[:, moving],
+        places=pose.places if len(moving) == len(joints) else pose.places[:, moving],
     )
 
 

@@ -19,8 +19,8 @@ from motionkit.formats import body_frame, clock
 from motionkit.formats.bvh import channels as bvh_channels
 from motionkit.formats.bvh.frame_lines import FrameLines, checked_seen, find_frame_lines
 from motionkit.formats.bvh.hierarchy import BvhHierarchy
-from motionkit.formats.bvh.text import BvhText, holds_head, split_text, stated_fps
-from motionkit.formats.file_parts import PART_BYTES, FileParts
+from motionkit.formats.bvh.text import read_head, stated_fps
+from motionkit.formats.file_parts import FileParts
 from motionkit.formats.items import ReadOptions
 from motionkit.motion import Motion, Provenance
 from motionkit.motionfield import Poses
@@ -82,7 +82,7 @@ def read_document(path: Path, options: ReadOptions | None = None) -> BvhDocument
     """
     options = options or ReadOptions()
     file = FileParts.of(path)
-    head = _head(file)
+    head = read_head(file)
     fps, operations = clock.fps_in_use(options.fps, lambda: stated_fps(head, path))
     _check_orders(head.hierarchy, path)
     frames = find_frame_lines(file, head)
@@ -112,15 +112,6 @@ def read_document(path: Path, options: ReadOptions | None = None) -> BvhDocument
             operations=tuple(operations),
         ),
     )
-
-
-def _head(file: FileParts) -> BvhText:
-    length = PART_BYTES
-    while True:
-        data = file.read(0, min(length, file.size))
-        if length >= file.size or holds_head(data):
-            return split_text(data, file.path)
-        length *= 4
 
 
 def _check_orders(hierarchy: BvhHierarchy, path: Path) -> None:

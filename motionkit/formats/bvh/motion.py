@@ -8,17 +8,20 @@ Formats Explained", University of Sheffield CS-01-11, 2001.
 from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
-from motionkit.formats import body_frame, clock, number_table, sourcefile
+from motionkit.formats import body_frame, clock, number_table
 from motionkit.formats.bvh import channels as bvh_channels
 from motionkit.formats.bvh.channels import ChannelPose
-from motionkit.formats.bvh.text import split_text, stated_fps
+from motionkit.formats.bvh.tables import parts_of, read_tables
+from motionkit.formats.bvh.text import read_head, stated_fps
+from motionkit.formats.file_parts import FileParts
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.joint_channels import joint_channels
 from motionkit.motion import Motion, Provenance
@@ -31,6 +34,8 @@ RIGID_METRES = 1e-3
 # The log line by which readers of whole data sets know that frames count from one later.
 T_POSE_DROPPED = "frame 0 dropped: a T-pose (root unturned, all angles whole degrees, root where frame 1 is)"
 WRITTEN_DECIMALS = 6
+# A file as large as this is read at once, a larger one piece by piece.
+HELD_BYTES = 8 << 20
 
 
 def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
@@ -41,27 +46,26 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
     Raises `FormatError` with a reason, the line and the frame.
     """
     options = options or ReadOptions()
-    data = sourcefile.read_bytes(path)
-    file = split_text(data, path)
-    fps, operations = clock.fps_in_use(options.fps, lambda: stated_fps(file, path))
-    table = number_table.parse_table(
-        file.body,
-        num_rows=file.num_frames,
-        num_columns=file.hierarchy.num_channels,
-        path=path,
-        first_line=file.body_line,
-    )
-    if bvh_channels.starts_with_t_pose(table, file.hierarchy):
-        table = table[1:]
+    file = FileParts.of(path, held_bytes=HELD_BYTES)
+    head = read_head(file)
+    fps, operations = clock.fps_in_use(options.fps, lambda: stated_fps(head, path))
+    tables = read_tables(file, head)
+    first, num_frames = next(tables), head.num_frames
+    if bvh_channels.starts_with_t_pose(first, head.hierarchy):
+        first, num_frames = first[1:], num_frames - 1
         operations.append(T_POSE_DROPPED)
-    pose = bvh_channels.fold_reference(bvh_channels.read_channels(table, file.hierarchy, path.stem))
+    pieces = (
+        bvh_channels.fold_reference(bvh_channels.read_channels(table, head.hierarchy, path.stem))
+        for table in chain([first], tables)
+    )
+    pose = bvh_channels.join(pieces, num_frames)
     pose = replace(pose, skeleton=with_layout_map(pose.skeleton, options.skeleton_maps))
     motion = _to_motion(pose, fps, options, path)
     provenance = Provenance(
         source_path=path.name,
-        source_sha256=sourcefile.sha256(data),
+        source_sha256=file.sha256(),
         source_format="bvh",
-        stated_fps=f"Frame Time: {file.frame_time}",
+        stated_fps=f"Frame Time: {head.frame_time}",
         operations=(*operations, *motion.provenance.operations),
     )
     return replace(motion, provenance=provenance)
@@ -72,26 +76,40 @@ def _to_motion(pose: ChannelPose, fps: Fraction, options: ReadOptions, path: Pat
     pose = bvh_channels.settle_offsets(pose, RIGID_METRES / unit)
     skeleton = pose.skeleton.scaled(unit)
     operations = [*pose.operations, f"lengths × {unit:.6g} to metres ({reason})"]
-    offsets = None
     if pose.placed_joints:
-        offsets = np.repeat(skeleton.offsets[None], len(pose.root), axis=0)
-        offsets[:, list(pose.placed_joints)] = pose.places * unit
         names = ", ".join(skeleton.joint_names[joint] for joint in pose.placed_joints)
         operations.append(f"positions only: these bones change their length or place ({names})")
-    rotations, root = pose.rotations, (pose.root * unit).astype(np.float32)
-    positions = kinematics.forward_kinematics(rotations, root, skeleton, offsets)
+    root = (pose.root * unit).astype(np.float32)
+    positions = _positions(pose, root, skeleton, unit)
+    rotations = np.ascontiguousarray(pose.rotations)
     if body_frame.is_z_up(skeleton, positions):
-        skeleton, positions, rotations, root = body_frame.z_up_to_y_up(skeleton, positions, rotations, root)
+        for part in parts_of(len(root)):
+            turned = body_frame.z_up_to_y_up(skeleton, positions[part], rotations[part], root[part])
+            _, positions[part], rotations[part], root[part] = turned
+        skeleton = body_frame.skeleton_to_y_up(skeleton)
         operations.append("turned from z up to y up: (x, y, z) → (x, z, −y)")
     return Motion(
         joint_positions=positions,
         skeleton=skeleton,
         timegrid=TimeGrid(fps, len(positions)),
-        local_rotations=None if pose.placed_joints else np.ascontiguousarray(rotations),
+        local_rotations=None if pose.placed_joints else rotations,
         root_translation=None if pose.placed_joints else root,
         sequence_id=path.stem,
         provenance=Provenance(operations=tuple(operations)),
     )
+
+
+def _positions(
+    pose: ChannelPose, root: Float32[np.ndarray, "frames 3"], skeleton: Skeleton, unit: float
+) -> Float32[np.ndarray, "frames joints 3"]:
+    positions = np.empty((len(root), skeleton.num_joints, 3), np.float32)
+    for part in parts_of(len(root)):
+        offsets = None
+        if pose.placed_joints:
+            offsets = np.repeat(skeleton.offsets[None], len(root[part]), axis=0)
+            offsets[:, list(pose.placed_joints)] = pose.places[part] * unit
+        positions[part] = kinematics.forward_kinematics(pose.rotations[part], root[part], skeleton, offsets)
+    return positions
 
 
 def _unit(pose: ChannelPose, options: ReadOptions, path: Path) -> tuple[float, str]:

@@ -9,16 +9,18 @@ from pathlib import Path
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
 from motionkit.formats.bvh.hierarchy import BvhHierarchy, parse_hierarchy
+from motionkit.formats.file_parts import PART_BYTES, FileParts
 from motionkit.timegrid import parse_fps
 
+LARGEST_HEAD = 64 << 20
 _MOTION = re.compile(rb"(?m)^[ \t]*MOTION[ \t]*\r?$")
 
 
 @dataclass(frozen=True)
 class BvhText:
-    """The parts of a file: `head` ends with the word MOTION, `body` is the lines of numbers; lines count from 1.
+    """What stands before the lines of numbers: `head` ends with the word MOTION; lines count from 1.
 
-    The body begins with byte `body_start` of the file.
+    The numbers begin with byte `body_start` of the file.
     """
 
     head: bytes
@@ -26,13 +28,28 @@ class BvhText:
     num_frames: int
     frame_time: str
     frame_time_line: int
-    body: bytes
     body_start: int
     body_line: int
 
 
+def read_head(file: FileParts) -> BvhText:
+    """What stands before the numbers of a file, of which not much more is read; raises `FormatError` as `split_text`.
+
+    A hierarchy of more than 64 MiB is `too-large`.
+    """
+    length = PART_BYTES
+    while True:
+        data = file.read(0, min(length, file.size))
+        if length >= file.size or holds_head(data):
+            return split_text(data, file.path)
+        if length > LARGEST_HEAD:
+            message = f"no frames within the first {LARGEST_HEAD >> 20} MiB, expected a hierarchy and MOTION"
+            raise FormatError(message, path=file.path, reason="too-large")
+        length *= 4
+
+
 def split_text(data: bytes, path: Path) -> BvhText:
-    """Take a file apart; raises `FormatError` naming the line for what is missing or not a BVH file at all."""
+    """Take a file's beginning apart; raises `FormatError` naming the line for what is missing or no BVH file at all."""
     # Lines of old Macintoshes end in a carriage return alone.
     data = data if b"\n" in data else data.replace(b"\r", b"\n")
     head = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -92,7 +109,6 @@ def split_text(data: bytes, path: Path) -> BvhText:
         num_frames=_num_frames(frames, path, body_line),
         frame_time=frame_time,
         frame_time_line=frame_time_line,
-        body=data[position:],
         body_start=position,
         body_line=body_line,
     )

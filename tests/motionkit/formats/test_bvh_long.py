@@ -47,7 +47,7 @@ def in_small_blocks(patched: pytest.MonkeyPatch, frames: int, num_bytes: int) ->
     patched.setattr("motionkit.interpolation.fields.FRAMES_AT_ONCE", 4 * frames)
     patched.setattr("motionkit.formats.number_table.BLOCK_BYTES", num_bytes)
     patched.setattr("motionkit.formats.file_parts.PART_BYTES", num_bytes)
-    patched.setattr("motionkit.formats.bvh.document.PART_BYTES", num_bytes)
+    patched.setattr("motionkit.formats.bvh.text.PART_BYTES", num_bytes)
 
 
 def completed(document: BvhDocument, encoder: MotionEncoder, observed: np.ndarray, path: Path, **reach: float) -> None:

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22
 from motionkit.store import Store, StoreWriter
-from motionkit.store.resolution import RESOLUTION_BITS, at_resolution, rounded
+from motionkit.store.resolution import RESOLUTION_BITS, rounded
 from motionkit.timegrid import TimeGrid
 
 GRID = 2.0**-RESOLUTION_BITS
@@ -52,7 +52,7 @@ def test_a_store_read_and_written_again_has_the_same_bytes(tmp_path):
 def test_jerk_at_250_fps_stays_below_what_float32_itself_adds():
     """The third difference of white rounding noise: √20 · grid / √12 · fps³ = 4.8 m/s³, root mean square."""
     motion = smooth(2000, 250)
-    error = at_resolution(motion).joint_positions.astype(np.float64) - motion.joint_positions
+    error = rounded(motion.joint_positions).astype(np.float64) - motion.joint_positions
     jerk = np.diff(error, 3, axis=0) * 250**3
     assert np.sqrt(np.mean(jerk**2)) < 6.0
     far = (motion.joint_positions + np.float32(3.0)).astype(np.float64) - (
