@@ -1,10 +1,12 @@
-"""Files that are removed: under a reader that has opened the store, and before a command that needs them."""
+"""Files that are removed under a reader or before a command, and a store on a disk that cannot be written to."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from benchmarks.trust.faults import Fault
 from benchmarks.trust.process import Outcome
-from benchmarks.trust.scenarios import CALL, RUN, STORE, Arguments, train
+from benchmarks.trust.scenarios import CALL, EVAL, RUN, STORE, Arguments, train
 from benchmarks.trust.trees import copy
 from benchmarks.trust.trials import Attempt, Drill, shows_traceback
 
@@ -43,9 +45,36 @@ def removed_before_a_command(drill: Drill) -> Iterator[Attempt]:
             yield Attempt(arguments[0], f"{name} removed, {' '.join(arguments[:3])}", problem)
 
 
+def read_only_store(drill: Drill) -> Iterator[Attempt]:
+    """Do all that only reads with a store on a read-only disk: it succeeds, with the caches in another folder."""
+    if drill.disk is None:
+        return
+    there, place = drill.disk.path / "place", drill.folder / "place"
+    copy(drill.start_of("corpus"), there)
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    store = ("--store", str((there / "store").absolute()))
+    with drill.disk.suffering(Fault("read-only")):
+        for arguments in reading(store):
+            outcome = drill.commands.run(place, arguments, environment={"MOTIONKIT_CACHE": "caches"})
+            problem = fault_of(outcome) or (f"exit code {outcome.code}: {outcome.last_line}" if outcome.code else "")
+            yield Attempt(arguments[0], " ".join(arguments[:3]), problem)
+
+
+def reading(store: Arguments) -> Iterator[Arguments]:
+    """Commands that write nothing to their store."""
+    yield from (("info", *store), ("validate", *store), ("query", "SELECT count(*) FROM sequences", *store))
+    yield ("export", "out", "--format", "npz", *store)
+    yield ("merge", "copy", store[1])
+    for stage in ("codebook", "field", "denoiser", "evaluator", "pahires"):
+        yield tuple(store[1] if word == STORE[1] else word for word in train(stage))
+    yield tuple(store[1] if word == STORE[1] else word for word in ("eval", "--table", "4", "--clips", "64", *EVAL))
+
+
 MISSING: dict[str, Callable[[Drill], Iterator[Attempt]]] = {
     "a file removed under a reader": removed_under_a_reader,
     "a file removed before a command": removed_before_a_command,
+    "a store on a read-only disk": read_only_store,
 }
 
 

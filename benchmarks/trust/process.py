@@ -4,15 +4,17 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from benchmarks.trust.faults import UNDISTURBED, Fault
 
 REPOSITORY = Path(__file__).parents[2]
 TIMEOUT_SECONDS = 180.0
+NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "ARROW_NUM_THREADS")
 
 
@@ -61,18 +63,20 @@ class Commands:
         fault: Fault = UNDISTURBED,
         *,
         checkpoint_seconds: float | None = None,
-        timeout: float = TIMEOUT_SECONDS,
+        environment: Mapping[str, str] = NO_VARIABLES,
     ) -> Outcome:
         """Run `motionkit ARGUMENTS` in a folder, or the function that `call:MODULE:NAME` names with the rest of them.
 
-        `checkpoint_seconds` is how often trainings save, by default as they always do.
+        `checkpoint_seconds` is how often trainings save, by default as they always do; `environment` holds variables
+        that are added to the process's.
         """
         request = {
             "folder": str(folder.absolute()),
             "arguments": list(map(str, arguments)),
             "fault": asdict(fault),
             "checkpoint_seconds": checkpoint_seconds,
-            "timeout": timeout,
+            "environment": dict(environment),
+            "timeout": TIMEOUT_SECONDS,
         }
         assert self._server.stdin is not None and self._server.stdout is not None
         print(json.dumps(request), file=self._server.stdin, flush=True)

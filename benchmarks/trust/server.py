@@ -171,6 +171,7 @@ def work(request: dict[str, Any], fault: Fault, notes: int) -> None:
     """In the child: run the command as the installed script does, then end as Python does."""
     folder = Path(request["folder"])
     os.chdir(folder)
+    os.environ.update(request["environment"])
     if request["checkpoint_seconds"] is not None:
         from motionkit.training.loop import train_loop
 
