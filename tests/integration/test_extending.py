@@ -102,6 +102,14 @@ def test_the_model_is_found_by_name(site: Path, run: Path) -> None:
     assert told.stdout.split() == ["standing", "still", "2.0"]
 
 
+def test_the_page_uses_it_as_any_model(site: Path, run: Path) -> None:
+    (example,) = re.findall(r"```python\n(import motionkit as mk\n.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    told = python(site, f"import os; os.chdir('..')\n{example}\nprint(model, motion)")
+    assert told.returncode == 0, told.stderr
+    assert "MotionModel('standing still', 'runs/idle', 22 joints" in told.stdout
+    assert "120 frames at 60 fps = 2.00 s" in told.stdout
+
+
 def test_a_stage_that_nobody_brought_is_a_usage_error(site: Path) -> None:
     told = python(site, APP, "train", "--stage", "standstill", "--store", "store", installed=False)
     assert told.returncode == 2

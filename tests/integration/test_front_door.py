@@ -119,6 +119,16 @@ def test_the_page_runs(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert names["score"].mean > 0 and names["score"].ci95 >= 0
 
 
+@pytest.mark.parametrize("page", ["README.md", "docs/complete.md", "docs/generation.md"])
+def test_examples_of_other_pages_run(page: str, project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(project)
+    text = (PAGE.parents[1] / page).read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert blocks and all("import motionkit as mk\n" in code for code in blocks)
+    for code in blocks:
+        exec(compile(code, page, "exec"), {})
+
+
 def test_the_page_names_all_that_there_is() -> None:
     text = PAGE.read_text(encoding="utf-8")
     missing = [name for name in mk.__all__ if name != "__version__" and f"mk.{name}" not in text]

@@ -1,6 +1,7 @@
 """docs/store.md: its columns are the files' columns, and its example reads the frames that motionkit reads."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,16 @@ def test_the_tables_name_every_column(heading, schema):
     section = PAGE.read_text(encoding="utf-8").split(heading)[1].split("\n## ")[0]
     first_cells = re.findall(r"^\| (`[^|]*) \|", section, re.MULTILINE)
     assert re.findall(r"`(\w+)`", " ".join(first_cells)) == schema.names
+
+
+def test_the_example_in_python_runs(small_store, monkeypatch):
+    (example,) = re.findall(r"## In Python\n\n```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    monkeypatch.chdir(small_store.parent)
+    motion = replace(Store.open(small_store).read(3), sequence_id="cmu/asfamc/01/01_01", split="train")
+    cache_rows = {"sequence": np.zeros(4, np.int64), "start_frame": np.zeros(4, np.int64)}
+    names: dict[str, object] = {"motion": motion, **cache_rows}
+    exec(example, names)
+    assert len(names["store"]) == 7 and "cmu/asfamc/01/01_01" in names["store"]
 
 
 def test_the_example_reads_the_frames(small_store, monkeypatch):
