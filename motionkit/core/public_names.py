@@ -6,7 +6,8 @@ A package says in its `__init__.py` where its names lie:
 
 so that importing the package costs nothing (PEP 562), and a public name may be that of a subpackage:
 `from eval import clip_fid` is the function, whatever has been imported before, and `from eval.clip_fid import score`
-finds the module. Type checkers read the same names from imports under `if TYPE_CHECKING`.
+finds the module. (`import eval.clip_fid.score as score` does not, for Python then looks it up as an attribute of the
+function.) Type checkers read the same names from imports under `if TYPE_CHECKING`.
 """
 
 import sys

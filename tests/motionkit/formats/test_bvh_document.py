@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pymotion.io.bvh import BVH
 
+from motionkit.completing import clips
 from motionkit.completing.clips import clip_of_document, write_document
 from motionkit.completion import begin_observed
 from motionkit.errors import FormatError
@@ -92,7 +93,7 @@ def test_pieces_make_the_file_that_the_whole_makes(tmp_path: Path, monkeypatch: 
     document = read_document(written(tmp_path / "in.bvh", bvh_text(rows())))
     asked = {"fps": Fraction(120), "observed": observed, "before_seconds": 0.1, "after_seconds": 0.1}
     whole = completed(document, tmp_path / "whole.bvh", **asked)
-    monkeypatch.setattr("motionkit.completing.clips.FRAMES_AT_ONCE", cut)
+    monkeypatch.setattr(clips, "FRAMES_AT_ONCE", cut)
     pieces = completed(document, tmp_path / "pieces.bvh", **asked)
     np.testing.assert_allclose(table_of(pieces), table_of(whole), atol=1e-4)
     assert np.abs(np.diff(table_of(whole), axis=0)).max() < 30

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.anchoring import Anchored
+from motionkit.completing import clips
 from motionkit.completing.clips import clip_of_document, write_document
 from motionkit.completion import begin_observed
 from motionkit.errors import FormatError
@@ -78,7 +79,7 @@ def test_pieces_of_any_length_make_the_same_file(
     document, kept = with_gaps(tmp_path / "in.bvh")
     contents = []
     for piece in (2048, 50, 7):
-        monkeypatch.setattr("motionkit.completing.clips.FRAMES_AT_ONCE", piece)
+        monkeypatch.setattr(clips, "FRAMES_AT_ONCE", piece)
         completed(document, encoder, kept, tmp_path / "out.bvh", before_seconds=0.3, after_seconds=0.4)
         contents.append((tmp_path / "out.bvh").read_bytes())
     assert contents[1] == contents[0] and contents[2] == contents[0]
@@ -167,11 +168,11 @@ import sys, tracemalloc
 from pathlib import Path
 import numpy, pytest
 sys.path.insert(0, sys.argv[1])
-from tests.motionkit.formats.test_bvh_long import LEARNT, completed, in_small_blocks, read_document
+from tests.motionkit.formats.test_bvh_long import LEARNT, clips, completed, in_small_blocks, read_document
 
 patched = pytest.MonkeyPatch()
 in_small_blocks(patched, 32, 4000)
-patched.setattr("motionkit.completing.clips.FRAMES_AT_ONCE", 128)
+patched.setattr(clips, "FRAMES_AT_ONCE", 128)
 for path in map(Path, sys.argv[2:]):
     tracemalloc.start()
     document = read_document(path)
