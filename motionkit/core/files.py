@@ -21,6 +21,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     what a killed one left is written over. Raises `OSError` that names `path`, also where the disk is full.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists():
+        require_regular(path)
     temporary = temporary_name(path)
     with naming(path):
         descriptor = _open_locked(temporary)
@@ -93,6 +95,14 @@ def remove_folder(path: Path) -> None:
     shutil.rmtree(path)
 
 
+def remove_entry(path: Path) -> None:
+    """Delete a file, a folder with all that is in it, or a symbolic link, but not what the link points to."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
 def _open_locked(path: Path) -> int:
     """A locked descriptor of an empty file at `path`."""
     while True:
@@ -119,8 +129,10 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.filename is not None or error.errno is None:
+        if error.filename is not None:
             raise
+        if error.errno is None:  # as numpy raises it
+            raise OSError(f"{path} cannot be written whole, perhaps the disk is full ({error})") from None
         # pyarrow puts a sentence of its own before the system's words.
         raise OSError(error.errno, os.strerror(error.errno), str(path)) from None
 

@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
+from motionkit.core.files import naming
 from motionkit.export.selection import Outcome, Selection
 from motionkit.motion import Caption, Motion
 from motionkit.skeletons.mapping import SkeletonMapError
@@ -30,7 +31,8 @@ def write_files(
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
-                write(motion, path)
+                with naming(path):
+                    write(motion, path)
             except SkeletonMapError as error:
                 yield Outcome(motion.sequence_id, "skeleton", str(error))
                 continue
@@ -42,6 +44,7 @@ class MotionTable:
     """Writes motions.csv, a row for each file; owns the open file."""
 
     def __init__(self, path: Path) -> None:
+        self._path = path
         self._handle = path.open("w", encoding="utf-8", newline="")
         self._table = csv.DictWriter(self._handle, COLUMNS, lineterminator="\n")
         self._table.writeheader()
@@ -50,11 +53,13 @@ class MotionTable:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self._handle.close()
+        with naming(self._path):
+            self._handle.close()
 
     def add(self, motion: Motion, name: PurePosixPath) -> None:
         """Add a motion that was written to `name`, a path from the table's folder."""
-        self._table.writerow(_row(motion, name))
+        with naming(self._path):
+            self._table.writerow(_row(motion, name))
 
 
 def _row(motion: Motion, name: PurePosixPath) -> dict[str, str]:

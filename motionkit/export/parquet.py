@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from motionkit.core.files import naming
 from motionkit.errors import UsageError
 from motionkit.export.dataset_card import Tally, card
 from motionkit.export.selection import Outcome, Selection
@@ -98,13 +99,15 @@ class _Shards:
             self._paths.append(self._folder / f"{self._split}-{len(self._paths):05d}.parquet")
             self._file = pq.ParquetWriter(self._paths[-1], parquet_schema.SCHEMA, **_writer_options())
         columns = [pa.array([row[field.name] for row in self._rows], field.type) for field in parquet_schema.SCHEMA]
-        self._file.write_table(pa.table(columns, schema=parquet_schema.SCHEMA))
+        with naming(self._paths[-1]):
+            self._file.write_table(pa.table(columns, schema=parquet_schema.SCHEMA))
         self._rows, self._row_bytes = [], 0
 
     def _close(self) -> None:
         self._flush()
         if self._file is not None:
-            self._file.close()
+            with naming(self._paths[-1]):
+                self._file.close()
         self._file, self._file_bytes = None, 0
 
 

@@ -1,16 +1,14 @@
 """Selection → folder: written beside its place and renamed when it is complete."""
 
-import shutil
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from motionkit.core.folders import whole_folder
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.export.catalogue import Export
 from motionkit.export.selection import Outcome, Selection
-
-PARTIAL_SUFFIX = ".partial"
 
 
 @dataclass(frozen=True)
@@ -35,16 +33,17 @@ def export(
 ) -> ExportReport:
     """Write a selection as one kind of output into a new or empty folder; `on_outcome` is told about each sequence.
 
-    Everything is written to `FOLDER.partial`, which becomes `FOLDER` when it is complete and is removed when anything
-    raises: a folder of that name is always whole. Raises `UsageError` for a folder that holds something,
+    Everything is written into `FOLDER.partial`; `FOLDER` appears when it is complete, and nothing is left when anything
+    raises (`whole_folder`). Raises `UsageError` for a folder that holds something or that another process writes,
     `MotionkitError` where nothing could be written.
     """
-    partial = _partial(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    partial.mkdir()
-    try:
-        left_out: list[Outcome] = []
-        num_sequences = 0
+    # A link to an empty folder is filled where it points.
+    place = folder.absolute().resolve() if folder.is_symlink() else folder.absolute()
+    left_out: list[Outcome] = []
+    num_sequences = 0
+    with whole_folder(place) as partial:
+        # Under its lock, and after what a killed export left is deleted.
+        _require_empty(folder)
         for outcome in kind.write(selection, partial):
             if outcome.written:
                 num_sequences += 1
@@ -55,20 +54,11 @@ def export(
             first = left_out[0].message if left_out else "the selection is empty"
             raise MotionkitError(f"none of {len(left_out)} sequences can be written as {kind.name}, first: {first}")
         sizes = [path.stat().st_size for path in partial.rglob("*") if path.is_file()]
-        partial.rename(folder)
-    except BaseException:
-        # Also when stopped by Ctrl-C: half an export is of no use to anybody, and nobody would see that it is half.
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
     return ExportReport(folder, kind.name, num_sequences, len(sizes), sum(sizes), tuple(left_out))
 
 
-def _partial(folder: Path) -> Path:
+def _require_empty(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file: name a new folder")
     if folder.exists() and any(folder.iterdir()):
         raise UsageError(f"{folder} is not empty: name a new folder")
-    partial = folder.absolute().with_name(folder.absolute().name + PARTIAL_SUFFIX)
-    if partial.exists():
-        raise UsageError(f"{partial} is of another export that runs or was killed: if none runs, delete it")
-    return partial

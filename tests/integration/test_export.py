@@ -1,7 +1,11 @@
 """`motionkit export`: what comes out of a store goes into another one."""
 
 import json
+import multiprocessing
+import os
 import re
+import resource
+import signal
 from dataclasses import replace
 from fractions import Fraction
 
@@ -108,11 +112,54 @@ def test_a_fault_half_way_leaves_nothing(motionkit, bodies, tmp_path, monkeypatc
     assert not list(tmp_path.glob("out*"))
 
 
-def test_a_killed_export_is_not_overwritten(motionkit, bodies, tmp_path):
+def test_what_a_killed_export_left_is_deleted_by_the_next_one(motionkit, bodies, tmp_path, monkeypatch):
+    def killed(motion, path):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    monkeypatch.setattr("motionkit.export.bvh.write_bvh", killed)
+    process = multiprocessing.get_context("fork").Process(
+        target=motionkit, args=("export", tmp_path / "out", "--store", bodies)
+    )
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+    assert [path.name for path in tmp_path.glob("out*")] == ["out.partial"]
+    monkeypatch.setattr("motionkit.export.bvh.write_bvh", write_bvh)
+    outcome = motionkit("export", tmp_path / "out", "--store", bodies)
+    assert outcome.code == 0
+    assert [path.name for path in tmp_path.glob("out*")] == ["out"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "motions.csv"]
+
+
+def test_a_folder_of_somebody_s_own_that_is_called_partial_stays(motionkit, bodies, tmp_path):
     (tmp_path / "out.partial").mkdir()
+    (tmp_path / "out.partial" / "mine.txt").write_text("mine")
     outcome = motionkit("export", tmp_path / "out", "--store", bodies)
     assert outcome.code == 2
-    assert "out.partial is of another export that runs or was killed" in outcome.stderr
+    assert "out.partial exists, and motionkit did not make it" in outcome.stderr
+    assert (tmp_path / "out.partial" / "mine.txt").read_text() == "mine"
+
+
+def test_a_link_to_an_empty_folder_is_filled_where_it_points(motionkit, bodies, tmp_path):
+    (tmp_path / "scratch").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "scratch")
+    assert motionkit("export", tmp_path / "out", "--store", bodies).code == 0
+    assert (tmp_path / "scratch" / "motions.csv").is_file()
+    assert (tmp_path / "out").is_symlink()
+
+
+@pytest.mark.parametrize("format", ["bvh", "npz", "csv", "joints-npy", "humanml3d", "gltf", "parquet"])
+def test_a_full_disk_names_the_file_and_leaves_nothing(format, motionkit, bodies, tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
+    try:
+        outcome = motionkit("export", tmp_path / "out", "--store", bodies, "--format", format, "--fps", "20")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert outcome.code == 1
+    assert "Traceback" not in outcome.stderr
+    assert "out.partial/out/" in outcome.stderr.replace("\n", "")
+    assert not list(tmp_path.glob("out*"))
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.files import naming
 from motionkit.errors import FormatError
 from motionkit.formats import clock, sourcefile
 from motionkit.formats.arrays import joints_npy, npy
@@ -218,16 +219,18 @@ class FolderWriter:
         if Path(entry.name).name != entry.name or entry.name in self._names:
             raise ValueError(f"{entry.name!r} is not a plain file name, or is repeated")
         self._names.add(entry.name)
-        np.save(self._folder / JOINTS_FOLDER / f"{entry.name}.npy", entry.joint_positions, allow_pickle=False)
+        _save(self._folder / JOINTS_FOLDER / f"{entry.name}.npy", entry.joint_positions)
         if entry.vectors is not None:
-            np.save(self._folder / VECTORS_FOLDER / f"{entry.name}.npy", entry.vectors, allow_pickle=False)
+            _save(self._folder / VECTORS_FOLDER / f"{entry.name}.npy", entry.vectors)
             if len(entry.vectors):
                 trained, more = entry.split == "train", moments(entry.vectors)
                 known = self._moments.get(trained)
                 self._moments[trained] = more if known is None else merge(known, more)
         if entry.captions:
             lines = texts.format_texts(entry.captions, len(entry.joint_positions) / float(self._layout.fps))
-            (self._folder / TEXTS_FOLDER / f"{entry.name}.txt").write_text(lines, encoding="utf-8")
+            path = self._folder / TEXTS_FOLDER / f"{entry.name}.txt"
+            with naming(path):
+                path.write_text(lines, encoding="utf-8")
         self._members["all"].append(entry.name)
         if entry.split in SPLITS:
             self._members[entry.split].append(entry.name)
@@ -244,9 +247,14 @@ class FolderWriter:
         chosen = self._moments.get(True, self._moments.get(False))
         if chosen is not None:
             mean, std = _block_averaged(chosen, self._layout)
-            np.save(self._folder / "Mean.npy", mean, allow_pickle=False)
-            np.save(self._folder / "Std.npy", std, allow_pickle=False)
+            _save(self._folder / "Mean.npy", mean)
+            _save(self._folder / "Std.npy", std)
         return len(self._names)
+
+
+def _save(path: Path, array: np.ndarray) -> None:
+    with naming(path):
+        np.save(path, array, allow_pickle=False)
 
 
 def write_humanml3d(folder: Path, entries: Iterable[Entry], layout: Layout = HUMANML3D) -> int:
