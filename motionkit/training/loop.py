@@ -15,6 +15,7 @@ from typing import Protocol, runtime_checkable
 import torch
 
 from motionkit.console import progress
+from motionkit.training.metrics_log import NOTHING_LOGGED
 from motionkit.training.randomness import step_generator
 from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.run import RunError, StageFolder
@@ -58,8 +59,8 @@ def train_loop(
 
     Figures are means over the steps since the last line of metrics.jsonl. Ctrl-C or SIGTERM ends the current step,
     saves a checkpoint and raises `KeyboardInterrupt`. Raises `RunError` where a loss is not finite (the last checkpoint
-    stays) and `CheckpointError` where the checkpoint is damaged or of something else. Only the first rank writes, and
-    only it knows the figures.
+    stays), `CheckpointError` where the checkpoint is of something else, and `DamagedFileError` where it or the log is
+    damaged. Only the first rank writes, and only it knows the figures.
     """
     purpose = folder.path.name
     first, figures = _restore(trainable, folder, ranks)
@@ -127,7 +128,12 @@ class _Figures:
 def _save(trainable: Trainable, folder: StageFolder, ranks: Ranks, done: int, figures: _Figures) -> None:
     tensors = prefixed("state", trainable.state_tensors()) | prefixed("sums", figures.sums)
     if ranks.is_first:
-        description = {"step": done, "stage": folder.path.name, "logged": figures.since}
+        description = {
+            "step": done,
+            "stage": folder.path.name,
+            "logged": figures.since,
+            "metrics": folder.metrics.extent(),
+        }
         save_tensors(folder.checkpoint_path, tensors, description)
 
 
@@ -135,22 +141,20 @@ def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[i
     """Go back to the checkpoint, where there is one; returns its step and the figures since the last logged one."""
     path = folder.checkpoint_path
     if not path.is_file():
-        ranks.on_first(lambda: folder.truncate_metrics(0))
+        ranks.on_first(lambda: folder.metrics.cut(NOTHING_LOGGED))
         return 0, _Figures({}, since=0)
     mend = "train the stage again with --overwrite"
-    try:
-        tensors, description = load_tensors(path)
-    except CheckpointError as error:
-        raise CheckpointError(f"{error}: {mend}") from None
+    tensors, description = load_tensors(path)
     if description.get("stage") != folder.path.name:
         raise CheckpointError(f"{path} is of stage {description.get('stage')!r}, not {folder.path.name!r}: {mend}")
     try:
         step, logged = int(description["step"]), int(description["logged"])
         trainable.load_state_tensors(unprefixed("state", tensors))
-    except (KeyError, RuntimeError, ValueError) as error:
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
         told = f"{path} does not fit these settings or this version ({one_line(error)})"
         raise CheckpointError(f"{told}: {mend}") from None
-    ranks.on_first(lambda: folder.truncate_metrics(step))
+    logged_until = description.get("metrics") or folder.metrics.extent_until(step)
+    ranks.on_first(lambda: folder.metrics.cut(logged_until))
     return step, _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)
 
 

@@ -5,10 +5,7 @@ is written last and marks the stage as complete.
 """
 
 import importlib.metadata
-import json
-import os
 import platform
-import shutil
 import subprocess
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -17,29 +14,21 @@ from types import MappingProxyType
 from typing import Any
 
 from motionkit.checksums import sha256_of
+from motionkit.core.files import remove_entry, require_no_link, temporary_name, write_whole
+from motionkit.core.sealed import read_json, write_json
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.training.config import ConfigLike, flatten, to_plain
+from motionkit.training.metrics_log import MEND, MetricsLog
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 SHOWN_SETTINGS = 6
+# The key of summary.json under which length and sha256 of the log stand.
+LOGGED = "metrics.jsonl"
 RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
 
 
 class RunError(MotionkitError):
     """A run folder that lacks what is needed from it, or holds something else."""
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Write JSON that appears whole or not at all."""
-    write_text(path, json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file that appears whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
 
 
 def versions() -> dict[str, str]:
@@ -89,33 +78,34 @@ class StageFolder:
         return self._read(self.config_path)
 
     def read_summary(self) -> dict[str, Any]:
-        """The whole of summary.json; raises `RunError` where the stage is not complete."""
-        return self._read(self.summary_path)
+        """The final figures, once metrics.jsonl agrees with them; raises `RunError` where the stage is not complete."""
+        summary = self._read(self.summary_path)
+        if LOGGED in summary:
+            self.metrics.check(summary.pop(LOGGED))
+        return summary
+
+    @property
+    def metrics(self) -> MetricsLog:
+        """What is logged while it is trained."""
+        return MetricsLog(self.metrics_path)
 
     def append_metrics(self, values: Mapping[str, float]) -> None:
         """Add a line to metrics.jsonl."""
-        with self.metrics_path.open("a", encoding="utf-8") as log:
-            log.write(json.dumps(dict(values)) + "\n")
+        self.metrics.append(values)
 
     def read_metrics(self) -> list[dict[str, float]]:
         """All whole lines of metrics.jsonl, oldest first; empty where nothing was logged.
 
-        A line that a crash cut off, or that is just being written, is left out.
+        Those of a complete stage are checked; of another the last line may be cut off, by a crash or because it is
+        just being written, and is left out.
         """
-        if not self.metrics_path.is_file():
-            return []
-        lines = self.metrics_path.read_text(encoding="utf-8", errors="replace").splitlines()
-        return [values for values in map(_metrics_of, lines) if values is not None]
-
-    def truncate_metrics(self, step: int) -> None:
-        """Forget metrics of later steps and broken lines: after a crash the log may be ahead of the checkpoint."""
-        kept = [line for line in self.read_metrics() if line["step"] <= step]
-        if self.metrics_path.is_file():
-            write_text(self.metrics_path, "".join(json.dumps(line) + "\n" for line in kept))
+        if self.is_complete:
+            self.read_summary()
+        return self.metrics.lines()
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the final figures, by which the stage counts as complete."""
-        write_json(self.summary_path, dict(summary))
+        write_json(self.summary_path, {**summary, LOGGED: self.metrics.extent()})
 
     def _read(self, path: Path) -> dict[str, Any]:
         if not path.is_file():
@@ -123,21 +113,7 @@ class StageFolder:
                 f"{path} does not exist: stage {self.path.name!r} of run {str(self.path.parent)!r} is not trained "
                 f"(motionkit train --stage {self.path.name} --run {self.path.parent.name})"
             )
-        try:
-            value: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise RunError(
-                f"{path} is damaged ({error}): restore it from a copy, or train the stage again with --overwrite"
-            ) from None
-        return value
-
-
-def _metrics_of(line: str) -> dict[str, float] | None:
-    try:
-        values = json.loads(line)
-    except ValueError:
-        return None
-    return values if isinstance(values, dict) and "step" in values else None
+        return read_json(path, MEND)
 
 
 @dataclass(frozen=True)
@@ -172,8 +148,9 @@ def begin_stage(
 
     `builds_on` names other stages of the run whose results this one reads, with their sha256. Raises `UsageError` where
     a folder exists and neither `resume` nor `overwrite` is asked for, and `RunError` where configuration, seed, store
-    or what it builds on differ from those that the stage was begun with.
+    or what it builds on differ from those that the stage was begun with. `LinkError` where the folder is a link.
     """
+    require_no_link(folder.path, "delete the link, or train into another --run")
     asked = {
         "config": to_plain(config),
         "recipe": recipe,
@@ -184,15 +161,50 @@ def begin_stage(
     if folder.config_path.is_file() and resume:
         check_same(folder, config, recipe=recipe, seed=seed, store_fingerprint=store_fingerprint, builds_on=builds_on)
         return
-    if folder.path.exists() and any(folder.path.iterdir()) and not resume:
+    if _holds_something(folder):
+        if resume:
+            raise RunError(
+                f"{folder.path} cannot be resumed, for it has no {folder.config_path.name}: train the stage again with "
+                f"--overwrite"
+            )
         if not overwrite:
             raise UsageError(
                 f"{folder.path} exists: --resume goes on with it, --overwrite starts again, --run NAME keeps both"
             )
-        shutil.rmtree(folder.path)
+        clear_stage(folder)
     folder.path.mkdir(parents=True, exist_ok=True)
     code = {"versions": versions(), "commit": commit()}
     write_json(folder.config_path, {"stage": folder.path.name, **asked, "store": store, **code})
+
+
+def _holds_something(folder: StageFolder) -> bool:
+    """Whether a stage was begun there: one that was killed before it wrote its config.json was not."""
+    if not folder.path.exists():
+        return False
+    return any(entry.name != temporary_name(folder.config_path).name for entry in folder.path.iterdir())
+
+
+def clear_stage(folder: StageFolder) -> None:
+    """Delete what a stage's folder holds but config.json, which the next training replaces; raises `LinkError`.
+
+    In this order a process that is killed leaves no folder that counts as complete, or that another training could
+    take for its own.
+    """
+    require_no_link(folder.path, "delete the link")
+    first = [folder.summary_path, folder.checkpoint_path]
+    for path in [*first, *sorted(folder.path.iterdir())]:
+        if path != folder.config_path:
+            remove_entry(path)
+
+
+def copy_stage(source: StageFolder, target: StageFolder) -> None:
+    """Make `target` a complete stage's copy without its checkpoint; what it held is deleted. Raises `LinkError`."""
+    if target.path.exists():
+        clear_stage(target)
+    # It counts as complete when all of it is there.
+    for path in (source.config_path, source.metrics_path, source.model_path, source.summary_path):
+        if path.is_file():
+            write_whole(target.path / path.name, path.read_bytes())
 
 
 def check_same(

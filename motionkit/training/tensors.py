@@ -1,20 +1,24 @@
-"""Tensors in files: safetensors with a JSON description in the header, written atomically, no pickle."""
+"""Tensors in files: safetensors with a JSON description in the header, written whole, with a checksum, no pickle."""
 
 import json
-import os
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import safetensors
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import save
 
-from motionkit.errors import MotionkitError
+from motionkit.errors import DamagedFileError, MotionkitError
+from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
+
+DESCRIPTION = "description"
+MEND = "train the stage again with --overwrite, or restore the file from a copy"
 
 
 class CheckpointError(MotionkitError):
-    """A checkpoint that is missing, damaged, or of another model."""
+    """A checkpoint that is missing or of another model."""
 
 
 def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]) -> None:
@@ -22,31 +26,31 @@ def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], description: M
 
     The description travels in the safetensors header, so that tensors and their meaning are one atomic rename.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    plain = {name: tensor.detach().to("cpu").contiguous().clone() for name, tensor in tensors.items()}
-    try:
-        save_file(plain, temporary, metadata={"description": json.dumps(dict(description), allow_nan=False)})
-        with temporary.open("rb") as written:
-            os.fsync(written.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    plain = {name: tensor.detach().to("cpu").contiguous() for name, tensor in tensors.items()}
+    # safetensors refuses tensors that share memory.
+    uses = Counter(tensor.untyped_storage().data_ptr() for tensor in plain.values())
+    own = {
+        name: tensor.clone() if uses[tensor.untyped_storage().data_ptr()] > 1 else tensor
+        for name, tensor in plain.items()
+    }
+    write_sealed_tensors(path, own, {DESCRIPTION: json.dumps(dict(description), allow_nan=False)}, save)
 
 
-def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+def load_tensors(path: Path, mend: str = MEND) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Read a file of `save_tensors`: tensors on the CPU, and the description.
 
-    Raises `CheckpointError` for a file that is absent or that safetensors can't read.
+    Raises `CheckpointError` for a file that is absent, and `DamagedFileError`, with `mend`, for one that is not what
+    was written.
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such checkpoint")
+    metadata = checked_metadata(path, {DESCRIPTION}, mend)
     try:
+        description = json.loads(metadata.get(DESCRIPTION, "{}"))
         with safetensors.safe_open(path, framework="pt") as opened:
-            description = json.loads((opened.metadata() or {}).get("description", "{}"))
             return {name: opened.get_tensor(name) for name in opened.keys()}, description  # noqa: SIM118
     except (safetensors.SafetensorError, ValueError) as error:
-        raise CheckpointError(f"{path}: not a whole safetensors file ({one_line(error)})") from None
+        raise DamagedFileError(path, one_line(error), mend) from None
 
 
 def one_line(error: Exception, longest: int = 200) -> str:

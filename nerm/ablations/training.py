@@ -1,10 +1,7 @@
 """NeRM's ablations as `motionkit ablate` trains them: a run a variant, one codebook for all."""
 
-import os
-import shutil
-
 from motionkit.training.ablations import Ablations, Sweep, check_unchanged
-from motionkit.training.run import RunFolder
+from motionkit.training.run import RunFolder, copy_stage
 from nerm.ablations.variants import ABLATIONS
 from nerm.recipes import RECIPES, NermConfig
 from nerm.stages import CODEBOOK, DENOISER, FIELD
@@ -29,10 +26,7 @@ def share_codebook(sweep: Sweep, run: RunFolder, config: NermConfig) -> None:
         CODEBOOK.train(context, config)
     if target.is_complete and target.model_path.read_bytes() == source.model_path.read_bytes():
         return
-    shutil.rmtree(target.path, ignore_errors=True)
-    partial = target.path.with_name(f".{target.path.name}.{os.getpid()}.tmp")
-    shutil.copytree(source.path, partial, ignore=shutil.ignore_patterns(source.checkpoint_path.name))
-    partial.rename(target.path)
+    copy_stage(source, target)
 
 
 NERM = Ablations("nerm", ABLATIONS, RECIPES, {"field": FIELD, "denoiser": DENOISER}, share_codebook)

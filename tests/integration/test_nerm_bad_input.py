@@ -215,7 +215,7 @@ CASES = (
         "half a checkpoint",
         f"{TRAIN} good --stage field --resume",
         1,
-        ("field/checkpoint.safetensors: not a whole safetensors file", "--overwrite"),
+        ("field/checkpoint.safetensors is damaged", "--overwrite"),
         unfinished(FIELD, cut_in_half(f"{FIELD}/checkpoint.safetensors")),
     ),
     Case(
@@ -236,7 +236,7 @@ CASES = (
         "half a codebook",
         f"{TRAIN} good --stage field --overwrite --set field.time_encoding=codebook",
         1,
-        ("codebook/model.safetensors: not a whole safetensors file",),
+        ("codebook/model.safetensors is damaged",),
         cut_in_half("runs/nano/codebook/model.safetensors"),
     ),
     Case(
@@ -250,14 +250,14 @@ CASES = (
         "half a field",
         f"{GENERATE} --unconditional",
         1,
-        ("field/model.safetensors: not a whole safetensors file",),
+        ("field/model.safetensors is damaged",),
         cut_in_half(f"{FIELD}/model.safetensors"),
     ),
     Case(
         "half a denoiser",
         f"{GENERATE} --unconditional",
         1,
-        ("denoiser/model.safetensors: not a whole safetensors file",),
+        ("denoiser/model.safetensors is damaged",),
         cut_in_half(f"{DENOISER}/model.safetensors"),
     ),
     Case(

@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from motionkit.core.sealed import write_json
+from motionkit.errors import DamagedFileError
 from motionkit.training import loop, precision
 from motionkit.training.config import apply_overrides
 from motionkit.training.randomness import step_generator
@@ -152,7 +154,7 @@ def test_a_checkpoint_cut_in_half_is_told_and_left_alone(
     folder.summary_path.unlink()
     whole = folder.checkpoint_path.read_bytes()
     folder.checkpoint_path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(CheckpointError, match=r"codebook/checkpoint\.safetensors: not a whole safetensors file .*"):
+    with pytest.raises(DamagedFileError, match=r"codebook/checkpoint\.safetensors is damaged .*--overwrite"):
         train_stage("codebook", store, folder.path.parent, resume=True)
     assert len(folder.checkpoint_path.read_bytes()) == len(whole) // 2
     assert figures(folder) == figures(RunFolder(run).stage("codebook"))
@@ -171,8 +173,7 @@ def test_a_run_goes_on_only_with_what_it_was_begun_with(
 ) -> None:
     folder = other_run("codebook")
     shutil.copytree(RunFolder(run).stage("codebook").path, folder.path)
-    begun = json.loads(folder.config_path.read_text())
-    folder.config_path.write_text(json.dumps(begun | {"seed": 2}))
+    write_json(folder.config_path, folder.read_config() | {"seed": 2})
     with pytest.raises(RunError, match="begun with seed 2, not 1"):
         train_stage("codebook", store, folder.path.parent, resume=True)
 

@@ -1,3 +1,4 @@
+import json
 import os
 import signal
 from collections.abc import Callable, Mapping
@@ -5,7 +6,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
+from motionkit.errors import DamagedFileError
 from motionkit.training.loop import train_loop
 from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.run import RunError, StageFolder
@@ -118,6 +121,30 @@ def test_metrics_ahead_of_the_checkpoint_are_forgotten(tmp_path: Path) -> None:
     assert [line["step"] for line in folder.read_metrics()] == [2, 4, 6, 8]
 
 
+def test_a_log_that_lost_a_byte_of_what_a_checkpoint_knows_is_not_gone_on_with(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "stage")
+    with pytest.raises(KeyboardInterrupt):
+        train_loop(Regression(_interrupt_at(5)), folder, steps=8, seed=1, log_every=2)
+    log = folder.metrics_path.read_bytes()
+    folder.metrics_path.write_bytes(log[:30] + b"7" + log[31:])
+    with pytest.raises(DamagedFileError, match=r"metrics\.jsonl is damaged .*--overwrite"):
+        train_loop(Regression(), folder, steps=8, seed=1, log_every=2)
+
+
+def test_a_run_of_before_there_were_checksums_is_gone_on_with(tmp_path: Path) -> None:
+    whole, folder = _folder(tmp_path / "a" / "stage"), _folder(tmp_path / "b" / "stage")
+    train_loop(Regression(), whole, steps=8, seed=1, log_every=2)
+    with pytest.raises(KeyboardInterrupt):
+        train_loop(Regression(_interrupt_at(5)), folder, steps=8, seed=1, log_every=2)
+    tensors, description = load_tensors(folder.checkpoint_path)
+    del description["metrics"]
+    save_file(tensors, folder.checkpoint_path, metadata={"description": json.dumps(description)})
+    folder.append_metrics({"step": 7.0, "loss": 99.0})
+    train_loop(Regression(), folder, steps=8, seed=1, log_every=2)
+    losses = [[line["loss"] for line in each.read_metrics()] for each in (whole, folder)]
+    assert losses[0] == losses[1]
+
+
 def test_a_loss_that_is_not_finite_stops_the_training(tmp_path: Path) -> None:
     class Diverging(Regression):
         def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
@@ -146,7 +173,7 @@ def test_tensors_round_trip_and_a_damaged_file_is_named(tmp_path: Path) -> None:
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]
 
     path.write_bytes(path.read_bytes()[:-5])
-    with pytest.raises(CheckpointError, match=r"file\.safetensors: not a whole safetensors file"):
+    with pytest.raises(DamagedFileError, match=r"file\.safetensors is damaged"):
         load_tensors(path)
     with pytest.raises(CheckpointError, match="there is no such checkpoint"):
         load_tensors(tmp_path / "absent.safetensors")

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.errors import UsageError
+from motionkit.core.files import remove_entry, temporary_name, write_whole
+from motionkit.errors import DamagedFileError, LinkError, UsageError
 from motionkit.training.device import resolve_device
-from motionkit.training.run import RunError, RunFolder, commit
+from motionkit.training.run import RunError, RunFolder, commit, copy_stage
 from motionkit.training.stage import Stage, StageContext, choose_stages
 
 
@@ -67,6 +68,122 @@ def test_what_exists_is_neither_overwritten_nor_mixed_unasked(tmp_path: Path) ->
     assert not _context(tmp_path, overwrite=True).begin("first", Config(), store_fingerprint="x").read_metrics()
 
 
+def test_a_damaged_config_is_named_with_what_mends_it(tmp_path: Path) -> None:
+    folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
+    folder.config_path.write_text(folder.config_path.read_text().replace('"steps": 5', '"steps": 7'))
+    with pytest.raises(DamagedFileError, match=r"config\.json is damaged .*train the stage again with --overwrite"):
+        _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc")
+
+
+def test_a_stage_folder_that_is_a_link_is_not_trained_into(tmp_path: Path) -> None:
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "mine.txt").write_text("mine")
+    run = tmp_path / "real"
+    run.mkdir()
+    (run / "first").symlink_to(foreign)
+    for flags in ({}, {"resume": True}, {"overwrite": True}):
+        with pytest.raises(LinkError, match="first is a symbolic link"):
+            _context(run, **flags).begin("first", Config(), store_fingerprint="abc")
+    assert [path.name for path in foreign.iterdir()] == ["mine.txt"]
+    # The run itself is where the user says.
+    (tmp_path / "linked").symlink_to(run)
+    _context(tmp_path / "linked").begin("second", Config(), store_fingerprint="abc")
+    assert (run / "second" / "config.json").is_file()
+
+
+def test_overwriting_follows_no_link_out_of_the_folder(tmp_path: Path) -> None:
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "mine.txt").write_text("mine")
+    folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
+    (folder.path / "vectors").symlink_to(foreign)
+    folder.checkpoint_path.symlink_to(foreign / "mine.txt")
+    (folder.path / "old").mkdir()
+    _context(tmp_path, overwrite=True).begin("first", Config(), store_fingerprint="abc")
+    assert [path.name for path in folder.path.iterdir()] == ["config.json"]
+    assert (foreign / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("stopped_at", range(4))
+def test_an_overwrite_that_was_stopped_leaves_nothing_that_another_training_takes_for_its_own(
+    stopped_at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
+    for name in ("checkpoint.safetensors", "metrics.jsonl", "model.safetensors", "summary.json"):
+        (folder.path / name).touch()
+    removed: list[Path] = []
+
+    def removing(path: Path) -> None:
+        if len(removed) == stopped_at:
+            raise KeyboardInterrupt
+        removed.append(path)
+        remove_entry(path)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("motionkit.training.run.remove_entry", removing)
+        _context(tmp_path, overwrite=True).begin("first", Config(width=5), store_fingerprint="abc")
+    assert folder.is_complete == (stopped_at == 0)
+    with pytest.raises(RunError, match="width 4 → 5"):
+        _context(tmp_path, resume=True).begin("first", Config(width=5), store_fingerprint="abc")
+    _context(tmp_path, overwrite=True).begin("first", Config(width=5), store_fingerprint="abc")
+    assert [path.name for path in folder.path.iterdir()] == ["config.json"]
+
+
+def test_a_stage_that_was_killed_before_it_began_is_begun(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path).stage("first")
+    folder.path.mkdir()
+    temporary_name(folder.config_path).write_text("{")
+    _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
+    assert [path.name for path in folder.path.iterdir()] == ["config.json"]
+
+
+def test_a_folder_without_a_config_is_not_resumed(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path).stage("first")
+    folder.path.mkdir()
+    folder.checkpoint_path.write_bytes(b"of whatever")
+    with pytest.raises(RunError, match=r"has no config\.json: train the stage again with --overwrite"):
+        _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc")
+
+
+@pytest.mark.parametrize("stopped_at", range(3))
+def test_a_copy_of_a_stage_that_was_stopped_is_made_again(
+    stopped_at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = _context(tmp_path / "a").begin("first", Config(), store_fingerprint="abc")
+    source.model_path.write_bytes(b"weights")
+    source.checkpoint_path.write_bytes(b"everything")
+    source.finish({"loss": 1.0})
+    target = _context(tmp_path / "b").begin("first", Config(width=5), store_fingerprint="abc")
+    target.finish({"loss": 2.0})
+    written: list[Path] = []
+
+    def writing(path: Path, content: bytes) -> None:
+        if len(written) == stopped_at:
+            raise KeyboardInterrupt
+        written.append(path)
+        write_whole(path, content)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("motionkit.training.run.write_whole", writing)
+        copy_stage(source, target)
+    assert not target.is_complete
+    copy_stage(source, target)
+    assert target.read_summary() == {"loss": 1.0}
+    assert sorted(path.name for path in target.path.iterdir()) == ["config.json", "model.safetensors", "summary.json"]
+    assert target.read_config() == source.read_config()
+
+
+def test_a_stage_is_not_copied_through_a_link(tmp_path: Path) -> None:
+    source = _context(tmp_path / "a").begin("first", Config(), store_fingerprint="abc")
+    foreign = _context(tmp_path / "foreign").begin("first", Config(width=5), store_fingerprint="abc")
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "first").symlink_to(foreign.path)
+    with pytest.raises(LinkError):
+        copy_stage(source, RunFolder(tmp_path / "b").stage("first"))
+    assert foreign.read_config()["config"]["width"] == 5
+
+
 def test_settings_of_another_stage_do_not_stop_a_resume(tmp_path: Path) -> None:
     _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
     other = Config(second=Part(steps=99))
@@ -87,7 +204,7 @@ def test_a_stage_is_not_resumed_upon_another_than_it_was_begun_with(tmp_path: Pa
         _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
     # A run of before this was recorded says nothing about it.
     written = json.loads(folder.config_path.read_text())
-    del written["builds_on"]
+    del written["builds_on"], written["checksum"]
     folder.config_path.write_text(json.dumps(written))
     _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
 

@@ -1,0 +1,81 @@
+"""metrics.jsonl: one JSON object per logged step, and how much of it belongs to a checkpoint or a finished stage."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from motionkit.core.files import naming, require_no_link, sync
+from motionkit.errors import DamagedFileError
+
+MEND = "restore it from a copy, or train the stage again with --overwrite"
+
+
+class MetricsLog:
+    """The log of one stage, which need not exist yet."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def append(self, values: Mapping[str, float]) -> None:
+        """Add a line."""
+        require_no_link(self.path, "delete the link")
+        with naming(self.path), self.path.open("a", encoding="utf-8") as log:
+            log.write(json.dumps(dict(values)) + "\n")
+
+    def lines(self) -> list[dict[str, float]]:
+        """All whole lines, oldest first; a line that a crash cut off, or that is just being written, is left out."""
+        lines = self._content().decode("utf-8", errors="replace").splitlines()
+        return [values for values in map(_values_of, lines) if values is not None]
+
+    def extent(self) -> dict[str, Any]:
+        """Length in bytes and sha256 of what is logged so far, once it is on the disk."""
+        if self.path.is_file():
+            sync(self.path)
+        return _extent_of(self._content())
+
+    def extent_until(self, step: int) -> dict[str, Any]:
+        """Length and sha256 of the lines up to a step, for checkpoints of before they recorded them."""
+        content, kept = self._content(), 0
+        for line in content.splitlines(keepends=True):
+            values = _values_of(line.decode("utf-8", errors="replace"))
+            if values is None or values["step"] > step or not line.endswith(b"\n"):
+                break
+            kept += len(line)
+        return _extent_of(content[:kept])
+
+    def check(self, extent: Mapping[str, Any]) -> None:
+        """Raise `DamagedFileError` where the log does not begin with what was recorded."""
+        found = _extent_of(self._content()[: extent["bytes"]])
+        if found["bytes"] < extent["bytes"]:
+            fault = f"it has {found['bytes']:,} bytes, expected {extent['bytes']:,}"
+            raise DamagedFileError(self.path, fault if self.path.is_file() else "it is missing", MEND)
+        if found != extent:
+            raise DamagedFileError(self.path, "its content is not what its checksum says", MEND)
+
+    def cut(self, extent: Mapping[str, Any]) -> None:
+        """Check what was recorded and forget what was logged after it; errors as in `check`."""
+        self.check(extent)
+        if self.path.is_file():
+            require_no_link(self.path, "delete the link")
+            with naming(self.path), self.path.open("r+b") as log:
+                log.truncate(extent["bytes"])
+
+    def _content(self) -> bytes:
+        return self.path.read_bytes() if self.path.is_file() else b""
+
+
+NOTHING_LOGGED: Mapping[str, Any] = {"bytes": 0, "sha256": hashlib.sha256().hexdigest()}
+
+
+def _extent_of(content: bytes) -> dict[str, Any]:
+    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+
+
+def _values_of(line: str) -> dict[str, float] | None:
+    try:
+        values = json.loads(line)
+    except ValueError:
+        return None
+    return values if isinstance(values, dict) and "step" in values else None

@@ -1,0 +1,89 @@
+"""Safetensors files that carry a checksum of their own bytes, so that damage to any of them is noticed.
+
+The checksum stands in the file's metadata: the sha256 of the whole file, header and data, with 64 zeros in its place.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Mapping, Set
+from pathlib import Path
+from typing import TypeVar
+
+from safetensors import SafetensorError, safe_open
+
+from motionkit.core.files import whole_file
+from motionkit.errors import DamagedFileError
+
+CHECKSUM = "sha256"
+ZEROS = b"0" * 64
+# Not in a string of the header: there its quotes would be escaped.
+_STATED = re.compile(rb'"sha256":"([0-9a-f]{64})"')
+# What safetensors allows.
+LARGEST_HEADER_BYTES = 100_000_000
+PIECE_BYTES = 1 << 20
+
+TensorT = TypeVar("TensorT")
+
+
+def write_sealed_tensors(
+    path: Path,
+    tensors: dict[str, TensorT],
+    metadata: Mapping[str, str],
+    save: Callable[[dict[str, TensorT], dict[str, str]], bytes],
+) -> None:
+    """Write a safetensors file with its checksum, which appears whole or not at all.
+
+    `save` is `safetensors.torch.save` or `safetensors.numpy.save`; `save_file` would choose the permissions itself and
+    report a full disk as an error of its own.
+    """
+    content = memoryview(save(tensors, dict(metadata)))
+    end = 8 + int.from_bytes(content[:8], "little")
+    data = content[end:]
+    # safetensors writes several keys of the metadata in an order that differs from call to call.
+    described = json.loads(bytes(content[8:end]))
+    header = _header(described, metadata, ZEROS)
+    digest = hashlib.sha256(header)
+    digest.update(data)
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        file.write(_header(described, metadata, digest.hexdigest().encode()))
+        file.write(data)
+
+
+def _header(described: Mapping[str, object], metadata: Mapping[str, str], checksum: bytes) -> bytes:
+    """A safetensors header, its length before it, filled up to a multiple of 8 bytes."""
+    whole = {**described, "__metadata__": {**metadata, CHECKSUM: checksum.decode()}}
+    text = json.dumps(whole, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text
+
+
+def checked_metadata(path: Path, known: Set[str], mend: str) -> dict[str, str]:
+    """The metadata of a safetensors file once its bytes agree with its checksum; `known` are the keys it may have.
+
+    A file of before there were checksums has none and is not checked. `mend` says what a person does about a damaged
+    file. Raises `DamagedFileError`, and `OSError` where the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            length = int.from_bytes(file.read(8), "little")
+            if length > LARGEST_HEADER_BYTES:
+                raise ValueError("not a whole safetensors file: its header is too long")
+            header = file.read(length)
+            stated = _STATED.search(header)
+            if stated is not None:
+                start, end = stated.span(1)
+                digest = hashlib.sha256(length.to_bytes(8, "little") + header[:start] + ZEROS + header[end:])
+                while piece := file.read(PIECE_BYTES):
+                    digest.update(piece)
+                if digest.hexdigest() != stated[1].decode():
+                    raise ValueError("its content is not what its checksum says")
+        with safe_open(path, framework="np") as opened:
+            metadata: dict[str, str] = dict(opened.metadata() or {})
+    except (SafetensorError, ValueError) as error:
+        raise DamagedFileError(path, str(error), mend) from None
+    allowed = known | {CHECKSUM} if stated is not None else known
+    if not metadata.keys() <= allowed:
+        unknown = min(metadata.keys() - allowed)
+        raise DamagedFileError(path, f"its header has an unknown key {unknown!r}", mend)
+    return metadata
