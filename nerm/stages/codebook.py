@@ -17,7 +17,8 @@ from motionkit.training.stage import StageContext
 from motionkit.training.tensors import prefixed, save_tensors
 from nerm.codebook.published import PublishedCodebook, load_published
 from nerm.codebook.saved import FORMAT, FORMAT_VERSION
-from nerm.codebook.training import CodebookTraining, build_vector_corpus, check_lengths
+from nerm.codebook.training import CodebookTraining
+from nerm.codebook.vector_file import check_lengths, open_vectors, prepare_vectors, remove_vectors
 from nerm.recipes import NermConfig
 from nerm.settings.codebook import CodebookConfig
 
@@ -39,10 +40,9 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     started = time.perf_counter()
     source = _source(store, settings)
     folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
-    # The first rank writes the vectors, the others find them.
-    build = partial(build_vector_corpus, source, settings, folder.path / "vectors.f32")
-    ranks.on_first(build)
-    corpus = build()
+    vectors = folder.path / "vectors.f32"
+    ranks.on_first(partial(prepare_vectors, source, settings, vectors))
+    corpus = open_vectors(settings, vectors)
     training = CodebookTraining(corpus, settings, seed=context.seed, device=device, ranks=ranks)
     with float32_products(settings.precision):
         figures = train_loop(training, folder, steps=settings.steps, seed=context.seed, ranks=ranks)
@@ -51,8 +51,7 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     tensors = {"codes": training.network.quantiser.codes, "mean": corpus.mean, "scale": corpus.scale}
     network = {f"network.{name}": tensor for name, tensor in training.network.state_dict().items()}
     save_tensors(folder.model_path, tensors | network, description)
-    for leftover in (folder.path / "vectors.f32", folder.path / "vectors.json"):
-        leftover.unlink(missing_ok=True)
+    remove_vectors(vectors)
     facts = {"poses": len(corpus.vectors), "wall_seconds": round(time.perf_counter() - started, 1)}
     folder.finish({**figures, **facts})
 

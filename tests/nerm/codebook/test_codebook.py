@@ -12,7 +12,8 @@ from motionkit.training.randomness import step_generator
 from motionkit.training.tensors import save_tensors
 from nerm.codebook.network import CodebookNetwork, Quantiser
 from nerm.codebook.saved import load_codes
-from nerm.codebook.training import CodebookTraining, build_vector_corpus, perplexity
+from nerm.codebook.training import CodebookTraining, perplexity
+from nerm.codebook.vector_file import open_vectors, prepare_vectors
 from nerm.codebook.vectors import codebook_vectors, joint_positions_block
 from nerm.recipes import paper
 from nerm.settings.codebook import CodebookConfig
@@ -24,7 +25,8 @@ SMALL = CodebookConfig(
 
 
 def _corpus(path: Path):  # type: ignore[no-untyped-def]
-    return build_vector_corpus(analytic_source(), SMALL, path / "vectors.f32")
+    prepare_vectors(analytic_source(), SMALL, path / "vectors.f32")
+    return open_vectors(SMALL, path / "vectors.f32")
 
 
 def _training(path: Path) -> CodebookTraining:
@@ -104,7 +106,7 @@ def test_the_corpus_is_resampled_and_starts_stay_inside_a_sequence(tmp_path: Pat
 def test_sequences_that_are_all_too_short_are_explained(tmp_path: Path) -> None:
     config = replace(SMALL, window_frames=400)
     with pytest.raises(UsageError, match=r"no sequence has 400 poses at 20 fps \(20 s\)"):
-        build_vector_corpus(analytic_source(), config, tmp_path / "vectors.f32")
+        prepare_vectors(analytic_source(), config, tmp_path / "vectors.f32")
 
 
 def test_the_loss_falls_and_many_codes_are_used(tmp_path: Path) -> None:
