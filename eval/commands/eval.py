@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from eval.commands import eval_options as options
 from motionkit.console import print_json, print_text, stderr
+from motionkit.core.files import write_whole
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 
@@ -140,7 +141,7 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
 
         save(calibration_figure(result), request.results / result.figure)
     text = to_markdown(result)
-    path.with_suffix(".md").write_text(text, encoding="utf-8")
+    write_whole(path.with_suffix(".md"), text)
     if as_json:
         print_json(asdict(result))
     else:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.console import print_json, print_text, stderr
+from motionkit.core.files import write_whole
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 
@@ -21,15 +22,24 @@ def report(
     ] = "html",
     as_json: Annotated[bool, typer.Option("--json", help="Print every result as JSON.")] = False,
 ) -> None:
-    """Show every result of the results folder: one HTML page, pictures, or Markdown, LaTeX or CSV on stdout."""
+    """Show every result of the results folder: one HTML page, pictures, or Markdown, LaTeX or CSV on stdout.
+
+    Results that cannot be read are named, and the exit code is 1.
+    """
     from dataclasses import asdict
 
     from eval.report.render import to_csv, to_html, to_latex, to_markdown
-    from eval.report.results import read_results
+    from eval.report.results import ResultError, find_results
 
     folder = results or default_path("results")
-    found = read_results(folder)
-    if not found:
+    there = find_results(folder)
+    for fault in there.faults:
+        stderr.print(f"left out: {fault}", markup=False)
+    if there.others:
+        names = ", ".join(path.name for path in there.others)
+        stderr.print(f"not results, and not shown: {names}", markup=False)
+    found = list(there.results)
+    if not found and not there.faults:
         raise UsageError(f"there is no result in {str(folder)!r}: motionkit eval --table 2 makes one")
     printers = {"markdown": to_markdown, "latex": to_latex, "csv": to_csv}
     if as_json:
@@ -38,7 +48,7 @@ def report(
         print_text("\n".join(printers[format](result) for result in found))
     elif format == "html":
         page = out or folder / "report.html"
-        page.write_text(to_html(found), encoding="utf-8")
+        write_whole(page, to_html(found))
         print(page)
         stderr.print(f"{len(found)} results")
     elif format == "png":
@@ -46,6 +56,9 @@ def report(
             print(path)
     else:
         raise UsageError(f"there is no format {format!r}: html, png, {', '.join(printers)}")
+    if there.faults:
+        count = len(there.faults)
+        raise ResultError(f"{count} of {count + len(found)} results in {str(folder)!r} could not be read (see above)")
 
 
 def _pictures(results: "list[Result]", folder: Path) -> list[Path]:

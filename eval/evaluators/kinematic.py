@@ -11,10 +11,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float, Float64
+
+from motionkit.core.files import whole_file
+from motionkit.errors import DamagedFileError
 
 VERSION = "kinematic/1"
 NUM_JOINTS = 22
@@ -110,26 +114,37 @@ class KinematicDescriptor:
 
     def save(self, path: Path) -> None:
         """Write the fitted numbers as .npz, readable without pickle."""
-        np.savez(
-            path,
-            version=np.array(VERSION),
-            fps=np.array(str(self.fps)),
-            pose_mean=self.pose_mean,
-            pose_components=self.pose_components,
-            centre=self.centre,
-            scale=self.scale,
-        )
+        with whole_file(path) as temporary, temporary.open("wb") as file:
+            np.savez(
+                file,
+                version=np.array(VERSION),
+                fps=np.array(str(self.fps)),
+                pose_mean=self.pose_mean,
+                pose_components=self.pose_components,
+                centre=self.centre,
+                scale=self.scale,
+                fingerprint=np.array(self.fingerprint),
+            )
 
 
 def load_kinematic(path: Path) -> KinematicDescriptor:
-    """Read a descriptor that `save` wrote. Raises `ValueError` where it is of another version."""
-    with np.load(path, allow_pickle=False) as file:
-        version = str(file["version"])
-        if version != VERSION:
-            raise ValueError(f"{path} holds a descriptor of version {version}, this is {VERSION}: fit it again")
-        return KinematicDescriptor(
-            Fraction(str(file["fps"])), file["pose_mean"], file["pose_components"], file["centre"], file["scale"]
-        )
+    """Read a descriptor that `save` wrote.
+
+    Raises `DamagedFileError` where it is not what was written, and `ValueError` where it is of another version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
+        version, fps = str(arrays.pop("version")), Fraction(str(arrays.pop("fps")))
+        written = str(arrays.pop("fingerprint", ""))  # files of before have none
+        descriptor = KinematicDescriptor(fps, **arrays)
+    except (ArithmeticError, BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
+        raise DamagedFileError(path, str(error), "fit it again") from None
+    if version != VERSION:
+        raise ValueError(f"{path} holds a descriptor of version {version}, this is {VERSION}: fit it again")
+    if written not in ("", descriptor.fingerprint):
+        raise DamagedFileError(path, "its numbers are not those of its fingerprint", "fit it again")
+    return descriptor
 
 
 def fit_kinematic(clips: Iterable[Float[np.ndarray, "_clips _poses joints 3"]], fps: Fraction) -> KinematicDescriptor:

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from motionkit.core.files import whole_file
 from motionkit.motion import Motion
 from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeletons.mapping import map_joints
@@ -97,8 +98,8 @@ def curves_figure(panels: Sequence[Panel], width_inches: float = 12.0) -> Figure
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG, SVG or PDF by its suffix, at 160 dots per inch; makes the folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=160)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=160)
     return path
 
 

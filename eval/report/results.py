@@ -2,16 +2,20 @@
 
 import json
 import os
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from motionkit.core.sealed import read_json, write_json
 from motionkit.errors import MotionkitError
-from motionkit.training.run import commit, versions, write_json
+from motionkit.training.run import commit, versions
 
 FORMAT = "motionkit-result/1"
+FORMAT_OF_ANY_VERSION = FORMAT.rpartition("/")[0] + "/"
+MEND = "run the evaluation again, or restore the file from a copy"
 Origin = Literal["ours", "reference", "paper"]
 
 
@@ -94,35 +98,74 @@ def write_result(result: Result, folder: Path) -> Path:
 
 
 def read_result(path: Path) -> Result:
-    """Read what `write_result` wrote. Raises `ResultError` for other files or another version."""
+    """Read what `write_result` wrote.
+
+    Raises `DamagedFileError` for a file that is not what was written, `ResultError` for other files or another version.
+    """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-        found = document.pop("format", None) if isinstance(document, dict) else None
-        if found != FORMAT:
-            raise ResultError(f"{path}: not a result of format {FORMAT} (found {found!r}); run the evaluation again")
-        blocks = tuple(_block(block) for block in document.pop("blocks"))
-        notes, missing = tuple(document.pop("notes")), tuple(document.pop("missing"))
-        return Result(**document, blocks=blocks, notes=notes, missing=missing)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        return _result(path, read_json(path, MEND))
+    except OSError as error:
         raise ResultError(f"{path}: cannot be read as a result: {error}") from None
 
 
-def read_results(folder: Path) -> list[Result]:
-    """Every result in a folder, by task; other JSON files in it are passed over."""
-    results = []
+@dataclass(frozen=True)
+class FoundResults:
+    """What lies in a folder: results by task, why other results could not be read, and JSON files of another kind."""
+
+    results: tuple[Result, ...] = ()
+    faults: tuple[str, ...] = ()
+    others: tuple[Path, ...] = ()
+
+
+def find_results(folder: Path) -> FoundResults:
+    """Read every result in a folder; what cannot be read as JSON at all may be one, and counts as a fault."""
+    results, faults, others = [], [], []
     for path in sorted(folder.glob("*.json")):
         try:
-            is_result = json.loads(path.read_text(encoding="utf-8")).get("format", "").startswith("motionkit-result/")
-        except (ValueError, AttributeError):
-            continue
-        if is_result:
-            results.append(read_result(path))
-    return results
+            document = read_json(path, MEND)
+            if str(document.get("format", "")).startswith(FORMAT_OF_ANY_VERSION):
+                results.append(_result(path, document))
+            else:
+                others.append(path)
+        except (MotionkitError, OSError) as error:
+            if _is_no_object(path):
+                others.append(path)
+            else:
+                faults.append(str(error))
+    return FoundResults(tuple(results), tuple(faults), tuple(others))
+
+
+def _is_no_object(path: Path) -> bool:
+    """Whether a file is whole JSON, but no object, as every result is."""
+    try:
+        return not isinstance(json.loads(path.read_bytes()), dict)
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
+def _result(path: Path, document: dict[str, Any]) -> Result:
+    found = document.pop("format", None)
+    if found != FORMAT:
+        raise ResultError(f"{path}: not a result of format {FORMAT} (found {found!r}); run the evaluation again")
+    try:
+        blocks = tuple(_block(block) for block in document.pop("blocks"))
+        notes, missing = tuple(document.pop("notes")), tuple(document.pop("missing"))
+        return Result(**document, blocks=blocks, notes=notes, missing=missing)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ResultError(f"{path}: cannot be read as a result: {error!r}; run the evaluation again") from None
 
 
 def _block(document: dict[str, Any]) -> Block:
     rows = tuple(
-        Row(**{**row, "cells": {column: Cell(**cell) for column, cell in row["cells"].items()}})
+        Row(**{**row, "cells": {str(column): _cell(cell) for column, cell in row["cells"].items()}})
         for row in document["rows"]
     )
-    return Block(**{**document, "rows": rows, "columns": tuple(document["columns"])})
+    return Block(**{**document, "rows": rows, "columns": tuple(map(str, document["columns"]))})
+
+
+def _cell(document: dict[str, Any]) -> Cell:
+    cell = Cell(**document)
+    for value in (cell.value, *([] if cell.ci95 is None else [cell.ci95]), *cell.details.values()):
+        if not isinstance(value, int | float) or abs(value) > sys.float_info.max:
+            raise ValueError(f"{str(value)[:40]} where a finite number was expected")
+    return cell

@@ -11,7 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from eval.report.results import Cell
-from motionkit.training.run import write_json
+from motionkit.console import stderr
+from motionkit.core.files import require_no_link
+from motionkit.core.sealed import read_json, write_json
+from motionkit.errors import DamagedFileError
 
 FOLDER = "parts"
 FORMAT = "motionkit-part/1"
@@ -35,21 +38,30 @@ def kept(results: Path, name: str, terms: Mapping[str, Any], compute: Callable[[
 
 
 def find_part(results: Path, name: str, terms: Mapping[str, Any]) -> Part | None:
-    """The part that was kept for these terms; None where there is none."""
+    """The part that was kept for these terms; None where there is none, or a damaged one, which stderr says."""
     path, key = _place(results, name, terms)
     if not path.is_file():
         return None
-    document = json.loads(path.read_text(encoding="utf-8"))
-    if document["key"] != key:
-        return None
-    rows = {row: {column: Cell(**cell) for column, cell in cells.items()} for row, cells in document["rows"].items()}
-    return Part(rows, tuple(document["missing"]))
+    try:
+        document = read_json(path, "computing it anew")
+        return _part(document) if document["key"] == key else None
+    except DamagedFileError as error:
+        stderr.print(f"motionkit: {error}", markup=False)
+    except (AttributeError, KeyError, TypeError) as error:
+        stderr.print(f"motionkit: {path} is no part of a table ({error!r}): computing it anew", markup=False)
+    return None
 
 
 def keep_part(results: Path, name: str, terms: Mapping[str, Any], part: Part) -> None:
-    """Write a part for `find_part`."""
+    """Write a part for `find_part`; raises `LinkError` where the folder of parts is a link."""
     path, key = _place(results, name, terms)
+    require_no_link(path.parent, "delete the link, or name another folder with --results")
     write_json(path, {"key": key, **asdict(part)})
+
+
+def _part(document: dict[str, Any]) -> Part:
+    rows = {row: {column: Cell(**cell) for column, cell in cells.items()} for row, cells in document["rows"].items()}
+    return Part(rows, tuple(document["missing"]))
 
 
 def _place(results: Path, name: str, terms: Mapping[str, Any]) -> tuple[Path, Any]:

@@ -7,7 +7,6 @@ megabytes a table, and its finished numbers are kept by `eval.tables.parts` wher
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,13 +14,15 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Float64
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import load_file, save
 
 from eval.evaluators.text_motion import TextMotionEvaluator
 from eval.samples.sets import SampleSet
 from motionkit.console import stderr
+from motionkit.core.files import require_no_link
+from motionkit.errors import DamagedFileError
 from motionkit.motion import Caption
+from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 
 FOLDER = "embeddings"
 FORMAT = "motionkit-embeddings/1"
@@ -93,16 +94,14 @@ def fingerprint_of_vectors(motions: Sequence[Float32[np.ndarray, "_frames number
 def _read(path: Path, key: str, num_rows: int) -> Embeddings | None:
     if not path.is_file():
         return None
+    reason = "it holds other rows than it was named for"
     try:
-        with safe_open(path, framework="np") as opened:
-            known = (opened.metadata() or {}).get("key") == key
-            found = opened.get_tensor(TENSOR) if known else None
-    except (SafetensorError, OSError) as error:
-        found, reason = None, str(error)
-    else:
-        reason = "it holds other rows than it was named for"
-    if found is not None and _is_whole(found, num_rows):
-        return np.asarray(found)
+        if checked_metadata(path, {"key"}, "delete it").get("key") == key:
+            found = load_file(path).get(TENSOR)
+            if found is not None and _is_whole(found, num_rows):
+                return np.asarray(found)
+    except (DamagedFileError, OSError) as error:
+        reason = error.fault if isinstance(error, DamagedFileError) else str(error)
     stderr.print(f"{path}: not usable ({reason}); computing it anew", markup=False)
     return None
 
@@ -113,10 +112,5 @@ def _is_whole(found: np.ndarray, num_rows: int) -> bool:
 
 
 def _write(path: Path, key: str, embeddings: Embeddings) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        save_file({TENSOR: np.ascontiguousarray(embeddings, dtype=np.float64)}, temporary, metadata={"key": key})
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    require_no_link(path.parent, "delete the link, or name another folder with --results")
+    write_sealed_tensors(path, {TENSOR: np.ascontiguousarray(embeddings, dtype=np.float64)}, {"key": key}, save)

@@ -1,16 +1,17 @@
 """Text embeddings computed once: a file per encoder, rows found by the sha256 of their text."""
 
 import hashlib
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
-from motionkit.errors import MotionkitError
+from motionkit.console import stderr
+from motionkit.core.files import require_no_link
+from motionkit.errors import DamagedFileError
+from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 from motionkit.training.text_encoders import TextEncoder
 
 
@@ -37,19 +38,23 @@ def _key(text: str) -> bytes:
 
 
 def _read(path: Path) -> dict[bytes, np.ndarray]:
+    """What is known; nothing where the file is damaged, which stderr says: it is computed anew."""
     if not path.is_file():
         return {}
     try:
+        checked_metadata(path, set(), "computing its embeddings anew")
         arrays = load_file(path)
         keys, embeddings = arrays["text_sha256"], arrays["embeddings"]
-    except (SafetensorError, KeyError) as error:
-        raise MotionkitError(f"{path}: not a cache of text embeddings ({error}); delete it") from None
-    return {row.tobytes(): embedding for row, embedding in zip(keys, embeddings, strict=True)}
+        return {row.tobytes(): embedding for row, embedding in zip(keys, embeddings, strict=True)}
+    except DamagedFileError as error:
+        stderr.print(f"motionkit: {error}", markup=False)
+    except (KeyError, ValueError) as error:
+        stderr.print(f"motionkit: {path} is no cache of text embeddings ({error}): computing them anew", markup=False)
+    return {}
 
 
 def _write(path: Path, known: dict[bytes, np.ndarray]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
+    require_no_link(path.parent, "delete the link, or use a copy of the store")
     keys = np.frombuffer(b"".join(known), dtype=np.uint8).reshape(-1, 32)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    save_file({"text_sha256": keys.copy(), "embeddings": np.stack(list(known.values()))}, temporary)
-    temporary.replace(path)
+    arrays = {"text_sha256": keys.copy(), "embeddings": np.stack(list(known.values()))}
+    write_sealed_tensors(path, arrays, {}, save)

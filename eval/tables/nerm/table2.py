@@ -46,6 +46,7 @@ from eval.tables.nerm.nearest_training import nearest_training_block
 from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, reported_figures
 from motionkit.console import progress
+from motionkit.core.files import require_no_link
 from motionkit.errors import MotionkitError
 from motionkit.generation import load_model
 from motionkit.motionfield import MotionField
@@ -227,7 +228,9 @@ def _fill(sheet: _Sheet, column: Column, results: Path, display: "Progress") -> 
         return
     sheet.fingerprints[label] = features.fingerprint
     if isinstance(features, KinematicDescriptor):
-        features.save(_made(results / "features") / f"kinematic-{features.fingerprint}.npz")
+        folder = results / "features"
+        require_no_link(folder, "delete the link, or name another folder with --results")
+        features.save(folder / f"kinematic-{features.fingerprint}.npz")
     said = [*_too_few(column, features, sheet.protocol), source.remark_at(column.fps)]
     sheet.warnings.update(dict.fromkeys(filter(None, said)))
     for name, score in scores.items():
@@ -389,8 +392,3 @@ def _sample_notes(columns: Sequence[ColumnSize], folders: Sequence[SampleFolder]
         "A folder of samples enters every column with all its motions, but a column's real set holds the takes that "
         "are fast enough: where samples were made for other takes too, part of their score is what those do.",
     )
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder

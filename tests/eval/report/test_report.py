@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from eval.commands.report import report
 from eval.report.render import format_cell, format_number, to_csv, to_html, to_latex, to_markdown
-from eval.report.results import Block, Cell, Result, ResultError, Row, read_result, read_results, write_result
+from eval.report.results import Block, Cell, Result, ResultError, Row, find_results, read_result, write_result
+from motionkit.errors import DamagedFileError
 
 
 @pytest.fixture
@@ -38,22 +40,77 @@ def test_a_result_survives_its_file(result: Result, tmp_path: Path) -> None:
     assert read_result(path) == result
     (tmp_path / "other.json").write_text("[1, 2]")
     (tmp_path / "else.json").write_text('{"format": "something"}')
-    assert read_results(tmp_path) == [result]
+    found = find_results(tmp_path)
+    assert (found.results, found.faults) == ((result,), ())
+    assert [path.name for path in found.others] == ["else.json", "other.json"]
 
 
 def test_files_that_are_no_results_are_refused(result: Result, tmp_path: Path) -> None:
     path = write_result(result, tmp_path)
     document = json.loads(path.read_text())
+    del document["checksum"]
     path.write_text(json.dumps(document | {"format": "motionkit-result/0"}))
     with pytest.raises(ResultError, match="motionkit-result/0"):
         read_result(path)
     path.write_text("{")
-    with pytest.raises(ResultError, match="cannot be read"):
+    with pytest.raises(DamagedFileError, match=r"nerm-table2\.json is damaged .*run the evaluation again"):
         read_result(path)
     del document["title"]
     path.write_text(json.dumps(document))
     with pytest.raises(ResultError, match="title"):
         read_result(path)
+
+
+@pytest.mark.parametrize("value", ["1e999", "-1e999", "1" + 400 * "0", '"0.5"', "null", "[]"])
+def test_a_value_that_is_no_finite_number_is_named_and_nothing_else_is_lost(
+    value: str, result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = write_result(replace(result, task="broken"), tmp_path)
+    document = json.loads(broken.read_text())
+    del document["checksum"]  # as results of before were
+    broken.write_text(json.dumps(document).replace("0.01234", value))
+    write_result(result, tmp_path)
+    with pytest.raises(ResultError, match=f"1 of 2 results in '{tmp_path}' could not be read"):
+        report(tmp_path)
+    told = capsys.readouterr()
+    assert "broken.json" in told.err.replace("\n", "")
+    assert told.out == f"{tmp_path / 'report.html'}\n"
+    assert "Table 2" in (tmp_path / "report.html").read_text()
+
+
+def test_every_flipped_byte_of_a_result_is_noticed_or_changes_nothing(result: Result, tmp_path: Path) -> None:
+    path = write_result(result, tmp_path)
+    whole = path.read_bytes()
+    noticed = 0
+    for place in range(len(whole)):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        found = find_results(tmp_path)
+        assert found.results == (result,) or found.faults
+        noticed += len(found.faults)
+    assert noticed > 0.7 * len(whole)
+
+
+def test_results_of_another_version_are_named(
+    result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_result(result, tmp_path)
+    document = json.loads(path.read_text())
+    del document["checksum"]
+    path.write_text(json.dumps(document | {"format": "motionkit-result/9"}))
+    (tmp_path / "mine.json").write_text('{"mine": 1}')
+    with pytest.raises(ResultError, match="1 of 1 results"):
+        report(tmp_path)
+    told = capsys.readouterr().err.replace("\n", "")
+    assert "motionkit-result/9" in told
+    assert "not results, and not shown: mine.json" in told
+
+
+def test_the_page_is_not_written_through_a_link(result: Result, tmp_path: Path) -> None:
+    write_result(result, tmp_path)
+    (tmp_path / "foreign").write_text("mine")
+    (tmp_path / "report.html").symlink_to(tmp_path / "foreign")
+    report(tmp_path)
+    assert (tmp_path / "foreign").read_text() == "mine"
 
 
 def test_nan_is_never_written(result: Result, tmp_path: Path) -> None:

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file
+from safetensors.numpy import load_file, save_file
 
-from motionkit.errors import MotionkitError
+from motionkit.errors import LinkError
 from motionkit.training.text_embeddings import embed_texts
 
 
@@ -33,9 +33,38 @@ def test_texts_are_embedded_once(tmp_path):
     assert load_file(file)["embeddings"].shape == (3, 2)
 
 
-def test_a_damaged_cache_is_explained(tmp_path):
+@pytest.mark.parametrize("damage", ["zeros", "cut", "flipped", "other arrays"])
+def test_a_damaged_cache_is_computed_anew_and_that_is_said(damage, tmp_path, capsys):
+    expected = embed_texts(CountingEncoder(), ["walk", "jump"], tmp_path)
+    [file] = tmp_path.iterdir()
+    whole = file.read_bytes()
+    if damage == "zeros":
+        file.write_bytes(b"\x00" * 20)
+    elif damage == "cut":
+        file.write_bytes(whole[:-3])
+    elif damage == "flipped":
+        file.write_bytes(whole[:-3] + bytes([whole[-3] ^ 1]) + whole[-2:])
+    else:
+        save_file({"others": np.zeros(3)}, file)
+    encoder = CountingEncoder()
+    np.testing.assert_array_equal(embed_texts(encoder, ["walk", "jump"], tmp_path), expected)
+    assert encoder.asked == ["walk", "jump"]
+    assert "anew" in capsys.readouterr().err
+    assert file.read_bytes() == whole
+
+
+def test_a_cache_of_before_there_were_checksums_is_used(tmp_path):
     embed_texts(CountingEncoder(), ["walk"], tmp_path)
     [file] = tmp_path.iterdir()
-    file.write_bytes(b"\x00" * 20)
-    with pytest.raises(MotionkitError, match="delete it"):
-        embed_texts(CountingEncoder(), ["walk"], tmp_path)
+    save_file(load_file(file), file)
+    encoder = CountingEncoder()
+    embed_texts(encoder, ["walk"], tmp_path)
+    assert not encoder.asked
+
+
+def test_a_folder_that_is_a_link_is_not_written_to(tmp_path):
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "cache").symlink_to(tmp_path / "foreign")
+    with pytest.raises(LinkError):
+        embed_texts(CountingEncoder(), ["walk"], tmp_path / "cache")
+    assert not list((tmp_path / "foreign").iterdir())
