@@ -15,6 +15,7 @@ from motionkit.formats.folders import walk
 from motionkit.formats.globs import parse_glob
 from motionkit.formats.items import SourceItem
 from motionkit.formats.registry import scan
+from nerm.generation.folder import damaged_motions
 
 ARRAY_SUFFIXES = (".npy", ".npz")
 STATISTICS_NAMES = frozenset({"mean", "std"})
@@ -53,7 +54,8 @@ class Listing:
 def list_samples(name: str, source: Path) -> Listing:
     """What a folder (or one file) of samples holds.
 
-    Raises `SampleFolderError` where there is nothing, `FormatError` for a broken manifest.
+    Raises `SampleFolderError` where there is nothing, `FormatError` for a broken manifest, `DamagedFileError` for a
+    generated folder whose table is not what was written.
     """
     if not source.exists():
         raise SampleFolderError(f"--samples {name}: there is no folder {str(source)!r}")
@@ -63,14 +65,15 @@ def list_samples(name: str, source: Path) -> Listing:
     # What cannot be listed is one of the problems that `scan` finds below.
     folders = list(walk(root, _is_claimed, lambda error: None)) if only is None else [(root, [only])]
     rows, problems, warnings = _rows(folders)
-    items = _known_items(source, root, problems)
+    damaged = _damaged(folders, only, problems)
+    items = [item for item in _known_items(source, root, problems) if item.path not in damaged]
     taken = {item.path for item in items}
     arrays = [
         path
         for folder, files in folders
         if only is not None or not _is_claimed(folder)
         for path in files
-        if path.suffix.lower() in ARRAY_SUFFIXES and path not in taken and _may_be_motion(path, manifest)
+        if path.suffix.lower() in ARRAY_SUFFIXES and path not in taken | damaged and _may_be_motion(path, manifest)
     ]
     wanted = _Wanted(root, manifest)
     arrays, items = wanted.among(arrays), [item for item in items if wanted(item.path)]
@@ -120,6 +123,20 @@ def _rows(
             problems += table.problems
             warnings += table.warnings
     return rows, problems, warnings
+
+
+def _damaged(
+    folders: Sequence[tuple[Path, list[Path]]], only: Path | None, problems: list[FormatError]
+) -> frozenset[Path]:
+    """The files in generated folders that are not what was written, each motion's told in `problems`."""
+    damaged: frozenset[Path] = frozenset()
+    for folder, _ in folders:
+        for motion in damaged_motions(folder):
+            if only is None or only in motion.paths:
+                message = f"{motion.fault}: delete it, and motionkit generate --resume makes it again"
+                problems.append(FormatError(message, path=motion.paths[0], reason="damaged"))
+                damaged |= frozenset(motion.paths)
+    return damaged
 
 
 def _known_items(source: Path, root: Path, problems: list[FormatError]) -> list[SourceItem]:

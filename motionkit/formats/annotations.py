@@ -29,8 +29,8 @@ COLUMNS = frozenset(
         *("fps", "stated_fps", "licence", "source", "subset", "group", "num_frames"),
     )
 )
-# What motionkit itself writes beside these, for people.
-OTHER_COLUMNS = frozenset(("file", "sequence_id", "seconds"))
+# What motionkit itself writes beside these, for people and for its own checks.
+OTHER_COLUMNS = frozenset(("file", "sequence_id", "seconds", "files_sha256", "checksum"))
 SHOWN = 5
 CAPTION_COLUMNS = ("caption", "caption_kit")
 CAPTION_KEYS = frozenset(("text", "start_seconds", "end_seconds", "tokens"))

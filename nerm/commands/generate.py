@@ -84,7 +84,7 @@ def _write_all(
         for field, sample in plan.samples(model, folder.num_done):
             files = plan.output.files(sample.name)
             plan.output.write(folder.path / files[0], sample)
-            folder.add(files[0], sample)
+            folder.add(sample)
             display.advance(task)
             if not as_json:
                 stdout.print(str(folder.path / files[0]), markup=False)

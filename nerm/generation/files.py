@@ -1,6 +1,5 @@
 """Generated motions as files: sampled from their fields, written as .npz, .bvh, .glb or HumanML3D's arrays."""
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -9,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from motionkit.core.files import whole_file
 from motionkit.errors import UsageError
 from motionkit.export.pose_folder import HUMANML3D_KIND, pose_entry, write_folder_manifest
 from motionkit.export.selection import Outcome
@@ -36,17 +36,20 @@ def write_npz_file(path: Path, sample: GeneratedSample) -> None:
         }
     else:
         arrays = npz.motion_arrays(sample.motion())
-    npz.write_arrays(path, {**arrays, "duration_seconds": np.float64(sample.duration_seconds)})
+    with whole_file(path) as temporary:
+        npz.write_arrays(temporary, {**arrays, "duration_seconds": np.float64(sample.duration_seconds)})
 
 
 def write_bvh_file(path: Path, sample: GeneratedSample) -> None:
     """Write a .bvh in centimetres, rotations by inverse kinematics; it appears whole or not at all."""
-    _write_whole(path, sample.motion(), write_bvh)
+    with whole_file(path) as temporary:
+        write_bvh(sample.motion(), temporary)
 
 
 def write_gltf_file(path: Path, sample: GeneratedSample) -> None:
     """Write a .glb, an animated, visible skeleton; it appears whole or not at all."""
-    _write_whole(path, sample.motion(), write_gltf)
+    with whole_file(path) as temporary:
+        write_gltf(sample.motion(), temporary)
 
 
 def write_humanml3d_files(path: Path, sample: GeneratedSample) -> None:
@@ -60,13 +63,9 @@ def write_humanml3d_files(path: Path, sample: GeneratedSample) -> None:
     entry = pose_entry(motion, sample.name, kind)
     if isinstance(entry, Outcome):
         raise UsageError(f"{sample.name}: {entry.message}")
+    for place in OUTPUTS["humanml3d"].files(sample.name):
+        (path.parents[1] / place).unlink(missing_ok=True)  # a link would be written through
     FolderWriter(path.parents[1], kind.layout).add(entry)
-
-
-def _write_whole(path: Path, motion: Motion, write: Callable[[Motion, Path], None]) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    write(motion, temporary)
-    temporary.replace(path)
 
 
 def _begin_humanml3d(folder: Path, fps: Fraction) -> None:

@@ -8,7 +8,6 @@ or `time_seconds` [T], evenly spaced; all that are there must agree. Everything 
 motion comes back as it was.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -113,11 +112,9 @@ def caption_arrays(captions: Sequence[Caption]) -> dict[str, Any]:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write an .npz that appears whole or not at all, readable with `allow_pickle=False`."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
+    """Write an .npz that is readable with `allow_pickle=False`."""
+    with path.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
-    temporary.replace(path)
 
 
 def _clock(archive: NpzArchive, num_frames: int, options: ReadOptions) -> tuple[TimeGrid, str, list[str]]:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import resource
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -10,8 +11,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from eval.sample_folder import read_sample_folder
 from motionkit.cli.app import build_app
-from motionkit.errors import FormatError, UsageError
+from motionkit.errors import DamagedFileError, FormatError, MotionkitError, UsageError
 from motionkit.features.humanml3d import positions
 from motionkit.formats.arrays.npz import read_npz
 from motionkit.formats.bvh.motion import read_bvh
@@ -22,6 +24,7 @@ from motionkit.motionfield import Poses, check_times
 from motionkit.skeleton import SMPL22
 from motionkit.store import Store
 from nerm.commands.generate import generate
+from tests.killing import killed_before
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +63,14 @@ class DriftModel:
             Drift(seed % 89 + index / 10, 3.0 if request.duration_seconds is None else request.duration_seconds)
             for index, request in enumerate(requests, start=first)
         ]
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def rows_of(table):
@@ -280,6 +291,148 @@ def test_a_stopped_call_goes_on_where_it_was(run_command, tmp_path):
     assert json.loads(run_command(*call, "--out", "parts", "--resume", "--json").stdout)["motions"] == []
     with pytest.raises(UsageError, match=r"begun with another seed \(0, now 1\)"):
         run_command(*call, "--out", "parts", "--resume", "--seed", "1")
+
+
+@pytest.mark.parametrize("name", [".generation.json.tmp.json", ".generation.json.4711.tmp"])
+@pytest.mark.parametrize("option", ["--resume", "--overwrite", "--seed=0"])
+def test_a_call_that_was_killed_while_it_began_is_begun_again(name, option, run_command, tmp_path):
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / name).write_text("{")
+    run_command("a walk", "--seconds", "1", "--out", "made", option)
+    assert names(tmp_path / "made") == ["0000-a-walk.npz", "generation.json", "motions.csv"]
+
+
+@pytest.mark.parametrize("file_format", ["npz", "humanml3d"])
+def test_killed_before_any_file_operation_a_call_goes_on_to_the_same_files(file_format, run_command, tmp_path):
+    call = ("a walk", "a jump", "--seconds", "1", "--fps", "5", "--format", file_format, "--resume", "--out")
+    run_command(*call, "whole")
+    expected = contents(tmp_path / "whole")
+    killed = 0
+    for step in range(200):
+        out = tmp_path / str(step)
+        if not killed_before(step, out, lambda out=out: run_command(*call, str(out))):
+            break
+        killed += 1
+        run_command(*call, str(out))
+        assert contents(out) == expected, step
+    assert killed > 15
+
+
+@pytest.mark.parametrize("file_format", ["npz", "humanml3d"])
+def test_killed_before_any_file_operation_an_overwrite_leaves_nothing_of_the_former_call(
+    file_format, run_command, tmp_path
+):
+    call = ("a hop", "--seconds", "1", "--fps", "5", "--format", "bvh", "--overwrite", "--out")
+    run_command(*call, "whole")
+    expected = contents(tmp_path / "whole")
+    killed = 0
+    for step in range(200):
+        out = tmp_path / str(step)
+        # The former call was killed before it noted its last motion.
+        run_command("a walk", "a jump", "--seconds", "1", "--fps", "5", "--format", file_format, "--out", str(out))
+        table = out / "motions.csv"
+        table.write_text("".join(table.read_text().splitlines(keepends=True)[:2]))
+        if not killed_before(step, out, lambda out=out: run_command(*call, str(out))):
+            break
+        killed += 1
+        run_command(*call, str(out))
+        assert contents(out) == expected, step
+    assert killed > 10
+
+
+def test_a_motion_that_is_not_what_was_written_is_not_gone_on_with(run_command, tmp_path):
+    call = ("a walk", "a jump", "a hop", "--seconds", "1", "--fps", "5", "--out", "made", "--resume")
+    run_command(*call)
+    jump = tmp_path / "made" / "0001-a-jump.npz"
+    whole = jump.read_bytes()
+    jump.write_bytes(whole[:700] + bytes([whole[700] ^ 1]) + whole[701:])
+    with pytest.raises(DamagedFileError, match=r"0001-a-jump\.npz is damaged .*delete it, and --resume makes it again"):
+        run_command(*call)
+    jump.unlink()
+    assert "0001-a-jump.npz is gone" in run_command(*call).stderr.replace("\n", "")
+    assert jump.read_bytes() == whole
+    table = tmp_path / "made" / "motions.csv"
+    table.write_text(table.read_text().replace("a hop", "a top"))
+    with pytest.raises(DamagedFileError, match=r"motions\.csv is damaged \(row 3 "):
+        run_command(*call)
+
+
+def test_every_flipped_byte_of_the_table_and_the_manifest_is_noticed_or_changes_nothing(run_command, tmp_path):
+    folder = tmp_path / "made"
+    run_command("a walk", "--seconds", "1", "--fps", "5", "--out", "made", "--format", "bvh")
+    for name in ("motions.csv", "generation.json", "0000-a-walk.bvh"):
+        whole = (folder / name).read_bytes()
+        expected, unnoticed = read_sample_folder("made", folder), 0
+        for place in range(0, len(whole), max(1, len(whole) // 400)):
+            (folder / name).write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+            try:
+                found = read_sample_folder("made", folder)
+            except MotionkitError:
+                continue
+            assert (found.captions, found.fps, found.num_motions) == (expected.captions, expected.fps, 1), place
+            unnoticed += 1
+        # White space, and the end of the last line.
+        assert unnoticed < 0.3 * len(whole)
+        (folder / name).write_bytes(whole)
+
+
+def test_samples_name_a_damaged_motion_and_read_the_others(run_command, tmp_path):
+    run_command("a walk", "a jump", "--seconds", "2", "--fps", "20", "--format", "humanml3d", "--out", "made")
+    vectors = tmp_path / "made" / "new_joint_vecs" / "0001-a-jump.npy"
+    whole = vectors.read_bytes()
+    vectors.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    found = read_sample_folder("made", tmp_path / "made")
+    assert found.captions == ("a walk",)
+    [left_out] = found.left_out
+    assert (left_out.path, left_out.reason) == (vectors, "damaged")
+
+
+def test_folders_of_before_there_were_checksums_are_gone_on_with(run_command, tmp_path):
+    call = ("a walk", "a jump", "--seconds", "1", "--fps", "5", "--out", "made", "--resume")
+    run_command(*call)
+    folder = tmp_path / "made"
+    manifest = json.loads((folder / "generation.json").read_text())
+    del manifest["checksum"], manifest["table_checksums"]
+    (folder / "generation.json").write_text(json.dumps(manifest))
+    rows = ["file,captions,action,fps,seconds,num_frames", '0000-a-walk.npz,"[""a walk""]",,5,1.0,5', ""]
+    (folder / "motions.csv").write_text("\n".join(rows))
+    report = json.loads(run_command(*call, "--json").stdout)
+    assert (report["already_there"], len(report["motions"])) == (1, 1)
+    assert list(rows_of(folder / "motions.csv")[1]) == rows[0].split(",")
+    assert not read_sample_folder("made", folder).left_out
+
+
+def test_links_in_a_generated_folder_are_not_followed(run_command, tmp_path):
+    call = ("a walk", "--seconds", "1", "--fps", "5", "--format", "humanml3d", "--out", "made")
+    run_command(*call)
+    foreign, folder = tmp_path / "foreign", tmp_path / "made"
+    (folder / "texts").rename(foreign)
+    (folder / "texts").symlink_to(foreign)
+    for option in ("--resume", "--overwrite"):
+        with pytest.raises(UsageError, match="texts is a link"):
+            run_command(*call, option)
+    assert names(foreign) == ["0000-a-walk.txt"]
+    (folder / "texts").unlink()
+    (folder / "motions.csv").unlink()
+    (folder / "motions.csv").symlink_to(foreign / "0000-a-walk.txt")
+    (folder / "new_joints" / "0000-a-walk.npy").unlink()
+    (folder / "new_joints" / "0000-a-walk.npy").symlink_to(foreign / "0000-a-walk.txt")
+    before = (foreign / "0000-a-walk.txt").read_text()
+    for option in ("--resume", "--overwrite"):
+        with pytest.raises(UsageError, match="is a link"):
+            run_command(*call, option)
+    assert (foreign / "0000-a-walk.txt").read_text() == before
+
+
+def test_a_full_disk_names_the_file(run_command, tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for file_format, name in (("npz", "0000-a-walk.npz"), ("bvh", "0000-a-walk.bvh"), ("humanml3d", ".npy")):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
+        try:
+            with pytest.raises(OSError, match=name):
+                run_command("a walk", "--seconds", "4", "--format", file_format, "--out", file_format)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_nothing_is_overwritten_unasked(run_command, tmp_path):
