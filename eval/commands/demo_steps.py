@@ -1,6 +1,5 @@
 """The whole job on the embedded corpus by the commands' own functions: store, model, motions, table, picture."""
 
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from eval.report.table_curves import panels_of
 from motionkit.cli.ingest import ingest
 from motionkit.cli.train import train
 from motionkit.console import stderr
+from motionkit.core.files import remove_folder, require_no_link, temporary_name, write_whole
 from motionkit.demo_corpus import write_demo_corpus
 from motionkit.errors import UsageError
 from motionkit.formats.bvh.motion import read_bvh
@@ -27,6 +27,7 @@ STAGES = ("codebook", "field", "denoiser")
 PICTURED_ACTIONS = ("walk", "jump", "wave_both", "squat")
 PICTURED_SECONDS = 4.0
 PICTURED_FPS = "60"
+MARKER = "DEMO.txt"
 
 
 @dataclass(frozen=True)
@@ -175,11 +176,19 @@ def draw_picture(folder: DemoFolder, real: list[Motion], generated: list[Motion]
 
 
 def _prepare(folder: DemoFolder) -> None:
-    """Clear away an earlier demo; anything else is somebody's and stays."""
-    if folder.path.is_dir() and any(folder.path.iterdir()) and not (folder.corpus / "LICENSE").is_file():
+    """Clear away an earlier demo; anything else is somebody's and stays. Raises `LinkError` where a part is a link."""
+    marker = folder.path / MARKER
+    there = set(folder.path.iterdir()) - {temporary_name(marker)} if folder.path.is_dir() else set()
+    # Demos of before had no marker.
+    if there and not marker.is_file() and not (folder.corpus / "LICENSE").is_file():
         raise UsageError(f"{folder.path} holds something else than an earlier demo; name another with --folder")
-    for part in (folder.corpus, folder.store, folder.runs, folder.generated, folder.results):
-        shutil.rmtree(part, ignore_errors=True)
+    parts = (folder.corpus, folder.store, folder.runs, folder.generated, folder.results)
+    for part in parts:
+        require_no_link(part, "delete the link, or name another folder with --folder")
+    write_whole(marker, "motionkit demo made this folder, and deletes what is in it when it runs again.\n")
+    for part in parts:
+        if part.exists():
+            remove_folder(part)
 
 
 @contextmanager

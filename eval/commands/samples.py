@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.core.files import write_whole
 from motionkit.errors import UsageError
 
 STATISTICS_FILES = {"mean": "mean.npy", "std": "std.npy"}
@@ -63,8 +64,6 @@ def samples(
 
 def _write_manifest(folder: Path, stated: dict[str, object]) -> None:
     """Write `samples.toml` where there is none, with the statistics' files beside it."""
-    import shutil
-
     from eval.sample_folder.manifest import MANIFEST, NORMALISED, RAW, manifest_text
 
     if not folder.is_dir():
@@ -82,7 +81,7 @@ def _write_manifest(folder: Path, stated: dict[str, object]) -> None:
             if not source.is_file():
                 raise UsageError(f"--{key} {source}: there is no such file")
             if source.resolve() != (folder / name).resolve():
-                shutil.copyfile(source, folder / name)
+                write_whole(folder / name, source.read_bytes())
             stated[key] = name
-    path.write_text(manifest_text(stated), encoding="utf-8")
+    write_whole(path, manifest_text(stated))
     stderr.print(f"written: {path}", markup=False)

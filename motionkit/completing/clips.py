@@ -3,10 +3,8 @@
 BVH files are read and written piece by piece; clips of other forms are held in memory, they and their results.
 """
 
-import os
 import re
-from collections.abc import Callable, Iterator, Sequence, Set
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -226,17 +224,3 @@ def write_document(document: BvhDocument, completion: Completion, path: Path, pr
             file.write(b"\n".join((*written, b"")))
             progress(stop - start)
             start = stop
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Where to write a file that is to appear whole or not at all: it gets its name when the block ends without error.
-
-    Until then the file that has that name is as it was: frames may still be read from it.
-    """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

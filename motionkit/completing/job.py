@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.completing.clips import Clip, ClipSource, Progress, as_format, folder_of_made, whole_file
+from motionkit.completing.clips import Clip, ClipSource, Progress, as_format, folder_of_made
 from motionkit.completing.encoder_choice import ChosenEncoder
 from motionkit.completing.page import write_comparison
 from motionkit.completing.request import ClipRequest, CompletionRequest
 from motionkit.completion import Completion, begin_observed, begin_uneven
+from motionkit.core.files import whole_file
 from motionkit.errors import MotionkitError
 from motionkit.motionfield import MotionEncoder
 from motionkit.timegrid import format_fps
@@ -82,7 +83,6 @@ class Job:
             if each is not None and each.exists() and not self.overwrite:
                 raise MotionkitError(f"{each} exists: --overwrite replaces it, --out writes elsewhere")
         made, name, warnings = begin_clip(clip, wanted, self.chosen)
-        path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as temporary:
             clip.write(made, temporary, progress)
             if page is not None:

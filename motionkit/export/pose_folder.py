@@ -5,7 +5,6 @@ facing Z+, pose vectors, and joints recovered from them. T poses at the new fram
 published. Source: https://github.com/EricGuo5513/HumanML3D, motion_representation.ipynb.
 """
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -13,6 +12,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from motionkit.core.sealed import write_json
 from motionkit.export.files import TABLE, MotionTable
 from motionkit.export.names import short_names
 from motionkit.export.selection import Outcome, Selection
@@ -110,7 +110,7 @@ def write_folder_manifest(folder: Path, layout: Layout) -> None:
         "vectors": humanml3d.CONVENTION,
         "published_fps": format_fps(_published_fps(layout)),
     }
-    (folder / joints_npy.MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / joints_npy.MANIFEST, manifest)
 
 
 def _published_fps(layout: Layout) -> Fraction:

@@ -1,11 +1,11 @@
 """A single array of HumanML3D's (263) or KIT-ML's (251) pose vectors, read as joints and written as vectors again."""
 
 import io
-import json
 from pathlib import Path
 
 import numpy as np
 
+from motionkit.core.sealed import write_json
 from motionkit.errors import MotionkitError
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import at_origin, facing_forward
@@ -77,7 +77,7 @@ def write_vectors(motion: Motion, path: Path) -> None:
     if joints_npy.read_manifest(manifest).fps not in (None, motion.fps):
         raise MotionkitError(f"{manifest} says another framerate than {motion.fps}: one folder holds one, use --out")
     np.save(path, humanml3d.vectors(positions, name), allow_pickle=False)
-    manifest.write_text(json.dumps(stated), encoding="utf-8")
+    write_json(manifest, stated)
 
 
 def _bytes_of(array: np.ndarray) -> bytes:

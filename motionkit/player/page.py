@@ -3,7 +3,6 @@
 import base64
 import html
 import json
-import os
 import re
 from collections.abc import Sequence
 from importlib import resources
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from motionkit.core.files import write_whole
 from motionkit.errors import MotionkitError
 from motionkit.player.drawing import drawing_of
 from motionkit.player.packing import FARTHEST_METRES, pack, packed_bytes
@@ -73,12 +73,7 @@ def page_of(title: str, takes: Sequence[Take], *, note: str = "", one_camera: bo
 def write_page(path: Path, title: str, takes: Sequence[Take], *, note: str = "", one_camera: bool = False) -> int:
     """Write `page_of` some takes, which appears whole or not at all, and return its size in bytes."""
     written = page_of(title, takes, note=note, one_camera=one_camera).encode("utf-8")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(written)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(path, written)
     return len(written)
 
 

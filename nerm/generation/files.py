@@ -17,7 +17,6 @@ from motionkit.formats.bvh.motion import write_bvh
 from motionkit.formats.gltf.motion import write_gltf
 from motionkit.formats.pose_folders.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER, FolderWriter
 from motionkit.generate.samples import GeneratedSample
-from motionkit.motion import Motion
 
 
 def write_npz_file(path: Path, sample: GeneratedSample) -> None:

@@ -6,7 +6,7 @@ import pytest
 from eval.commands import demo_steps as demo_module
 from eval.commands.demo import demo
 from eval.commands.demo_steps import DemoFolder, DemoSize, run_demo
-from motionkit.errors import UsageError
+from motionkit.errors import LinkError, UsageError
 
 TINY = DemoSize(
     num_sequences=64,
@@ -43,3 +43,29 @@ def test_another_demo_takes_the_place_of_the_first_and_nothing_else(folder: Demo
     with pytest.raises(UsageError, match="something else"):
         run_demo(DemoFolder(tmp_path), TINY, seed=0)
     assert (tmp_path / "thesis.tex").read_text() == "mine"
+
+
+def test_a_demo_that_was_stopped_at_its_beginning_begins_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = DemoFolder(tmp_path / "demo")
+
+    def stopped(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(demo_module, "write_demo_corpus", stopped)
+        for _ in range(2):  # there is a marker, and nothing else
+            with pytest.raises(KeyboardInterrupt):
+                run_demo(made, TINY, seed=0)
+        assert [path.name for path in made.path.iterdir()] == [demo_module.MARKER]
+
+
+def test_a_part_of_a_demo_that_is_a_link_is_not_deleted_through(folder: DemoFolder, tmp_path: Path) -> None:
+    (tmp_path / "demo" / "corpus").mkdir(parents=True)
+    (tmp_path / "demo" / "corpus" / "LICENSE").touch()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").touch()
+    (tmp_path / "demo" / "store").symlink_to(tmp_path / "mine")
+    with pytest.raises(LinkError, match="store is a symbolic link"):
+        run_demo(DemoFolder(tmp_path / "demo"), TINY, seed=0)
+    assert (tmp_path / "mine" / "thesis.tex").exists()
+    assert (tmp_path / "demo" / "corpus" / "LICENSE").exists()

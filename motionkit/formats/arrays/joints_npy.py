@@ -4,13 +4,13 @@
 layout follows from J: 22 or 24 joints are SMPL's (hands dropped), 21 are KIT's.
 """
 
-import json
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
+from motionkit.core.sealed import unsealed, write_json
 from motionkit.errors import FormatError
 from motionkit.formats import body_frame, clock, sourcefile
 from motionkit.formats.arrays import npy
@@ -100,8 +100,9 @@ def write_joints_npy(motion: Motion, path: Path) -> None:
         there = read_manifest(manifest)
         if (there.fps, there.layout) != (motion.fps, motion.skeleton.name):
             raise ValueError(f"{manifest} says {there.fps} fps and {there.layout}; one folder holds one of each")
+    else:
+        write_json(manifest, {"fps": format_fps(motion.fps), "layout": motion.skeleton.name})
     np.save(path, motion.joint_positions, allow_pickle=False)
-    manifest.write_text(json.dumps({"fps": format_fps(motion.fps), "layout": motion.skeleton.name}), encoding="utf-8")
 
 
 def read_manifest(path: Path) -> Manifest:
@@ -109,7 +110,7 @@ def read_manifest(path: Path) -> Manifest:
     if not path.is_file():
         return Manifest()
     try:
-        value = parse_json(sourcefile.decode(sourcefile.read_bytes(path), path))
+        value = unsealed(parse_json(sourcefile.decode(sourcefile.read_bytes(path), path)))
         fps = value.get("fps")
         manifest = Manifest(
             None if fps is None else parse_fps(fps), str(value.get("layout", "")), float(value.get("unit_metres", 1.0))
