@@ -34,10 +34,10 @@ def report(
     folder = results or default_path("results")
     there = find_results(folder)
     for fault in there.faults:
-        stderr.print(f"left out: {fault}", markup=False)
+        stderr.print(f"left out: {fault}")
     if there.others:
         names = ", ".join(path.name for path in there.others)
-        stderr.print(f"not results, and not shown: {names}", markup=False)
+        stderr.print(f"not results, and not shown: {names}")
     found = list(there.results)
     if not found and not there.faults:
         raise UsageError(f"there is no result in {str(folder)!r}: motionkit eval --table 2 makes one")

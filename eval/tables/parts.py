@@ -46,9 +46,9 @@ def find_part(results: Path, name: str, terms: Mapping[str, Any]) -> Part | None
         document = read_json(path, "computing it anew")
         return _part(document) if document["key"] == key else None
     except DamagedFileError as error:
-        stderr.print(f"motionkit: {error}", markup=False)
+        stderr.print(f"motionkit: {error}")
     except (AttributeError, KeyError, TypeError) as error:
-        stderr.print(f"motionkit: {path} is no part of a table ({error!r}): computing it anew", markup=False)
+        stderr.print(f"motionkit: {path} is no part of a table ({error!r}): computing it anew")
     return None
 
 

@@ -11,6 +11,7 @@ from safetensors.numpy import load_file, save
 from motionkit.console import stderr
 from motionkit.core.files import require_no_link
 from motionkit.errors import DamagedFileError
+from motionkit.store.cache_folder import writable
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 from motionkit.training.text_encoders import TextEncoder
 
@@ -47,9 +48,9 @@ def _read(path: Path) -> dict[bytes, np.ndarray]:
         keys, embeddings = arrays["text_sha256"], arrays["embeddings"]
         return {row.tobytes(): embedding for row, embedding in zip(keys, embeddings, strict=True)}
     except DamagedFileError as error:
-        stderr.print(f"motionkit: {error}", markup=False)
+        stderr.print(f"motionkit: {error}")
     except (KeyError, ValueError) as error:
-        stderr.print(f"motionkit: {path} is no cache of text embeddings ({error}): computing them anew", markup=False)
+        stderr.print(f"motionkit: {path} is no cache of text embeddings ({error}): computing them anew")
     return {}
 
 
@@ -57,4 +58,5 @@ def _write(path: Path, known: dict[bytes, np.ndarray]) -> None:
     require_no_link(path.parent, "delete the link, or use a copy of the store")
     keys = np.frombuffer(b"".join(known), dtype=np.uint8).reshape(-1, 32)
     arrays = {"text_sha256": keys.copy(), "embeddings": np.stack(list(known.values()))}
-    write_sealed_tensors(path, arrays, {}, save)
+    with writable():
+        write_sealed_tensors(path, arrays, {}, save)

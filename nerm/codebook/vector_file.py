@@ -56,7 +56,7 @@ def prepare_vectors(source: PositionSource, config: CodebookConfig, path: Path) 
         fault = _fault_of(path)
         if fault is None:
             return
-        stderr.print(f"motionkit: {path} is made again: {fault}", markup=False)
+        stderr.print(f"motionkit: {path} is made again: {fault}")
         table.unlink()
     _write_vectors(source, config, path)
 

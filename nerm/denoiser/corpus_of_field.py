@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float32
 
 from motionkit.clips.windows import Windows
+from motionkit.store.cache_folder import cache_root
 from motionkit.store.reader import Store
-from motionkit.store.schema import CACHE_FOLDER
 from motionkit.training.text_embeddings import embed_texts
 from motionkit.training.text_encoders import TextEncoder
 from nerm.conditions.batch import unit_rows
@@ -39,7 +39,7 @@ def corpus_of(
         captions=captions,
         actions=actions_of_windows(windows, sequences),
         texts=texts,
-        embeddings=_embeddings(encoder, texts, store.path / CACHE_FOLDER),
+        embeddings=_embeddings(encoder, texts, cache_root(store.path, store.fingerprint)),
         banks=banks,
     )
 

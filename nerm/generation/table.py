@@ -89,8 +89,12 @@ class GeneratedTable:
         return rows.fieldnames or (), found
 
     def motion_names(self) -> list[str]:
-        """The names of the motions in the table, of which nothing is checked."""
-        return [PurePosixPath(row["file"]).stem for row in self._read()[1] if _names_a_file(row)]
+        """The names of the motions in the table, of which nothing is checked; none where it is no table."""
+        try:
+            rows = self._read()[1]
+        except DamagedFileError:
+            return []
+        return [PurePosixPath(row["file"]).stem for row in rows if _names_a_file(row)]
 
     def paths(self, row: Row) -> tuple[Path, ...]:
         """The files of a row's motion: by the name alone, so that none lies outside the folder."""

@@ -235,7 +235,7 @@ def test_a_file_where_a_folder_is_to_be(motionkit, bodies, tmp_path):
     assert (outcome.code, outcome.stderr) == (2, f"motionkit: {tmp_path / 'taken'} is a file: name a new folder\n")
     below = motionkit("export", tmp_path / "taken" / "deeper", "--store", bodies)
     assert below.code == 1
-    assert below.stderr == f"motionkit: [Errno 17] File exists: '{tmp_path / 'taken'}'\n"
+    assert below.stderr == f"motionkit: {tmp_path / 'taken'}: File exists\n"
 
 
 def test_exported_motions_are_samples_for_eval(motionkit, bodies, tmp_path):

@@ -24,7 +24,7 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     from eval.evaluators.native.training import NativeTraining, collect_sentences
     from motionkit.store import Store
     from motionkit.store.cache import open_cache
-    from motionkit.store.schema import CACHE_FOLDER
+    from motionkit.store.cache_folder import cache_root
     from motionkit.timegrid import parse_fps
     from motionkit.training.config import to_plain
     from motionkit.training.device import resolve_device
@@ -44,7 +44,8 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     if encoder is None:
         sentences = collect_sentences((), lambda texts: np.zeros((len(texts), 0), dtype=np.float32))
     else:
-        sentences = collect_sentences(takes.captions, partial(embed_texts, encoder, folder=store.path / CACHE_FOLDER))
+        cache = cache_root(store.path, store.fingerprint)
+        sentences = collect_sentences(takes.captions, partial(embed_texts, encoder, folder=cache))
     trainable = NativeTraining(config, banks, sentences, context.seed, resolve_device(context.device))
     latest = train_loop(trainable, folder, steps=training.steps, seed=context.seed)
     reached = [bank.fps for bank in banks]

@@ -475,9 +475,10 @@ def test_nothing_outside_the_folder_is_written_or_deleted(run_command, tmp_path,
 def test_a_table_that_is_none(run_command, tmp_path, rows):
     run_command("a walk", "--seconds", "1", "--out", "made")
     (tmp_path / "made" / "motions.csv").write_bytes(rows)
-    for option in ("--resume", "--overwrite"):
-        with pytest.raises(UsageError, match=r"motions\.csv (cannot be read|has a row without a file)"):
-            run_command("a walk", "--seconds", "1", "--out", "made", option)
+    with pytest.raises(DamagedFileError, match=r"motions\.csv is damaged"):
+        run_command("a walk", "--seconds", "1", "--out", "made", "--resume")
+    run_command("a jump", "--seconds", "1", "--out", "made", "--overwrite")
+    assert names(tmp_path / "made") == ["0000-a-jump.npz", "generation.json", "motions.csv"]
 
 
 def test_what_was_generated_is_ingested_with_its_captions(run_command, tmp_path):

@@ -14,7 +14,7 @@ from eval.evaluators.guo.evaluator import load_guo
 from eval.evaluators.guo.files import GuoFiles
 from eval.evaluators.guo.networks import GuoWidths
 from eval.report.render import to_csv, to_html, to_latex, to_markdown
-from eval.report.results import Block, Cell, Result, Row, read_results, write_result
+from eval.report.results import Block, Cell, Result, ResultError, Row, find_results, write_result
 from eval.sample_folder import SampleOptions, read_sample_folder
 from eval.sample_folder.findings import lines, summarise
 from tests.eval.sample_folder import published_layouts as published
@@ -34,10 +34,12 @@ def read_samples(folder: Path) -> None:
 
 def report(folder: Path) -> None:
     """Read all results of a folder and show them in every form, as `motionkit report` does."""
-    results = read_results(folder)
-    for result in results:
+    found = find_results(folder)
+    for result in found.results:
         to_markdown(result), to_latex(result), to_csv(result)
-    to_html(results)
+    to_html(found.results)
+    if found.faults:
+        raise ResultError(found.faults[0])
 
 
 def _small(write: Make, *, kept: int = 2) -> Make:
