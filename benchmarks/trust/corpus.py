@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+import shutil
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 
 ACTIONS = ("walk", "jump", "squat", "bow")
 FRAMERATES = (30, 60)
+OLD_STORE = Path(__file__).parents[2] / "tests" / "motionkit" / "store" / "stores" / "v1"
 COLUMNS = ("file", "fps", "action", "subject", "caption", "split")
 
 
@@ -32,6 +34,11 @@ def write_takes(folder: str, first: str, count: str, seconds: str) -> None:
             table.writerow(
                 (f"take-{number}.bvh", fps, action, f"p{number % 3}", f"a person does a {action}", split),
             )
+
+
+def copy_old_store(store: str) -> None:
+    """Copy the store of format version 1 that the tests keep."""
+    shutil.copytree(OLD_STORE, store)
 
 
 def build_cache(store: str) -> None:

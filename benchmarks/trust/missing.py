@@ -49,16 +49,15 @@ def read_only_store(drill: Drill) -> Iterator[Attempt]:
     """Do all that only reads with a store on a read-only disk: it succeeds, with the caches in another folder."""
     if drill.disk is None:
         return
-    there, place = drill.disk.path / "place", drill.folder / "place"
+    # Of its own, for other trials are made between these.
+    there, place = drill.disk.path / "read-only", drill.folder / "writable"
     copy(drill.start_of("corpus"), there)
-    shutil.rmtree(place, ignore_errors=True)
     place.mkdir()
-    store = ("--store", str((there / "store").absolute()))
-    with drill.disk.suffering(Fault("read-only")):
-        for arguments in reading(store):
+    for arguments in reading(("--store", str((there / "store").absolute()))):
+        with drill.disk.suffering(Fault("read-only")):
             outcome = drill.commands.run(place, arguments, environment={"MOTIONKIT_CACHE": "caches"})
-            problem = fault_of(outcome) or (f"exit code {outcome.code}: {outcome.last_line}" if outcome.code else "")
-            yield Attempt(arguments[0], " ".join(arguments[:3]), problem)
+        problem = fault_of(outcome) or (f"exit code {outcome.code}: {outcome.last_line}" if outcome.code else "")
+        yield Attempt(arguments[0], " ".join(arguments[:3]), problem)
 
 
 def reading(store: Arguments) -> Iterator[Arguments]:
