@@ -1,6 +1,5 @@
 """Files that are removed under a reader or before a command, and a store on a disk that cannot be written to."""
 
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
