@@ -1,0 +1,63 @@
+"""Single bytes that change in the files that motionkit writes and reads again: each is noticed, or does no harm.
+
+For every flip the commands that read the file are run in processes of their own. Each must either give what it gives
+with undamaged files, or end with a message that names the file and leave everything as it was. A failure is told as
+KIND:SEED:NUMBER.
+"""
+
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from benchmarks.trust.corruption.kinds import KINDS, Kind
+from benchmarks.trust.corruption.starts import make_start
+from benchmarks.trust.corruption.trials import Tally, Trials
+from benchmarks.trust.process import Commands
+from benchmarks.trust.report import Case, Report
+from eval.report.results import environment
+from motionkit.workers.process_engine import usable_cores
+
+DEFAULT_SECONDS = 1800.0
+MANY = 1 << 40
+
+
+def run(seed: int, seconds: float, folder: Path) -> Report:
+    """Flip bytes of every kind of file for about this long."""
+    return run_flips(KINDS, seed, folder, seconds=seconds)
+
+
+def run_flips(
+    kinds: Sequence[Kind], seed: int, folder: Path, *, seconds: float = float("inf"), flips_each: int = MANY
+) -> Report:
+    """Flip as many bytes of each of these kinds, or for so long."""
+    begun = time.monotonic()
+    lanes = min(usable_cores(), len(kinds))
+    with Commands() as commands:
+        # Made once, for both lanes to copy from.
+        for name in dict.fromkeys(kind.start for kind in kinds):
+            make_start(commands, folder, name)
+    tallies = [Tally() for _ in kinds]
+
+    def work(lane: int) -> None:
+        with Commands() as own:
+            mine = list(range(lane, len(kinds), lanes))
+            trials = Trials(own, folder, f"place-{lane}")
+            for number in range(flips_each):
+                for index in mine:
+                    if time.monotonic() - begun > seconds:
+                        return
+                    trials.flip(kinds[index], seed, number, tallies[index])
+
+    with ThreadPoolExecutor(lanes) as pool:
+        list(pool.map(work, range(lanes)))
+    cases = tuple(
+        Case(
+            kind.name,
+            tally.tried,
+            tuple(tally.failures),
+            {"detected": tally.detected, "harmless": tally.harmless, "seconds": round(tally.seconds, 1)},
+        )
+        for kind, tally in zip(kinds, tallies, strict=True)
+    )
+    return Report("corruption", seed, time.monotonic() - begun, cases, environment())

@@ -1,0 +1,100 @@
+"""Every kind of file that motionkit writes and reads again: from where, in which folder, and which commands read it."""
+
+from dataclasses import dataclass
+
+from benchmarks.trust.scenarios import EVAL_PAHIRES, GENERATE, RUN, STORE, Arguments, ingest, train
+
+CALL = "call:benchmarks.trust.corruption.uses:"
+RUNS = "runs/drill"
+EXPORT = ("export", "out", "--format", "npz", *STORE)
+QUERY = ("query", "SELECT * FROM sequences ORDER BY 1", "--json", *STORE)
+STORE_USES = (("validate", "--json", *STORE), QUERY, EXPORT, ingest("three"), ("compact", *STORE))
+CACHE = "store/cache/*-smpl22-*"
+REPORT = (("report", "--format", "markdown", "--results", "results"), ("report", "--json", "--results", "results"))
+COMPLETE = ("complete", "long/take-0.bvh", "--fps", "90", "--out", "completed", "--model", "pahires", *RUN)
+STAGES = ("codebook", "field", "denoiser", "evaluator", "pahires")
+# Whose training reads which other stage's result.
+STARTS_OF_STAGES = {"codebook": "corpus", "field": "codebook", "denoiser": "field"}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of file: `pattern` names its files in the starting folder; `uses` are the commands that read it.
+
+    `start` is a folder of `starts.make_start`. A use that gives the same as with undamaged files has not been harmed.
+    """
+
+    name: str
+    start: str
+    pattern: str
+    uses: tuple[Arguments, ...]
+
+
+def _of_store() -> list[Kind]:
+    reads = (STORE_USES[0], EXPORT, ("compact", *STORE))
+    return [
+        *(Kind(name, "gaps", f"store/{name}", STORE_USES) for name in ("manifest.json", "sequences.parquet")),
+        Kind("skeletons.parquet", "gaps", "store/skeletons.parquet", STORE_USES),
+        Kind("part", "gaps", "store/segments/*.parquet", reads),
+    ]
+
+
+def _of_cache() -> list[Kind]:
+    overwrite = ((*train("field"), "--overwrite"),)
+    return [
+        Kind(f"cache: {name}", "field", f"{CACHE}/{name}", overwrite)
+        for name in ("cache.json", "index.npy", "positions.npy")
+    ] + [Kind("cache: derived", "model", f"{CACHE}/rotation-rows-*.npy", ((*train("field"), "--overwrite"),))]
+
+
+def _of_interrupted_runs() -> list[Kind]:
+    files = {stage: ["config.json", "metrics.jsonl", "checkpoint.safetensors"] for stage in STAGES}
+    files["codebook"] += ["vectors.f32", "vectors.json"]
+    return [
+        Kind(
+            f"interrupted {stage}: {name}",
+            f"interrupted {stage}",
+            f"{RUNS}/{stage}/{name}",
+            ((*train(stage), "--resume"),),
+        )
+        for stage, names in files.items()
+        for name in names
+    ]
+
+
+def _of_runs() -> list[Kind]:
+    uses = {
+        "codebook": (GENERATE, (*train("field"), "--overwrite")),
+        "field": (GENERATE, (*train("denoiser"), "--overwrite")),
+        "denoiser": (GENERATE,),
+        "evaluator": ((f"{CALL}evaluator", RUNS),),
+        "pahires": (COMPLETE, EVAL_PAHIRES),
+    }
+    starts = {"evaluator": "evaluator", "pahires": "pahires"}
+    kinds = []
+    for stage in STAGES:
+        again = (*train(stage), "--resume")
+        for name in ("config.json", "metrics.jsonl", "model.safetensors", "summary.json"):
+            commands = (*uses[stage], again, (f"{CALL}history", f"{RUNS}/{stage}"))
+            kinds.append(Kind(f"{stage}: {name}", starts.get(stage, "model"), f"{RUNS}/{stage}/{name}", commands))
+    return kinds
+
+
+def _of_outputs() -> list[Kind]:
+    goes_on = (*GENERATE, "--resume")
+    uses = (goes_on, (*GENERATE, "--overwrite"), ("ingest", "made", "--store", "new", "--workers", "1"))
+    return [
+        Kind("generation.json", "generated", "made/generation.json", uses[:2]),
+        Kind("generated motions.csv", "generated", "made/motions.csv", uses),
+        Kind("generated motions", "generated", "made/*.npz", uses[2:]),
+        Kind("result", "results", "results/*.json", REPORT),
+        Kind("parts of tables", "results", "results/parts/*.json", (EVAL_PAHIRES,)),
+        Kind("kinematic features", "caches", "caches/kinematic.npz", ((f"{CALL}kinematic", "caches"),)),
+        Kind("embeddings", "caches", "caches/embeddings/*.safetensors", ((f"{CALL}embeddings", "caches"),)),
+        Kind("text embeddings", "caches", "caches/text-embeddings-*.safetensors", ((f"{CALL}texts", "caches"),)),
+        Kind("exported npz", "exported", "npz/*.npz", (("ingest", "npz", "--store", "new", "--workers", "1"),)),
+        Kind("exported parquet", "exported", "rows/**/*.parquet", (("ingest", "rows", "--store", "new"),)),
+    ]
+
+
+KINDS: tuple[Kind, ...] = (*_of_store(), *_of_cache(), *_of_interrupted_runs(), *_of_runs(), *_of_outputs())

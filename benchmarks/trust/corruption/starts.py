@@ -1,0 +1,62 @@
+"""The folders whose files are damaged: made once, by motionkit's own commands."""
+
+from pathlib import Path
+
+from benchmarks.trust.corruption.kinds import CALL, EXPORT, RUNS, STARTS_OF_STAGES
+from benchmarks.trust.faults import Fault
+from benchmarks.trust.process import Commands
+from benchmarks.trust.scenarios import EVAL, EVAL_PAHIRES, GENERATE, STARTS, STORE, Arguments, train
+from benchmarks.trust.trees import copy
+from benchmarks.trust.trials import Drill, require_success
+
+TABLE_4 = ("eval", "--table", "4", "--clips", "64", *EVAL)
+# By name: the start of `scenarios` or of these that it goes on from, and what is run in it.
+MORE: dict[str, tuple[str, tuple[Arguments, ...]]] = {
+    "evaluator": ("corpus", (train("evaluator"),)),
+    "generated": ("model", (GENERATE,)),
+    "results": ("pahires", (EVAL_PAHIRES,)),
+    "caches": ("", tuple((f"{CALL}{name}", "caches") for name in ("kinematic", "embeddings", "texts"))),
+    "exported": (
+        "store",
+        (("export", "npz", *EXPORT[2:]), ("export", "rows", "--format", "parquet", *STORE)),
+    ),
+}
+
+
+def make_start(commands: Commands, folder: Path, name: str) -> Path:
+    """The folder of this name, made where it is missing."""
+    path = folder / "starts" / name.replace(" ", "-")
+    if path.exists():
+        return path
+    if name in STARTS:
+        return Drill(commands, folder, None).start_of(name)
+    making = path.with_name(f"{path.name}.making")
+    stage = name.removeprefix("interrupted ")
+    if stage != name:
+        _interrupt(commands, folder, stage, making)
+    else:
+        base, steps = MORE[name]
+        if base:
+            copy(make_start(commands, folder, base), making)
+        else:
+            making.mkdir(parents=True)
+            (making / "caches").mkdir()
+        for arguments in steps:
+            require_success(commands.run(making, arguments), arguments)
+    making.rename(path)
+    return path
+
+
+def _interrupt(commands: Commands, folder: Path, stage: str, making: Path) -> None:
+    """A training that was killed just before its result was written."""
+    base = make_start(commands, folder, STARTS_OF_STAGES.get(stage, "corpus"))
+    copy(base, making)
+    whole = commands.run(making, train(stage), checkpoint_seconds=0.0)
+    require_success(whole, train(stage))
+    result = next(
+        number
+        for number, operation in enumerate(whole.operations)
+        if f"{RUNS}/{stage}/" in operation and "model." in operation
+    )
+    copy(base, making)
+    commands.run(making, train(stage), Fault("operation", result), checkpoint_seconds=0.0)
