@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from motionkit.errors import MotionkitError
+
 
 def count_up(name: str) -> None:
     """Make a number greater by one, up to two, in its place."""
@@ -18,3 +20,37 @@ def write_carefully(name: str) -> None:
     pending = path.with_name(f".{path.name}.new")
     pending.write_text("x" * 10_000)
     pending.replace(path)
+
+
+def write_letters(name: str) -> None:
+    """Write letters, of which every second one is used, and their sum."""
+    letters = bytes(65 + number % 26 for number in range(200))
+    Path(name).write_bytes(letters)
+    print(sum(letters[::2]))
+
+
+def read_trustingly(name: str) -> None:
+    """Use every second letter as it is."""
+    print(sum(Path(name).read_bytes()[::2]))
+
+
+def read_checked(name: str, told: str) -> None:
+    """Use the letters where they are all what was written; else say that of something."""
+    letters = Path(name).read_bytes()
+    if letters != bytes(65 + number % 26 for number in range(200)):
+        raise MotionkitError(f"{told} is damaged: write it again")
+    print(sum(letters[::2]))
+
+
+def read_strictly(name: str) -> None:
+    """Fail somewhere on the way for a letter that is none."""
+    print(sum(({number: number for number in range(65, 91)})[letter] for letter in Path(name).read_bytes()[::2]))
+
+
+def read_and_lose(name: str) -> None:
+    """Find the damage, but only after the file is gone."""
+    letters = Path(name).read_bytes()
+    Path(name).unlink()
+    if letters != bytes(65 + number % 26 for number in range(200)):
+        raise MotionkitError(f"{name} was damaged")
+    Path(name).write_bytes(letters)

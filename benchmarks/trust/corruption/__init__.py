@@ -8,6 +8,7 @@ KIND:SEED:NUMBER.
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 from benchmarks.trust.corruption.kinds import KINDS, Kind
@@ -24,32 +25,35 @@ MANY = 1 << 40
 
 def run(seed: int, seconds: float, folder: Path) -> Report:
     """Flip bytes of every kind of file for about this long."""
-    return run_flips(KINDS, seed, folder, seconds=seconds)
+    return run_flips(KINDS, seed, folder, seconds=seconds, lanes=usable_cores())
 
 
 def run_flips(
-    kinds: Sequence[Kind], seed: int, folder: Path, *, seconds: float = float("inf"), flips_each: int = MANY
+    kinds: Sequence[Kind],
+    seed: int,
+    folder: Path,
+    *,
+    seconds: float = float("inf"),
+    flips_each: int = MANY,
+    lanes: int = 1,
 ) -> Report:
-    """Flip as many bytes of each of these kinds, or for so long."""
+    """Flip as many bytes of each of these kinds, or for so long, in so many processes at once."""
     begun = time.monotonic()
-    lanes = min(usable_cores(), len(kinds))
-    with Commands() as commands:
-        # Made once, for both lanes to copy from.
-        for name in dict.fromkeys(kind.start for kind in kinds):
-            make_start(commands, folder, name)
     tallies = [Tally() for _ in kinds]
+    with ExitStack() as stack, ThreadPoolExecutor(lanes) as pool:
+        servers = [stack.enter_context(Commands()) for _ in range(lanes)]
+        # Made once, for all to copy from.
+        for name in dict.fromkeys(kind.start for kind in kinds):
+            make_start(servers[0], folder, name)
 
-    def work(lane: int) -> None:
-        with Commands() as own:
-            mine = list(range(lane, len(kinds), lanes))
-            trials = Trials(own, folder, f"place-{lane}")
+        def work(lane: int) -> None:
+            trials = Trials(servers[lane], folder, f"place-{lane}")
             for number in range(flips_each):
-                for index in mine:
+                for kind, tally in list(zip(kinds, tallies, strict=True))[lane::lanes]:
                     if time.monotonic() - begun > seconds:
                         return
-                    trials.flip(kinds[index], seed, number, tallies[index])
+                    trials.flip(kind, seed, number, tally)
 
-    with ThreadPoolExecutor(lanes) as pool:
         list(pool.map(work, range(lanes)))
     cases = tuple(
         Case(

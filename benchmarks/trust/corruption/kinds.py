@@ -44,22 +44,23 @@ def _of_cache() -> list[Kind]:
     return [
         Kind(f"cache: {name}", "field", f"{CACHE}/{name}", overwrite)
         for name in ("cache.json", "index.npy", "positions.npy")
-    ] + [Kind("cache: derived", "model", f"{CACHE}/rotation-rows-*.npy", ((*train("field"), "--overwrite"),))]
+    ] + [Kind("cache: derived", "pahires", f"{CACHE}/rotation-rows-*.npy", ((*train("pahires"), "--overwrite"),))]
 
 
 def _of_interrupted_runs() -> list[Kind]:
-    files = {stage: ["config.json", "metrics.jsonl", "checkpoint.safetensors"] for stage in STAGES}
-    files["codebook"] += ["vectors.f32", "vectors.json"]
-    return [
-        Kind(
-            f"interrupted {stage}: {name}",
-            f"interrupted {stage}",
-            f"{RUNS}/{stage}/{name}",
-            ((*train(stage), "--resume"),),
-        )
-        for stage, names in files.items()
-        for name in names
-    ]
+    kinds = []
+    for stage in STAGES:
+        # A log is written with the last step, and of the last checkpoint the moments are not used any more.
+        files = {"metrics.jsonl": "finished", "config.json": "half", "checkpoint.safetensors": "half"}
+        if stage == "codebook":
+            files |= {"vectors.f32": "half", "vectors.json": "half"}
+        kinds += [
+            Kind(
+                f"{start} {stage}: {name}", f"{start} {stage}", f"{RUNS}/{stage}/{name}", ((*train(stage), "--resume"),)
+            )
+            for name, start in files.items()
+        ]
+    return kinds
 
 
 def _of_runs() -> list[Kind]:
@@ -80,20 +81,24 @@ def _of_runs() -> list[Kind]:
     return kinds
 
 
+def _read(folder: str) -> Arguments:
+    return (f"{CALL}motions", folder)
+
+
 def _of_outputs() -> list[Kind]:
     goes_on = (*GENERATE, "--resume")
-    uses = (goes_on, (*GENERATE, "--overwrite"), ("ingest", "made", "--store", "new", "--workers", "1"))
+    uses = (goes_on, (*GENERATE, "--overwrite"))
     return [
-        Kind("generation.json", "generated", "made/generation.json", uses[:2]),
-        Kind("generated motions.csv", "generated", "made/motions.csv", uses),
-        Kind("generated motions", "generated", "made/*.npz", uses[2:]),
+        Kind("generation.json", "generated", "made/generation.json", uses),
+        Kind("generated motions.csv", "generated", "made/motions.csv", (*uses, _read("made"))),
+        Kind("generated motions", "generated", "made/*.npz", (_read("made"),)),
         Kind("result", "results", "results/*.json", REPORT),
         Kind("parts of tables", "results", "results/parts/*.json", (EVAL_PAHIRES,)),
         Kind("kinematic features", "caches", "caches/kinematic.npz", ((f"{CALL}kinematic", "caches"),)),
         Kind("embeddings", "caches", "caches/embeddings/*.safetensors", ((f"{CALL}embeddings", "caches"),)),
         Kind("text embeddings", "caches", "caches/text-embeddings-*.safetensors", ((f"{CALL}texts", "caches"),)),
-        Kind("exported npz", "exported", "npz/*.npz", (("ingest", "npz", "--store", "new", "--workers", "1"),)),
-        Kind("exported parquet", "exported", "rows/**/*.parquet", (("ingest", "rows", "--store", "new"),)),
+        Kind("exported npz", "exported", "npz/**/*.npz", (_read("npz"),)),
+        Kind("exported parquet", "exported", "rows/**/*.parquet", (_read("rows"),)),
     ]
 
 

@@ -18,10 +18,11 @@ def history(folder: str) -> None:
 
 
 def evaluator(run: str) -> None:
-    """The embeddings that a trained evaluator gives of a motion that is known."""
+    """The embeddings that a trained evaluator gives of clips that are known."""
     from eval.evaluators.native.evaluator import load_native
 
-    _print(load_native(Path(run)).embed_motions(_motions()))
+    clips = np.cumsum(0.01 * np.random.default_rng(2).normal(size=(4, 16, 22, 3)), axis=1) + np.arange(22)[:, None] / 9
+    _print(load_native(Path(run)).embed_motions(clips, Fraction(20)))
 
 
 def kinematic(folder: str) -> None:
@@ -31,6 +32,7 @@ def kinematic(folder: str) -> None:
     path = Path(folder) / "kinematic.npz"
     clips = np.random.default_rng(3).normal(size=(40, 8, 22, 3))
     if not path.exists():
+        path.parent.mkdir(exist_ok=True)
         fit_kinematic([clips], Fraction(20)).save(path)
     found = load_kinematic(path)
     _print(found.pose_mean, found.pose_components, found.centre, found.scale, text=str(found.fps))
@@ -51,6 +53,20 @@ def texts(folder: str) -> None:
     _print(embed_texts(_Encoder(), ("a person walks", "somebody jumps"), Path(folder)))  # type: ignore[arg-type]
 
 
+def motions(folder: str) -> None:
+    """What an ingest would store of a folder of motions."""
+    from motionkit.formats.registry import read, scan
+
+    found = scan([Path(folder)])
+    for problem in found.problems:
+        raise problem
+    for item in found.items:
+        motion = read(item)
+        facts = (motion.sequence_id, motion.fps, motion.split, motion.action, motion.style, motion.captions)
+        arrays = (motion.joint_positions, motion.local_rotations, motion.root_translation, motion.skeleton.offsets)
+        _print(*(array for array in arrays if array is not None), text=repr((facts, motion.skeleton)))
+
+
 class _Evaluator:
     name, fingerprint = "drill", "0" * 64
 
@@ -60,13 +76,6 @@ class _Encoder:
 
     def encode(self, sentences: Sequence[str]) -> np.ndarray:
         return np.stack([np.frombuffer(text.encode()[:8], np.uint8).astype(np.float32) for text in sentences])
-
-
-def _motions() -> object:
-    from eval.samples.sets import sample_set
-
-    positions = np.cumsum(0.01 * np.random.default_rng(2).normal(size=(60, 22, 3)), axis=0) + np.arange(22)[:, None] / 9
-    return sample_set("drill", Fraction(20), [positions.astype(np.float32)], ["one"])
 
 
 def _print(*arrays: object, text: str = "") -> None:
