@@ -52,7 +52,8 @@ def read_committed_table(
     try:
         found = pq.read_schema(pa.BufferReader(content))
         table = read_table(content, columns)
-    except (pa.ArrowException, OSError) as error:
+        table.validate(full=True)  # texts that are no UTF-8, lists that leave their values
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise ValueError(f"it cannot be read as Parquet ({' '.join(str(error).split())})") from None
     if not found.equals(table_schema(name, manifest.format_version)):
         raise ValueError("its columns are not those of this format version")

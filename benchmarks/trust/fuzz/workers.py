@@ -180,7 +180,7 @@ def try_input(target: Target, seed: int, number: int, folder: Path) -> Outcome:
 def damaged_source(target: Target, seed: int, number: int, folder: Path) -> Iterator[Path]:
     """The source of one input, damaged as long as the block runs, under a name of its own."""
     rng = generator(target.name, seed, number)
-    source = rng.choice(sorted(folder.iterdir()))
+    source = rng.choice(sorted(path for path in folder.iterdir() if path.is_dir()))
     victim = rng.choice(target.victims(source))
     # Readers may remember what lay at a path.
     place = source.with_name(f"{source.name}.{number}")

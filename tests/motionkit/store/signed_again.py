@@ -61,3 +61,12 @@ def with_number(name: str, row: int, number: float) -> Edit:
         return values
 
     return with_column(name, change)
+
+
+def with_broken_text(name: str) -> Edit:
+    def edit(table: pa.Table) -> pa.Table:
+        index = table.schema.get_field_index(name)
+        texts = pa.StringArray.from_buffers(1, pa.py_buffer(b"\0\0\0\0\2\0\0\0"), pa.py_buffer(b"\xff\xfe"))
+        return table.slice(0, 1).set_column(index, table.schema.field(index), texts)
+
+    return edit

@@ -10,7 +10,7 @@ from motionkit.store import StoreWriter
 from motionkit.store.removal import remove
 from motionkit.store.rewrite import compact
 from motionkit.store.validate import faults
-from tests.motionkit.store.signed_again import rewrite, sign, with_number, with_value
+from tests.motionkit.store.signed_again import rewrite, sign, with_broken_text, with_number, with_value
 
 PART = "segments/part-00000.parquet"
 
@@ -91,6 +91,7 @@ def test_damaged_files(small_store, name, damage):
             ["'take-0': num_joints is not its skeleton's", "joint_positions of .* 0, .* expected 2520", "rotations"],
         ),
         ("skeletons.parquet", lambda table: table.drop_columns("feet"), ["its columns are not those"]),
+        ("skeletons.parquet", with_broken_text("name"), ["cannot be read as Parquet .*UTF8"]),
     ],
 )
 def test_damage_that_a_checksum_cannot_see(small_store, name, edit, expected):
