@@ -26,7 +26,7 @@ class FormatError(MotionkitError):
     def __init__(
         self, message: str, *, path: Path | str, reason: str, line: int | None = None, frame: int | None = None
     ) -> None:
-        self.path = Path(path)
+        self.path = path if isinstance(path, Path) else Path(path)
         self.reason = reason
         self.line = line
         self.frame = frame

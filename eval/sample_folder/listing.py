@@ -144,9 +144,7 @@ def _known_items(source: Path, root: Path, problems: list[FormatError]) -> list[
     found = scan([source])
     told_here = ("caption-without-motion", "empty-folder", "unknown-format")
     known = {problem.path for problem in problems}
-    problems += [
-        problem for problem in found.problems if problem.reason not in told_here and problem.path not in known
-    ]
+    problems += [problem for problem in found.problems if problem.reason not in told_here and problem.path not in known]
     return [item for item in found.items if item.format != "joints-npy"]
 
 

@@ -224,7 +224,7 @@ class _Reader:
             except FormatError:
                 continue  # told when all are read
             alike = [motion.numbers for motion in motions if motion.numbers.shape[1:] == vectors.shape[1:]]
-            found += [numbers for numbers in alike if np.isfinite(numbers).all()]
+            found += [numbers for numbers in alike if _is_plausible(numbers)]
         return np.concatenate(found).astype(np.float32)
 
     def _parts(self, path: Path) -> NamedParts:
@@ -241,15 +241,21 @@ class _Reader:
         return SampleText(text.sequence_id, self._prompts[group], text.action, text.group)
 
 
-def _check_finite(numbers: np.ndarray, path: Path, index: int | None) -> None:
-    """Raise `FormatError` (`nan`, `range`) with the first frame that is no pose."""
+def _is_plausible(numbers: np.ndarray) -> bool:
+    """Whether all are finite, and of a size that a body's can have."""
     if numbers.dtype == np.float16:
         numbers = numbers.astype(np.float32)  # a million is beyond what float16 can be compared with
     with np.errstate(invalid="ignore", over="ignore"):
         total = numbers.sum(dtype=np.float64)
-    if np.isfinite(total) and numbers.max() <= MAX_NUMBER and numbers.min() >= -MAX_NUMBER:
+    return bool(np.isfinite(total) and numbers.max() <= MAX_NUMBER and numbers.min() >= -MAX_NUMBER)
+
+
+def _check_finite(numbers: np.ndarray, path: Path, index: int | None) -> None:
+    """Raise `FormatError` (`nan`, `range`) with the first frame that is no pose."""
+    if _is_plausible(numbers):
         return
-    flat = numbers.reshape(len(numbers), -1)
+    with np.errstate(invalid="ignore"):
+        flat = numbers.reshape(len(numbers), -1).astype(np.float64)
     bad = ~((flat <= MAX_NUMBER) & (flat >= -MAX_NUMBER))
     frame = int(np.flatnonzero(bad.any(axis=1))[0])
     value = flat[frame][bad[frame]][0]

@@ -32,6 +32,8 @@ COLUMNS = frozenset(
 # What motionkit itself writes beside these, for people and for its own checks.
 OTHER_COLUMNS = frozenset(("file", "sequence_id", "seconds", "files_sha256", "checksum"))
 SHOWN = 5
+# In bytes, on Linux.
+LONGEST_NAME, LONGEST_PATH = 255, 4096
 CAPTION_COLUMNS = ("caption", "caption_kit")
 CAPTION_KEYS = frozenset(("text", "start_seconds", "end_seconds", "tokens"))
 MAX_LICENCE_LINE = 120
@@ -187,6 +189,9 @@ def _inside(name: str | None, folder: Path, path: Path, line: int) -> Path:
             reason="path",
             line=line,
         )
+    if len(target.encode()) >= LONGEST_PATH or max(len(part.encode()) for part in relative.split("/")) > LONGEST_NAME:
+        message = f"file {shown(name)} is longer than a file's name can be"
+        raise FormatError(message, path=path, reason="path", line=line)
     return Path(target)
 
 

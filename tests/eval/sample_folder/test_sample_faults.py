@@ -320,3 +320,26 @@ def test_an_empty_manifest_says_nothing(tmp_path: Path) -> None:
     (folder / "samples.toml").write_text("fps = ", encoding="utf-8")
     with pytest.raises(FormatError, match="not TOML"):
         read_sample_folder("mine", folder)
+
+
+def test_rows_of_files_with_impossible_names_are_left_out(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, a=JOINTS)
+    (folder / "lengths.csv").write_text(f"file,num_frames\n{'x' * 300}.npy,10\na.npy,30\n")
+    samples = read(folder)
+    assert samples.num_frames.tolist() == [30]
+    assert [problem.reason for problem in samples.left_out] == ["path"]
+
+
+@pytest.mark.parametrize("wild", [3e38, np.inf, -np.inf])
+def test_a_motion_of_wild_numbers_costs_only_itself(tmp_path: Path, wild: float) -> None:
+    raw = published.vectors()
+    bad = raw[0].copy()
+    bad[3, 7] = wild
+    samples = read(folder_of(tmp_path, 'statistics = "raw"', a=bad, b=raw[1], c=raw[2]))
+    assert samples.sequence_ids == ("b", "c")
+    assert [problem.frame for problem in samples.left_out] == [3]
+
+
+def test_half_precision_is_read(tmp_path: Path) -> None:
+    half = JOINTS.astype(np.float16)
+    np.testing.assert_array_equal(read(folder_of(tmp_path, a=half)).positions, half.astype(np.float32))

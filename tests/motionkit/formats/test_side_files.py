@@ -42,6 +42,11 @@ HOSTILE = {
     + b'}]"\n',
     "half a surrogate": b'file,captions\ntake.bvh,"[""\\ud800""]"\n',
     "a path that leaves the folder": b"file,caption\n../../../etc/passwd,x\n/etc/passwd,y\ntake.bvh,walks\n",
+    "a name that no file can have": b"file,caption\n"
+    + b"x" * 300
+    + b".bvh,x\n"
+    + b"x/" * 3000
+    + b"y,z\ntake.bvh,walks\n",
     "carriage returns": b"file,caption\rtake.bvh,walks\r",
     "a column twice": b"file,file,caption,caption\ntake.bvh,take.bvh,a,b\n",
     "no fps at all": b'{"fps": null}',
