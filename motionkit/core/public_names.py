@@ -35,6 +35,10 @@ class _Package(ModuleType):
         if not (name in self.__dict__["_places"] and isinstance(value, ModuleType)):
             super().__setattr__(name, value)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # As any module travels: a function that uses the package may be sent to a worker.
+        return import_module, (self.__name__,)
+
     def __dir__(self) -> list[str]:
         return sorted({*self.__dict__["_places"], *(name for name in self.__dict__ if name.startswith("__"))})
 

@@ -1,6 +1,7 @@
 """Names that packages give without having imported them: quick to import, known to type checkers, never a module."""
 
 import ast
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -85,3 +86,7 @@ def test_everything_can_be_imported_at_once() -> None:
     assert run("from motionkit import *; print(Motion.__name__, callable(read), __version__)") == (
         f"Motion True {motionkit.__version__}"
     )
+
+
+def test_a_function_that_uses_the_package_can_be_sent_to_a_worker() -> None:
+    assert pickle.loads(pickle.dumps(motionkit)) is motionkit  # noqa: S301
