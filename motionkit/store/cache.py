@@ -133,12 +133,12 @@ def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None
     found = _find(target, wanted)
     if isinstance(found, PositionCache):
         return found
-    with building(root):
+    with building(root, found):
         found = _find(target, wanted)  # another process may have built it in between
         if isinstance(found, PositionCache):
             return found
         if found is not None:
-            stderr.print(f"motionkit: warning: {found}", markup=False)
+            stderr.print(f"motionkit: warning: {found}")
         remove_stale(root, store.fingerprint)
         try:
             build(wanted, target)

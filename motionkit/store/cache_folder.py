@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from motionkit.core.files import require_no_link, temporary_name, write_whole
-from motionkit.errors import StoreError
+from motionkit.errors import DamagedFileError, LinkError, StoreError
 from motionkit.settings import optional_path
 from motionkit.store.lock import exclusive_lock
 from motionkit.store.schema import CACHE_FOLDER
@@ -27,7 +27,7 @@ MARKER_FILE = ".motionkit-cache"
 MARKER = f"motionkit training cache, version {CACHE_VERSION}: may be deleted at any time\n"
 
 _LOCK_FILE = ".builder.lock"
-_NAME = re.compile(r"(?P<fingerprint>[0-9a-f]{16})-[a-z0-9]+-[0-9a-f]{16}")
+_NAME = re.compile(r"[0-9a-f]{16}-[a-z0-9]+-[0-9a-f]{16}")
 _OF_VERSION_1 = (CACHE_FILE, INDEX_FILE, POSITIONS_FILE)
 _NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
 
@@ -49,27 +49,28 @@ def cache_name(fingerprint: str, layout: str, key: str) -> str:
 
 
 @contextmanager
-def building(root: Path) -> Iterator[None]:
+def building(root: Path, damage: DamagedFileError | None = None) -> Iterator[None]:
     """Hold the builder's lock on the folder of a store's caches, which is made where it is missing.
 
-    Raises `StoreError` that names MOTIONKIT_CACHE where the block finds that it may not be written to.
+    `damage` is why. Raises `StoreError` that names MOTIONKIT_CACHE where the block finds that it may not be written to.
     """
-    with writable():
+    with writable(damage):
         root.mkdir(parents=True, exist_ok=True)
         with exclusive_lock(root / _LOCK_FILE, busy=None):
             yield
 
 
 @contextmanager
-def writable() -> Iterator[None]:
+def writable(damage: DamagedFileError | None = None) -> Iterator[None]:
     """Raise `StoreError` that names MOTIONKIT_CACHE where the block finds that a cache may not be written."""
     try:
         yield
     except OSError as error:
         if error.errno not in _NOT_WRITABLE:
             raise
+        why = f"{damage.path} is damaged ({damage.fault}), and " if damage else ""
         raise StoreError(
-            f"the training cache cannot be written ({error}): name a folder for caches with MOTIONKIT_CACHE"
+            f"{why}the training cache cannot be written ({error}): name a folder for caches with MOTIONKIT_CACHE"
         ) from None
 
 
@@ -78,6 +79,15 @@ def mark(folder: Path) -> None:
     require_no_link(folder, "delete the link")
     folder.mkdir(exist_ok=True)
     write_whole(folder / MARKER_FILE, MARKER)
+
+
+def cache_bytes(store: Path, fingerprint: str) -> int:
+    """Bytes of all caches of a store, those of its earlier states in the store included."""
+    try:
+        folders = _own_folders(cache_root(store, fingerprint))
+    except LinkError:
+        return 0
+    return sum(path.lstat().st_size for folder in folders for path in folder.iterdir())
 
 
 def caches_of(root: Path, fingerprint: str) -> list[Path]:

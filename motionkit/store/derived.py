@@ -37,12 +37,12 @@ def derived_rows(
     found = _find(cache.path, name, shape)
     if isinstance(found, RowFile):
         return found
-    with writable(), exclusive_lock(cache.path / f".{name}.lock", busy=None):
+    with writable(found), exclusive_lock(cache.path / f".{name}.lock", busy=None):
         found = _find(cache.path, name, shape)
         if isinstance(found, RowFile):
             return found
         if found is not None:
-            stderr.print(f"motionkit: warning: {found}", markup=False)
+            stderr.print(f"motionkit: warning: {found}")
         digest = write_rows(cache.path / f"{name}.npy", shape, _checked(name, cache, num_numbers, compute()))
         write_json(cache.path / f"{name}.json", asdict(digest))
     return RowFile.open(cache.path / f"{name}.npy")

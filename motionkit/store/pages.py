@@ -9,10 +9,10 @@ neighbours to compress well; with high and low bytes under one table of codes it
 Source of the format: https://parquet.apache.org/docs/file-format/data-pages/
 """
 
-import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
+from zlib import crc32
 
 import numpy as np
 import pyarrow as pa
@@ -133,7 +133,7 @@ def _levels(runs: Iterable[tuple[int, int]]) -> bytes:
 def _page(pieces: tuple[bytes | memoryview, ...], num_values: int, num_bytes: int, encoding: int) -> Page:
     body = b"".join(pieces)
     of_data = struct({1: i32(num_values), 2: i32(encoding), 3: i32(RLE), 4: i32(RLE)})
-    checksum = int.from_bytes(zlib.crc32(body).to_bytes(4, "little"), "little", signed=True)
+    checksum = int.from_bytes(crc32(body).to_bytes(4, "little"), "little", signed=True)
     fields = {1: i32(DATA_PAGE), 2: i32(num_bytes), 3: i32(len(body)), 4: i32(checksum), 5: of_data}
     header = struct(fields).content
     return Page(header, body, num_values, len(header) + num_bytes)

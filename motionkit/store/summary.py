@@ -11,9 +11,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from motionkit.errors import StoreError
+from motionkit.store.cache_folder import cache_bytes
 from motionkit.store.reader import Store
 from motionkit.store.schema import (
-    CACHE_FOLDER,
     FLOAT_COLUMNS,
     POSITION_BYTES_PER_JOINT,
     ROOT_TRANSLATION_BYTES,
@@ -97,7 +97,6 @@ def summarise(store: Store) -> StoreSummary:
     Raises `StoreError` for a part that is missing or damaged.
     """
     sequences, manifest = _sequences(store), store.manifest
-    cache = store.path / CACHE_FOLDER
     return StoreSummary(
         path=str(store.path),
         fingerprint=store.fingerprint,
@@ -109,7 +108,7 @@ def summarise(store: Store) -> StoreSummary:
         num_parts=len(manifest.parts),
         num_removed_segments=manifest.num_removed_segments,
         disk_bytes=manifest.num_bytes,
-        cache_bytes=0 if cache.is_symlink() else sum(path.lstat().st_size for path in cache.rglob("*")),
+        cache_bytes=cache_bytes(store.path, store.fingerprint),
         columns=_column_sizes(store, sequences),
         sources=tuple(_summarise_source(str(source), rows) for source, rows in sequences.groupby("source", sort=True)),
     )

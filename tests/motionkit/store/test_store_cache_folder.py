@@ -15,6 +15,7 @@ from motionkit.store import Store, StoreWriter
 from motionkit.store.cache import open_cache
 from motionkit.store.derived import derived_rows
 from motionkit.store.rewrite import compact
+from motionkit.store.summary import summarise
 from motionkit.store.validate import faults
 
 NAME_OF_A_CACHE = "0123456789abcdef-smpl22-0123456789abcdef"
@@ -52,6 +53,7 @@ def test_a_link_is_not_followed(small_store, precious, target):
     with pytest.raises(LinkError, match=r"cache is a symbolic link to .*: delete the link, .* MOTIONKIT_CACHE"):
         open_cache(Store.open(small_store))
     assert content_of(precious) == before
+    assert summarise(Store.open(small_store)).cache_bytes == 0
     assert list(faults(small_store)) == []
     assert "cache is a symbolic link" in next(faults(small_store, deep=True))
     compact(small_store)
@@ -158,6 +160,7 @@ def test_caches_elsewhere(small_store, elsewhere, make_motion, capsys):
     assert built.path.parent == elsewhere / store.fingerprint
     assert not (small_store / "cache").exists()
     assert open_cache(store).path == built.path
+    assert summarise(store).cache_bytes == sum(path.stat().st_size for path in built.path.iterdir())
     (elsewhere / "mine").mkdir()
     change(small_store, make_motion)
     again = open_cache(Store.open(small_store))
@@ -213,8 +216,11 @@ def test_a_cache_on_a_read_only_medium_is_used(small_store, read_only_store, mon
     built = open_cache(Store.open(small_store))
     read = open_cache(Store.open(read_only_store))
     np.testing.assert_array_equal(read.positions, built.positions)
-    with pytest.raises(StoreError, match="MOTIONKIT_CACHE"):
+    with pytest.raises(StoreError, match=r"^the training cache cannot be written .*MOTIONKIT_CACHE"):
         derived_rows(read, "zeros", 1, lambda: (np.zeros((n, 1), np.float32) for n in read.num_frames))
+    (built.path / "index.npy").write_bytes(b"cut")
+    with pytest.raises(StoreError, match=r"index\.npy is damaged \(it has 3 .*\), and the .*MOTIONKIT_CACHE"):
+        open_cache(Store.open(read_only_store))
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.EPERM])
