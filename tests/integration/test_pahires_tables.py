@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from motionkit.core.sealed import read_json
 from motionkit.demo_corpus import write_demo_corpus
 from motionkit.store.ingest import ingest
 
@@ -32,7 +33,8 @@ def test_a_table_is_written_as_json_and_markdown(motionkit: Callable[..., object
     )
     assert outcome.code == 0
     result = json.loads(outcome.stdout)
-    assert {"format": "motionkit-result/1", **result} == json.loads((tmp_path / "pahires-table1.json").read_text())
+    written = read_json(tmp_path / "pahires-table1.json", "")
+    assert {"format": "motionkit-result/1", **result} == written
     assert result["task"] == "pahires-table1"
     psnr = next(block for block in result["blocks"] if block["title"].endswith("30 fps: PSNR (dB)"))
     values = {row["name"]: row["cells"]["×4"]["value"] for row in psnr["rows"]}
