@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-# What a clock says, and checksums of documents that hold it.
-VOLATILE = frozenset(("checksum", "time", "wall_seconds"))
+# What a clock says, and checksums of files that hold it: of the document itself, of metrics.jsonl.
+VOLATILE = frozenset(("checksum", "metrics", "metrics.jsonl", "time", "wall_seconds"))
 TIMED = (".jsonl", "summary.json")
 SHOWN = 3
 
@@ -51,6 +51,8 @@ def _digest(path: Path, digits: int | None) -> str:
     content = path.read_bytes()
     if path.suffix in (".json", ".jsonl"):
         content = _without_clocks(path.name, content, digits)
+    if path.suffix == ".safetensors":
+        content = _without_log(content)
     return hashlib.sha256(content).hexdigest()
 
 
@@ -62,6 +64,18 @@ def _without_clocks(name: str, content: bytes, digits: int | None) -> bytes:
     dropped = VOLATILE | {"seconds"} if name.endswith(TIMED) else VOLATILE
     rounded = digits if name.endswith(".jsonl") else None
     return json.dumps([_kept(document, dropped, rounded) for document in documents], sort_keys=True).encode()
+
+
+def _without_log(content: bytes) -> bytes:
+    """A safetensors file without the checksum of the log that its description may hold, and without its own."""
+    end = 8 + int.from_bytes(content[:8], "little")
+    try:
+        header = json.loads(content[8:end])
+        metadata = header.pop("__metadata__")
+        description = _kept(json.loads(metadata["description"]), VOLATILE, None)
+    except (KeyError, ValueError):
+        return content
+    return json.dumps([header, description], sort_keys=True).encode() + content[end:]
 
 
 def _kept(value: Any, dropped: frozenset[str], digits: int | None) -> Any:
