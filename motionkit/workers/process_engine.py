@@ -5,6 +5,7 @@ import gc
 import multiprocessing
 import os
 import signal
+import tempfile
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -16,6 +17,7 @@ from multiprocessing.context import BaseContext
 from multiprocessing.heap import BufferWrapper
 from typing import Any
 
+from motionkit.errors import MotionkitError
 from motionkit.interrupts import held_back
 from motionkit.workers.parallel import BATCHES_IN_FLIGHT_PER_WORKER, WorkerDied
 from motionkit.workers.parcel import Parcel, pack, unpack
@@ -54,6 +56,13 @@ def start_server() -> BaseContext:
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             forkserver.ensure_running()
+        except OSError as error:
+            if "AF_UNIX" not in str(error):
+                raise
+            raise MotionkitError(
+                f"{tempfile.gettempdir()}: the path is too long for the sockets by which workers are reached. "
+                "Set TMPDIR to a folder with a shorter path, or use --workers 1."
+            ) from None
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return context

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -93,13 +94,36 @@ def seconds_of_all(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> fl
     return seconds
 
 
+@pytest.fixture
+def temporary() -> Iterator[Path]:
+    """A folder for temporary files whose path is short: a socket's may have 107 bytes."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
+        yield Path(folder)
+
+
+def test_a_temporary_folder_with_too_long_a_path_is_named(corpus: Path, tmp_path: Path) -> None:
+    temporary = tmp_path / ("long" * 25)
+    temporary.mkdir()
+    outcome, _ = run(ingest_of(corpus, tmp_path / "store"), temporary)
+    assert outcome.code == 1
+    assert outcome.stderr == (
+        f"motionkit: {temporary}: the path is too long for the sockets by which workers are reached. "
+        "Set TMPDIR to a folder with a shorter path, or use --workers 1.\n"
+    )
+
+
 @pytest.mark.parametrize("to_group", [True, False], ids=["to the group", "to the process"])
 @pytest.mark.parametrize(("number", "num_moments"), [(signal.SIGINT, 12), (signal.SIGTERM, 4)], ids=["INT", "TERM"])
 def test_whenever_it_comes_the_store_stays_and_nothing_is_left(
-    corpus: Path, seconds_of_all: float, tmp_path: Path, number: signal.Signals, num_moments: int, to_group: bool
+    corpus: Path,
+    seconds_of_all: float,
+    temporary: Path,
+    tmp_path: Path,
+    number: signal.Signals,
+    num_moments: int,
+    to_group: bool,
 ) -> None:
-    temporary, store = tmp_path / "tmp", tmp_path / "store"
-    temporary.mkdir()
+    store = tmp_path / "store"
     assert run(ingest_of(corpus / "take-00.bvh", store), temporary)[0].code == 0
     before = contents(store)
     for moment in range(num_moments):
