@@ -36,6 +36,10 @@ class SamplingOptions:
 
     `guidance_scale` is how strongly the condition is followed (1: as the data does). A model raises `UsageError` for a
     `sampler` or a number of `steps` that it doesn't have.
+
+    >>> options = mk.SamplingOptions(guidance_scale=2.5, steps=5)
+    >>> mk.generate("a person walks", run="runs/nano", fps=20, seconds=1, sampling=options).num_frames
+    20
     """
 
     guidance_scale: float | None = None

@@ -29,6 +29,10 @@ class Skeleton:
     `end_sites` maps a leaf's index to the offset of the unnamed tip that BVH calls End Site. `layout_map` is the user's
     own map to the standard layouts as canonical JSON (`motionkit.skeletons.families`), empty where names decide.
     Raises `ValueError` for a parent that does not precede its child, repeated names, or arrays of unequal length.
+
+    >>> skeleton = mk.read("walk.bvh").skeleton
+    >>> skeleton.num_joints, skeleton.joint_names[0], skeleton.parents[:3]
+    (22, 'pelvis', (-1, 0, 1))
     """
 
     name: str

@@ -66,7 +66,11 @@ def format_fps(fps: Fraction) -> str:
 
 @dataclass(frozen=True)
 class TimeGrid:
-    """The instants of a uniformly sampled sequence: `num_frames` frames at `fps`, the first at `start_seconds`."""
+    """The instants of a uniformly sampled sequence: `num_frames` frames at `fps`, the first at `start_seconds`.
+
+    >>> mk.TimeGrid(Fraction(20), 3, start_seconds=1.0).seconds()
+    array([1.  , 1.05, 1.1 ])
+    """
 
     fps: Fraction
     num_frames: int

@@ -45,6 +45,11 @@ class StoreWriter:
     """Adds motions to a store, all or none: leaving the `with` block commits, an exception leaves the store as it was.
 
     Owns the writer's lock, the new parts and the new tables. One process writes at a time; readers go on reading.
+
+    >>> with mk.StoreWriter.create("walks") as writer:
+    ...     index = writer.add(mk.read("walk.bvh"))
+    >>> list(mk.Store.open("walks"))
+    ['captures/walk']
     """
 
     def __init__(self, path: Path, *, keep: bool, new: bool, part_bytes: int) -> None:
