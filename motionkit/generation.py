@@ -4,12 +4,12 @@ Models register a `ModelLoader`, or a plain function from a run folder, under th
 `motionkit.models`; the table code and `motionkit generate` know only this interface.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from motionkit.errors import UsageError
 from motionkit.motionfield import MotionField
@@ -95,6 +95,15 @@ class ChecksRequests(Protocol):
         ...
 
 
+@runtime_checkable
+class DescribesMotions(Protocol):
+    """A model that has something to say of a motion that it generated, beside its poses."""
+
+    def describe(self, motion: MotionField) -> Mapping[str, Any]:
+        """Plain values by name, ready for JSON."""
+        ...
+
+
 GROUP = "motionkit.models"
 
 
@@ -114,13 +123,18 @@ def installed_models() -> dict[str, ModelLoader]:
     return installed_loaders(GROUP, ModelLoader)
 
 
-def load_model(name: str, run: Path) -> GenerativeModel:
-    """Load the model that an entry point of group `motionkit.models` names, from a run folder."""
+def model_loader(name: str) -> ModelLoader:
+    """The loader of a model; raises `UsageError` naming those there are."""
     found = entry_points(group=GROUP, name=name)
     if not found:
         known = ", ".join(loader_names(GROUP)) or "none"
         raise UsageError(f"no model is called {name!r}; installed models: {known}")
-    return loader_of(next(iter(found)), ModelLoader).load(run)
+    return loader_of(next(iter(found)), ModelLoader)
+
+
+def load_model(name: str, run: Path) -> GenerativeModel:
+    """Load the model that an entry point of group `motionkit.models` names, from a run folder."""
+    return model_loader(name).load(run)
 
 
 def model_of(run: Path) -> str:

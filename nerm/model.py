@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ from nerm.conditions.batch import Conditions, unit_rows
 from nerm.denoiser.saved import load_denoiser
 from nerm.denoiser.trained import TrainedDenoiser
 from nerm.field.saved import load_field
+from nerm.generation.framerate_shift import framerate_shift
 
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
 
@@ -138,6 +139,10 @@ class NermModel:
             self.denoiser.layout.action_index(request.action)
         elif not self.denoiser.text_fingerprint:
             raise UsageError(NO_TEXTS)
+
+    def describe(self, motion: MotionField) -> dict[str, Any]:
+        """How far the motion's joints move between framerates."""
+        return {"framerate_shift": framerate_shift([motion]).plain()}
 
     def _uses_text(self, request: GenerationRequest) -> bool:
         return bool(request.text) and (bool(self.denoiser.text_fingerprint) or not request.action)

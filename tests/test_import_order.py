@@ -45,6 +45,11 @@ def test_imports_run_one_way() -> None:
         ("motionkit/timegrid.py", "import nerm", "the ground floor knows nobody above it"),
         ("eval/metrics/frechet.py", "import torch", "the corpus and the metrics never import torch"),
         ("pahires/network.py", "import nerm", "data flows one way"),
+        (
+            "nerm/generation/plan.py",
+            "import nerm.settings",
+            "generating knows no model",
+        ),
         ("pahires/training.py", "import pahires.model", "PA-HiRes and its peers share no network"),
         ("eval/baselines/peers/liif.py", "import pahires.recipes", "PA-HiRes and its peers share no network"),
         ("motionkit/timegrid.py", "from motionkit import Store", "data flows one way"),

@@ -35,7 +35,7 @@ def generate(
     seed: options.Seed = 0,
     resume: options.Resume = False,
     overwrite: options.Overwrite = False,
-    model: options.ModelName = "nerm",
+    model: options.ModelName = None,
     run: options.RunName = "nano",
     runs: options.RunsFolder = None,
     as_json: options.AsJson = False,
@@ -55,11 +55,11 @@ def generate(
     instants = parse_times(times)
     plan = make_plan(wanted, count, instants, rate, file_format, seed, sampling, join=join, overlap_seconds=overlap)
 
-    from motionkit.generation import load_model
+    from motionkit.generation import load_model, model_of
     from nerm.generation.folder import begin_folder, replace_folder, resume_folder
 
     place = (runs or default_path("runs")) / run
-    loaded = load_model(model, place)
+    loaded = load_model(model or model_of(place), place)
     plan = plan.for_model(loaded)
     warn_above_training(loaded, plan.fps)
     say_joined(plan, loaded)
@@ -74,8 +74,8 @@ def _write_all(
     plan: "GenerationPlan", model: "GenerativeModel", folder: "GeneratedFolder", as_json: bool
 ) -> dict[str, Any]:
     """Generate and write what is not there yet; names each file on stdout, or returns all of them for JSON."""
+    from motionkit.generation import DescribesMotions
     from nerm.generation.files import describe_sample
-    from nerm.generation.framerate_shift import framerate_shift
 
     report: dict[str, Any] = {"already_there": folder.num_done, "motions": []}
     plan.output.begin(folder.path, plan.fps)
@@ -89,8 +89,8 @@ def _write_all(
             if not as_json:
                 stdout.print(str(folder.path / files[0]), markup=False)
                 continue
-            if not report["motions"]:
-                report["framerate_shift_of_first"] = framerate_shift([field]).plain()
+            if not report["motions"] and isinstance(model, DescribesMotions):
+                report |= {f"{name}_of_first": value for name, value in model.describe(field).items()}
             report["motions"].append(describe_sample(sample, str(folder.path / files[0])))
     if folder.num_done and not as_json:
         stderr.print(f"motionkit: {folder.num_done:,} of {len(plan.motions):,} motions were there already")

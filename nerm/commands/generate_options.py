@@ -36,7 +36,7 @@ SamplingSteps = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with a call that was stopped.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a former call's files.")]
-ModelName = Annotated[str, typer.Option(help="Installed model.")]
+ModelName = Annotated[str | None, typer.Option(help="Installed model.", show_default="the one that the run holds")]
 RunName = Annotated[str, typer.Option(help="Name of the run.")]
 RunsFolder = Annotated[Path | None, typer.Option(help="Folder of all runs.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")]
