@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from motionkit.conditions import conjunction
 from motionkit.training.ablations import Ablation, Ablations, Entry, check_not_varied
-from motionkit.training.config import apply_overrides
+from motionkit.training.config import apply_overrides, parse_override
 from pahires.recipes import RECIPES, PaHiResConfig
 from pahires.stage import STAGE
 
@@ -24,6 +24,11 @@ class Variant:
 
     name: str
     change: tuple[str, ...] = ()
+
+    @property
+    def varied(self) -> frozenset[str]:
+        """Keys of its change."""
+        return frozenset(parse_override(setting)[0] for setting in self.change)
 
     def configure(
         self, recipe: PaHiResConfig, overrides: Sequence[str] = (), where: str | None = None
@@ -63,8 +68,6 @@ def _velocity(weight: str) -> Variant:
     return FULL if weight == "0.5" else Variant(f"velocity-{weight}", (f"training.velocity_weight={weight}",))
 
 
-# Between the row and the column that an entry is a cell of.
-SEPARATOR = "; "
 OWN, SHARED = "own parameters in every layer", "one activation shared by all layers"
 TABLES: dict[str, Ablation] = {
     ablation.table: ablation
@@ -73,7 +76,7 @@ TABLES: dict[str, Ablation] = {
             "4",
             "sines of the activation (ζ), shared or not",
             tuple(
-                Entry(f"{SHARED if shared else OWN}{SEPARATOR}ζ = {count}", _activation(count, shared))
+                Entry(SHARED if shared else OWN, _activation(count, shared), column=f"ζ = {count}")
                 for shared in (False, True)
                 for count in SINES
             ),
@@ -82,13 +85,13 @@ TABLES: dict[str, Ablation] = {
         Ablation(
             "figure5",
             "weight of the velocity loss (λ)",
-            tuple(Entry(f"PA-HiRes{SEPARATOR}λ = {weight}", _velocity(weight)) for weight in VELOCITY_WEIGHTS),
+            tuple(Entry("PA-HiRes", _velocity(weight), column=f"λ = {weight}") for weight in VELOCITY_WEIGHTS),
             (STAGE.name,),
         ),
         Ablation(
             "figure6",
             "number of temporal scales (S)",
-            tuple(Entry(f"PA-HiRes{SEPARATOR}S = {count}", _scales(count)) for count in FRAMES_PER_SCALE),
+            tuple(Entry("PA-HiRes", _scales(count), column=f"S = {count}") for count in FRAMES_PER_SCALE),
             (STAGE.name,),
         ),
     )

@@ -3,10 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
+import pytest
 
-from motionkit.generation import GenerationRequest, SamplingOptions
+from motionkit.generation import GenerationRequest, ModelLoader, SamplingOptions
 from motionkit.motionfield import Poses
 from motionkit.skeleton import SMPL22, Skeleton
 
@@ -54,3 +56,24 @@ class ScriptedModel:
             assert request.duration_seconds is not None and request.duration_seconds <= self.max_duration_seconds
             fields.append(ScriptedField(self.script(request, (seed, number)), request.duration_seconds))
         return fields
+
+
+STAGES = ("field", "denoiser")
+
+
+def trained_run(run: Path) -> Path:
+    """A run that holds the stages of scripted models, as far as anybody looks."""
+    for stage in STAGES:
+        (run / stage).mkdir(parents=True)
+        (run / stage / "model.safetensors").write_text(f"{run.name} {stage}")
+    return run
+
+
+def install_models(monkeypatch: pytest.MonkeyPatch, *scripted: Callable[[Path], ScriptedModel]) -> None:
+    """Let these be the installed models: functions of a run."""
+    loaders = {
+        f"model-{number}": ModelLoader("NeRM", STAGES, load, fixed_fps_setting="field.fixed_fps")
+        for number, load in enumerate(scripted)
+    }
+    for module in ("eval.tables.models", "eval.tables.nerm.table1"):
+        monkeypatch.setattr(f"{module}.installed_models", lambda: loaders)

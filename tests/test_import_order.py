@@ -45,6 +45,8 @@ def test_imports_run_one_way() -> None:
         ("motionkit/timegrid.py", "import nerm", "the ground floor knows nobody above it"),
         ("eval/metrics/frechet.py", "import torch", "the corpus and the metrics never import torch"),
         ("pahires/network.py", "import nerm", "data flows one way"),
+        ("eval/tables/nerm/table4.py", "import nerm.field.saved", "evaluation knows no model"),
+        ("eval/tables/nerm/table4.py", "def f():\n    import pahires.stage", "evaluation knows no model"),
         (
             "nerm/generation/plan.py",
             "import nerm.settings",

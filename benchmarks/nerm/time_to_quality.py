@@ -22,11 +22,11 @@ import torch
 from eval.metrics.reconstruction import mpjpe_root_aligned
 from eval.report.results import environment
 from motionkit.clips.poses import WindowPoses
+from motionkit.clips.reconstruction import comparable, reconstructions, separate_windows
 from motionkit.skeleton import SMPL22
 from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
 from motionkit.training.randomness import step_generator
-from nerm.field.reconstruction import comparable, reconstructions, separate_windows
 from nerm.field.trained import TrainedField
 from nerm.field.training import FieldTraining
 from nerm.field.windows import training_windows
@@ -95,13 +95,13 @@ def _error_mm(training: FieldTraining, chosen: np.ndarray, store: Store) -> floa
         windows=training.poses.windows,
         store_fingerprint=store.fingerprint,
     )
-    found = reconstructions(
-        trained,
-        training.poses.source,
-        trained.windows.select(chosen),
-        trained.posterior_mean[torch.from_numpy(chosen)],
-        FPS,
-    )
+    windows = trained.windows.select(chosen)
+    latents = trained.posterior_mean[torch.from_numpy(chosen)]
+    fields = [
+        trained.as_motion_field(latent, float(seconds))
+        for latent, seconds in zip(latents, windows.duration_seconds, strict=True)
+    ]
+    found = reconstructions(training.poses.source, windows, fields, FPS)
     errors = [(window.seconds, mpjpe_root_aligned(window.found, window.truth)) for window in found]
     training.network.train()
     return 1000.0 * sum(seconds * error for seconds, error in errors) / sum(seconds for seconds, _ in errors)

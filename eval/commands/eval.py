@@ -215,14 +215,19 @@ def _encoders(pairs: list[str], runs: Path) -> tuple[tuple[str, Path], ...]:
 
 
 def _samples(pairs: list[str]) -> dict[str, Path]:
-    named = {}
+    if not pairs:
+        return {}
+    from motionkit.generation import installed_models
+
+    own = ("real,", "real (", *(loader.title for loader in installed_models().values()))
+    named: dict[str, Path] = {}
     for pair in pairs:
         name, separator, folder = pair.partition("=")
         if not separator or not name or not folder:
             raise UsageError(f"--samples {pair}: give NAME=DIR")
         if name in named:
             raise UsageError(f"--samples {pair}: there are samples of this name already; give every folder its own")
-        if name == "real" or name.startswith(("real,", "real (", "NeRM")):
+        if name == "real" or name.startswith(own):
             raise UsageError(f"--samples {pair}: tables have a row {name!r} of their own; choose another name")
         named[name] = Path(folder)
     return named

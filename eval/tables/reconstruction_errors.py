@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from eval.report.results import Cell
 
 if TYPE_CHECKING:
-    from nerm.field.reconstruction import Reconstruction
+    from motionkit.clips.reconstruction import Reconstruction
 
 GLOBAL = "global MPJPE, mm"
 DISTANCE = "L2 norm of the whole vector"

@@ -8,7 +8,15 @@ import typer
 from motionkit.console import print_json, stderr, stdout
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.settings import default_path
-from motionkit.training.ablations import DEFAULT_PAPER, Ablation, Ablations, Sweep, Variant, find_ablations, run_name
+from motionkit.training.ablations import (
+    Ablation,
+    Ablations,
+    Sweep,
+    Variant,
+    find_ablations,
+    papers_with_ablations,
+    run_name,
+)
 from motionkit.training.run import RunFolder
 
 
@@ -17,15 +25,20 @@ def ablate(
     listing: Annotated[bool, typer.Option("--list", help="Say what there is and what is trained; train nothing.")] = (
         False
     ),
-    only: Annotated[str | None, typer.Option(metavar="NAME,…", help="These variants alone: global-fourier,…")] = None,
-    paper: Annotated[str, typer.Option(help="Paper whose model is varied: nerm, pahires.")] = DEFAULT_PAPER,
+    only: Annotated[
+        str | None, typer.Option(metavar="NAME,…", help="These variants alone (--list names them).")
+    ] = None,
+    paper: Annotated[
+        str | None, typer.Option(help=f"Paper whose model is varied: {', '.join(papers_with_ablations())}.")
+    ] = None,
     recipe: Annotated[str, typer.Option(help="Named configuration that is varied: nano, demo, paper.")] = "nano",
     store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
     run: Annotated[str | None, typer.Option(help="Runs are called RUN-VARIANT; the recipe's name by default.")] = None,
-    stage: Annotated[str, typer.Option(help="all that the table needs, or the first alone: field.")] = "all",
+    stage: Annotated[str, typer.Option(help="all that the table needs, or the first of them alone.")] = "all",
     overrides: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="For every variant: field.steps=600.")
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="A setting of every variant (motionkit recipe lists them)."),
     ] = None,
     where: Annotated[
         str | None, typer.Option(metavar="SQL", help="Train only on sequences for which this holds too.")
@@ -38,8 +51,9 @@ def ablate(
     """Train all variants of an ablation, a run each; what is complete is kept, what was stopped goes on."""
     ablations = find_ablations(paper)
     chosen = [ablations.find(table) for table in _named(tables or [], ablations)]
-    # Runs of another model than NeRM are told apart by its name.
-    folder, prefix = runs or default_path("runs"), run or (recipe if paper == DEFAULT_PAPER else f"{paper}-{recipe}")
+    # Runs of other models than the default one are told apart by its paper.
+    named = recipe if ablations.is_default else f"{ablations.paper}-{recipe}"
+    folder, prefix = runs or default_path("runs"), run or named
     if listing:
         _list(chosen or list(ablations.tables.values()), folder, prefix, seed, as_json)
         return
@@ -122,7 +136,7 @@ def _list(chosen: list[Ablation], runs: Path, prefix: str, seed: int, as_json: b
             rows.append(
                 {
                     "table": ablation.table,
-                    "row": entry.label,
+                    "row": entry.name,
                     "variant": entry.variant.name,
                     "settings": list(entry.variant.change),
                     "run": name,

@@ -1,31 +1,61 @@
-"""What the field makes of motions beside the motions themselves: what Table 4 measures.
+"""What a trained model makes of windows of motion, beside the motion itself: the interface, and the truth.
 
 The truth at s fps is the capture itself, brought down band-limited where its own framerate is higher; a take slower
-than s has no truth there and is left out. Training windows are decoded from their μ, others from a z that is found by
-optimisation.
+than s has no truth there and is left out.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float32, Int64
 
-from motionkit.clips.frame_vectors import FrameVectors
-from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import PositionSource, Windows
 from motionkit.features import field as field_vectors
 from motionkit.mirror import mirror_positions
-from motionkit.motionfield import to_motion
+from motionkit.motionfield import MotionField, to_motion
 from motionkit.resample import resample_positions
 from motionkit.skeleton import SMPL22
-from nerm.field.encoding import encode_by_optimisation
-from nerm.field.trained import TrainedField
+from motionkit.store.reader import Store
 
-POSES_TO_ENCODE_FROM = 100
-WINDOWS_AT_ONCE = 64
+
+@dataclass(frozen=True, eq=False)
+class ModelWindows:
+    """Windows of sequences, and how a model describes them.
+
+    `fields` makes a motion field on [0, duration] for each of some windows, by their numbers, in the window's own
+    frame; it may take long. `described` says how: "from their μ", "encoded by optimisation".
+    """
+
+    source: PositionSource
+    windows: Windows
+    fields: Callable[[Int64[np.ndarray, "chosen"]], Sequence[MotionField]]
+    described: str
+
+
+@runtime_checkable
+class ReconstructsWindows(Protocol):
+    """An encoder that describes whole windows of motion, those of its own training and others."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        ...
+
+    @property
+    def store_fingerprint(self) -> str:
+        """Fingerprint of the store that it was trained on."""
+        ...
+
+    def training_windows(self, store: Store) -> ModelWindows:
+        """The windows that it was trained on, as training left them described."""
+        ...
+
+    def other_windows(self, store: Store, where: str | None) -> ModelWindows:
+        """Windows of the sequences for which this SQL holds; raises `UsageError` where there is none."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,40 +81,13 @@ def window_truth(
 
 
 def reconstructions(
-    trained: TrainedField,
-    source: PositionSource,
-    windows: Windows,
-    latents: Float32[torch.Tensor, "windows latent"],
-    fps: Fraction,
+    source: PositionSource, windows: Windows, fields: Sequence[MotionField], fps: Fraction
 ) -> Iterator[Reconstruction]:
-    """Windows that have a truth at `fps`, one by one, each decoded from its latent at that framerate."""
+    """Windows that have a truth at `fps`, one by one, each as its field gives it at that framerate."""
     for row in np.flatnonzero(windows.fps >= float(fps) - 1e-6).tolist():
         truth = window_truth(source, windows, row, fps)
-        seconds = float(windows.duration_seconds[row])
-        found = to_motion(trained.as_motion_field(latents[row], seconds), fps).joint_positions
-        yield Reconstruction(found, truth, seconds)
-
-
-def encode_windows(
-    trained: TrainedField,
-    source: PositionSource,
-    windows: Windows,
-    frames: FrameVectors | None = None,
-    *,
-    num_poses: int = POSES_TO_ENCODE_FROM,
-) -> Float32[torch.Tensor, "windows latent"]:
-    """The latents of windows that were not in training, by optimisation on `num_poses` native poses of each.
-
-    `source` and `frames` are what the field's own vectors opened (without `frames`: positions).
-    """
-    poses = WindowPoses(source, windows, SMPL22.left_right_pairs, frames=frames)
-    parts = [
-        encode_by_optimisation(
-            trained, poses.evenly(np.arange(start, min(start + WINDOWS_AT_ONCE, len(windows))), num_poses)
-        )
-        for start in range(0, len(windows), WINDOWS_AT_ONCE)
-    ]
-    return torch.cat(parts)
+        found = to_motion(fields[row], fps).joint_positions[:, : truth.shape[1]]
+        yield Reconstruction(found, truth, float(windows.duration_seconds[row]))
 
 
 def separate_windows(windows: Windows) -> Int64[np.ndarray, "chosen"]:

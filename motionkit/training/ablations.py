@@ -16,6 +16,8 @@ from motionkit.training.config import ConfigLike, parse_override
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import Stage, StageContext
 
+GROUP = "motionkit.ablations"
+
 
 @runtime_checkable
 class Variant(Protocol):
@@ -31,6 +33,11 @@ class Variant(Protocol):
         """Settings that it varies, as `--set` takes them."""
         ...
 
+    @property
+    def varied(self) -> frozenset[str]:
+        """Keys of all settings in which a table's runs may differ: those of `change`, and of what comes with it."""
+        ...
+
     def configure(self, recipe: Any, overrides: Sequence[str] = (), where: str | None = None) -> Any:
         """A recipe's configuration with what all variants share and this one's change; `where` narrows the sequences.
 
@@ -41,11 +48,20 @@ class Variant(Protocol):
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of a table: a variant, by what is varied; `reported` is the paper's name for it in its reported figures."""
+    """A row of a table, or of one that has `column`s a cell: a variant, by what is varied.
+
+    `reported` is the paper's name for it in its reported figures.
+    """
 
     label: str
     variant: Variant
     reported: str = ""
+    column: str = ""
+
+    @property
+    def name(self) -> str:
+        """Row and column."""
+        return f"{self.label}; {self.column}" if self.column else self.label
 
 
 @dataclass(frozen=True)
@@ -91,10 +107,11 @@ def nothing_to_prepare(sweep: Sweep, run: RunFolder, config: Any) -> None:
 
 @dataclass(frozen=True)
 class Ablations:
-    """All ablations of one paper's model.
+    """All ablations of one paper's model, which is installed as `paper` too: its runs hold the model or encoder.
 
     `recipes` are those that can be varied; `stages` what can be trained, by name, and the first of them alone by
     `--stage`. `prepare` gives a run what the variants share (a codebook), before its first stage is trained.
+    `motionkit ablate` takes the one that `is_default` where nobody names a paper.
     """
 
     paper: str
@@ -102,6 +119,7 @@ class Ablations:
     recipes: Mapping[str, Callable[[], ConfigLike]]
     stages: Mapping[str, Stage[Any]]
     prepare: Prepare = nothing_to_prepare
+    is_default: bool = False
 
     def find(self, table: str) -> Ablation:
         """The ablation of a table; raises `UsageError` naming those there are."""
@@ -118,20 +136,26 @@ class Ablations:
 
     def command_for(self, table: str, prefix: str, variant: Variant) -> str:
         """The command that trains one variant of a table."""
-        paper = "" if self.paper == DEFAULT_PAPER else f" --paper {self.paper}"
+        paper = "" if self.is_default else f" --paper {self.paper}"
         return f"motionkit ablate {table}{paper} --run {prefix} --only {variant.name}"
 
 
-DEFAULT_PAPER = "nerm"
+def papers_with_ablations() -> tuple[str, ...]:
+    """The papers of all installed ablations, sorted."""
+    return tuple(sorted({entry.name for entry in entry_points(group=GROUP)}))
 
 
-def find_ablations(paper: str) -> Ablations:
-    """The ablations of a paper's model; raises `UsageError` naming the papers that have any."""
-    found = {entry.name: entry for entry in entry_points(group="motionkit.ablations")}
-    if paper not in found:
-        raise UsageError(f"there are no ablations of {paper!r}; of: {', '.join(sorted(found)) or 'none'}")
-    ablations: Ablations = found[paper].load()
-    return ablations
+def find_ablations(paper: str | None = None) -> Ablations:
+    """The ablations of a paper's model, or the default ones; raises `UsageError` naming the papers that have any."""
+    found: dict[str, Ablations] = {
+        entry.name: entry.load() for entry in entry_points(group=GROUP) if paper is None or entry.name == paper
+    }
+    if paper is None:
+        found = {name: ablations for name, ablations in found.items() if ablations.is_default}
+    if not found:
+        which = "there are no ablations of " + repr(paper) if paper else "name a paper with --paper"
+        raise UsageError(f"{which}; of: {', '.join(papers_with_ablations()) or 'none'}")
+    return next(iter(found.values()))
 
 
 def run_name(prefix: str, variant: Variant, seed: int) -> str:

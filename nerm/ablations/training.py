@@ -29,4 +29,4 @@ def share_codebook(sweep: Sweep, run: RunFolder, config: NermConfig) -> None:
     copy_stage(source, target)
 
 
-NERM = Ablations("nerm", ABLATIONS, RECIPES, {"field": FIELD, "denoiser": DENOISER}, share_codebook)
+NERM = Ablations("nerm", ABLATIONS, RECIPES, {"field": FIELD, "denoiser": DENOISER}, share_codebook, is_default=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from motionkit.conditions import conjunction
 from motionkit.training.ablations import Ablation, Entry, check_not_varied
-from motionkit.training.config import apply_overrides
+from motionkit.training.config import apply_overrides, parse_override
 from nerm.recipes import NermConfig
 from nerm.settings.field import LatentLayout
 
@@ -36,6 +36,12 @@ class Variant:
     name: str
     layout: LatentLayout
     change: tuple[str, ...] = ()
+
+    @property
+    def varied(self) -> frozenset[str]:
+        """Keys of its change, and of what the two layouts need."""
+        settings = (*self.change, *(setting for layout in LAYOUTS.values() for setting in layout))
+        return frozenset(parse_override(setting)[0] for setting in settings)
 
     def configure(self, recipe: NermConfig, overrides: Sequence[str] = (), where: str | None = None) -> NermConfig:
         """A recipe's configuration with the layout, overrides that all variants share, and this one's change.

@@ -9,23 +9,29 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float64, Int
+from jaxtyping import Float32, Float64, Int, Int64
 
 from motionkit.assembly import AssembledField, Piece, assemble, even_starts
-from motionkit.clips.poses import PoseBatch
+from motionkit.clips.frame_vectors import FrameVectors
+from motionkit.clips.poses import PoseBatch, WindowPoses
+from motionkit.clips.reconstruction import ModelWindows
+from motionkit.clips.windows import PositionSource, Windows, cut_windows
 from motionkit.features import field as field_vectors
-from motionkit.motionfield import Observation, Observed
+from motionkit.motionfield import MotionField, Observation, Observed
 from motionkit.skeleton import SMPL22
+from motionkit.store.reader import Store
 from motionkit.timegrid import normalise_seconds
 from nerm.field.encoding import encode_by_optimisation
-from nerm.field.reconstruction import POSES_TO_ENCODE_FROM, WINDOWS_AT_ONCE
 from nerm.field.saved import load_field
 from nerm.field.trained import TrainedField
+
+POSES_TO_ENCODE_FROM = 100
+WINDOWS_AT_ONCE = 64
 
 
 @dataclass(frozen=True, eq=False)
 class NermEncoder:
-    """A `motionkit.motionfield.MotionEncoder`: latents of a frozen field, one per window of at most l_max seconds.
+    """A `MotionEncoder` that `ReconstructsWindows`: latents of a frozen field, one per window of at most l_max seconds.
 
     Neighbouring windows overlap by `overlap_seconds` or more; each z is fitted to at most `num_poses` observed poses,
     evenly chosen among those of its window.
@@ -39,6 +45,46 @@ class NermEncoder:
     def name(self) -> str:
         """Name for tables."""
         return "NeRM"
+
+    @property
+    def store_fingerprint(self) -> str:
+        """Fingerprint of the store that the field was trained on."""
+        return self.trained.store_fingerprint
+
+    def training_windows(self, store: Store) -> ModelWindows:
+        """The windows of training, decoded from their posterior means."""
+        trained = self.trained
+        source, _ = trained.vectors.open(store, trained.config.where or None)
+
+        def fields(rows: Int64[np.ndarray, "chosen"]) -> list[MotionField]:
+            return self._fields(trained.windows.select(rows), trained.posterior_mean[torch.from_numpy(rows)])
+
+        return ModelWindows(source, trained.windows, fields, "from their μ")
+
+    def other_windows(self, store: Store, where: str | None) -> ModelWindows:
+        """Windows of the sequences for which `where` holds, each z found by optimisation against the frozen field.
+
+        Raises `UsageError` where there is none.
+        """
+        trained = self.trained
+        source, frames = trained.vectors.open(store, where)
+        windows = cut_windows(
+            source,
+            max_duration_seconds=trained.max_duration_seconds,
+            min_duration_seconds=trained.config.min_duration_seconds,
+        )
+
+        def fields(rows: Int64[np.ndarray, "chosen"]) -> list[MotionField]:
+            chosen = windows.select(rows)
+            return self._fields(chosen, encode_windows(trained, source, chosen, frames))
+
+        return ModelWindows(source, windows, fields, "encoded by optimisation")
+
+    def _fields(self, windows: Windows, latents: Float32[torch.Tensor, "windows latent"]) -> list[MotionField]:
+        seconds = windows.duration_seconds.tolist()
+        return [
+            self.trained.as_motion_field(each, float(length)) for each, length in zip(latents, seconds, strict=True)
+        ]
 
     def encode(
         self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
@@ -101,6 +147,28 @@ class NermEncoder:
                 f"{self.trained.max_duration_seconds:g} s (l_max) needs one at least"
             )
         return np.rint(np.linspace(first, last, self.num_poses, axis=1)).astype(np.int64)
+
+
+def encode_windows(
+    trained: TrainedField,
+    source: PositionSource,
+    windows: Windows,
+    frames: FrameVectors | None = None,
+    *,
+    num_poses: int = POSES_TO_ENCODE_FROM,
+) -> Float32[torch.Tensor, "windows latent"]:
+    """The latents of windows that were not in training, by optimisation on `num_poses` native poses of each.
+
+    `source` and `frames` are what the field's own vectors opened (without `frames`: positions).
+    """
+    poses = WindowPoses(source, windows, SMPL22.left_right_pairs, frames=frames)
+    parts = [
+        encode_by_optimisation(
+            trained, poses.evenly(np.arange(start, min(start + WINDOWS_AT_ONCE, len(windows))), num_poses)
+        )
+        for start in range(0, len(windows), WINDOWS_AT_ONCE)
+    ]
+    return torch.cat(parts)
 
 
 def load(run: Path) -> NermEncoder:

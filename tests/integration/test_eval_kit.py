@@ -13,14 +13,13 @@ import pytest
 from eval.evaluators.guo import evaluator as guo
 from eval.evaluators.guo.networks import GuoWidths
 from eval.tables import text_motion_sources as sources
-from eval.tables.nerm import table1
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d_processing import process, standard_bone_lengths
 from motionkit.formats.pose_folders.kit import UNIT_METRES
 from motionkit.generation import GenerationRequest
 from motionkit.skeleton import KIT21, SMPL22
 from tests.published_guo import write_archive, write_glove
-from tests.scripted_model import PosesAt, ScriptedModel
+from tests.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 
 TAKES, FPS = 40, Fraction(25, 2)
 SMALL = GuoWidths(movement=6, motion=5, text=4, shared=8)
@@ -142,11 +141,8 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
     def listens(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
         return partial(walking, take=int(request.text.split()[-1]))
 
-    run = tmp_path / "runs" / "nano"
-    for stage in ("field", "denoiser"):
-        (run / stage).mkdir(parents=True)
-        (run / stage / "model.safetensors").write_text(stage)
-    monkeypatch.setattr(table1, "load_model", lambda name, folder: ScriptedModel(listens, 20.0))
+    trained_run(tmp_path / "runs" / "nano")
+    install_models(monkeypatch, lambda run: ScriptedModel(listens, 20.0))
     monkeypatch.setattr(sources, "_native", lambda request: Lengths())
     both = motionkit(
         *table, "--evaluator", "native,guo", "--fps", 12.5, "--motions", 64, "--runs", tmp_path / "runs", "--json"

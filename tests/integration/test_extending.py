@@ -110,6 +110,36 @@ def test_the_page_uses_it_as_any_model(site: Path, run: Path) -> None:
     assert "120 frames at 60 fps = 2.00 s" in told.stdout
 
 
+def test_the_model_has_its_row_in_table_2(site: Path, run: Path) -> None:
+    """By the same path as NeRM, which has none here: the run holds no stage of it."""
+    rng = np.random.default_rng(1)
+    with StoreWriter.create(site / "moving") as writer:
+        for index in range(12):
+            grid = TimeGrid(Fraction(60), 300)
+            rate, phase = rng.uniform(0.5, 2, (22, 3)), rng.uniform(0, 6, (22, 3))
+            swing = 0.05 * np.sin(2 * np.pi * rate * grid.seconds()[:, None, None] + phase)
+            body = np.linspace(0.1, 1.7, 66).reshape(22, 3)
+            split = ("train", "test")[index % 2]
+            writer.add(
+                Motion((body + swing).astype(np.float32), SMPL22, grid, split=split, sequence_id=f"take-{index}")
+            )
+    built = python(
+        site, APP, "eval", "--table", "2", "--store", "../moving", "--runs", "../runs", "--run", "idle",
+        "--fps", "20,60", "--clips", "128", "--replications", "2", "--evaluator", "kinematic",
+        "--results", "../results", "--json",
+    )  # fmt: skip
+    assert built.returncode == 0, built.stderr
+    result = json.loads(built.stdout)
+    rows = {row["name"]: row["cells"] for row in result["blocks"][0]["rows"]}
+    assert set(rows["standing still"]) == {"20 fps", "60 fps"}
+    assert "standing still generated at 20 fps, SLERP" in rows and not any("NeRM" in name for name in rows)
+    # Who stands still is far from who moves.
+    floor = rows["real, independent draws (P1)"]["60 fps"]["value"]
+    assert rows["standing still"]["60 fps"]["value"] > 10 * floor
+    assert result["definition"]["generated_motions"]["60 fps"] == {"standing still": 6}
+    assert not any("NeRM" in line for line in result["missing"])
+
+
 def test_a_stage_that_nobody_brought_is_a_usage_error(site: Path) -> None:
     told = python(site, APP, "train", "--stage", "standstill", "--store", "store", installed=False)
     assert told.returncode == 2

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.report.results import Block, Cell, Result, Row, environment
+from eval.tables.models import Trained
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
 from eval.tables.nerm.table2 import ROW_NOTES
@@ -19,13 +20,14 @@ from eval.tables.parts import Part
 from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, Reported, reported_figures
 from motionkit.console import progress
+from motionkit.encoders import EncoderLoader, encoder_loader
 from motionkit.errors import MotionkitError, UsageError
-from motionkit.training.ablations import Ablation, Entry, run_name
-from motionkit.training.config import parse_override
+from motionkit.generation import ModelLoader, model_loader
+from motionkit.training.ablations import Ablation, Entry, find_ablations, run_name
+from motionkit.training.loaders import Loader
 from motionkit.training.run import RunFolder
-from nerm.ablations.training import NERM
-from nerm.ablations.variants import ABLATIONS, LAYOUTS
 
+NERM = find_ablations("nerm")
 VERSION = "ablation/1"
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
 LOWEST, HIGHEST = "lowest of the seeds", "highest of the seeds"
@@ -64,11 +66,12 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     yardstick = Yardstick(Store.open(request.store), request, request.fps or COLUMNS)
     missing: list[str] = []
     blocks = _reconstruction_blocks(ablation, rows, yardstick, missing)
-    if "denoiser" in ablation.stages:
+    generating = _model().stages[-1]
+    if generating in ablation.stages:
         blocks.append(_synthesis_block(ablation, rows, yardstick, missing))
         if not any(row.cells for row in blocks[-1].rows):
             missing.append(
-                f"clip-FID: no denoiser is trained (motionkit ablate {ablation.table} --run {request.run.name})"
+                f"clip-FID: no {generating} is trained (motionkit ablate {ablation.table} --run {request.run.name})"
             )
     paper = _paper_blocks(ablation)
     return Result(
@@ -93,16 +96,27 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     )
 
 
+def _encoder() -> EncoderLoader:
+    """What reconstructs in the runs of these tables."""
+    return encoder_loader(NERM.paper)
+
+
+def _model() -> ModelLoader:
+    """What generates in the runs of these tables."""
+    return model_loader(NERM.paper)
+
+
 def _runs(prefix: Path, entry: Entry) -> tuple[Path, ...]:
-    """The runs of a row whose field is trained, by seed."""
+    """The runs of a row that reconstruct, by seed."""
     named = (prefix.parent / run_name(prefix.name, entry.variant, seed) for seed in range(MOST_SEEDS))
-    return tuple(run for run in named if RunFolder(run).stage("field").is_complete)
+    return tuple(run for run in named if _encoder().complete_in(run))
 
 
 def _reconstruction_blocks(
     ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick, missing: list[str]
 ) -> list[Block]:
-    measured = _measure(rows, yardstick.reconstruction, missing)
+    encoder = _encoder()
+    measured = _measure(rows, lambda run: yardstick.reconstruction(Trained(encoder, run)), missing, encoder.stages[-1])
     blocks = []
     for windows, error in WANTED_ERRORS:
         name = error_of(windows, error)
@@ -114,14 +128,15 @@ def _reconstruction_blocks(
             Block(
                 f"{WINDOW_SETS[windows]}: {error}",
                 tuple(label(fps) for fps in yardstick.rates),
-                tuple(_row(ablation, row, found[row.entry.label], "field", yardstick.request) for row in rows),
+                tuple(_row(ablation, row, found[row.entry.label], encoder, yardstick.request) for row in rows),
             )
         )
     return blocks
 
 
 def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick, missing: list[str]) -> Block:
-    measured = _measure(rows, yardstick.synthesis, missing, stage="denoiser")
+    model = _model()
+    measured = _measure(rows, lambda run: yardstick.synthesis(Trained(model, run)), missing, model.stages[-1])
     found = {row.entry.label: _mean([part.rows[SYNTHESIS] for part in measured[row.entry.label]]) for row in rows}
     references: tuple[Row, ...] = ()
     if any(found.values()):
@@ -134,7 +149,7 @@ def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Ya
         tuple(label(fps) for fps in yardstick.rates),
         (
             *references,
-            *(_row(ablation, row, found[row.entry.label], "denoiser", yardstick.request) for row in rows),
+            *(_row(ablation, row, found[row.entry.label], model, yardstick.request) for row in rows),
         ),
         note=(
             f"Mean ± half the 95 % interval over {protocol.replications} replications of N = {protocol.num_clips:,} "
@@ -144,7 +159,7 @@ def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Ya
 
 
 def _measure(
-    rows: Sequence[_Trained], figure: Callable[[Path], Part], missing: list[str], stage: str = "field"
+    rows: Sequence[_Trained], figure: Callable[[Path], Part], missing: list[str], stage: str
 ) -> dict[str, list[Part]]:
     """A figure of every run whose stage is trained, each run once; a run that can't be measured is told."""
     parts: dict[Path, Part] = {}
@@ -180,11 +195,14 @@ def _mean_cell(cells: Sequence[Cell]) -> Cell:
     return Cell(sum(values) / len(values), None, {**details, LOWEST: min(values), HIGHEST: max(values)})
 
 
-def _row(ablation: Ablation, row: _Trained, cells: Mapping[str, Cell], stage: str, request: TableRequest) -> Row:
+def _row(
+    ablation: Ablation, row: _Trained, cells: Mapping[str, Cell], loader: Loader[Any], request: TableRequest
+) -> Row:
     assert request.run is not None
+    stage = loader.stages[-1]
     num_seeds = sum(RunFolder(run).stage(stage).is_complete for run in row.runs)
     if not num_seeds:
-        what = "not trained" if stage == "field" else f"its {stage} is not trained"
+        what = "not trained" if loader is _encoder() else f"its {stage} is not trained"
         command = NERM.command_for(ablation.table, request.run.name, row.entry.variant)
         return Row(row.entry.label, "ours", {}, f"{what}: {command}")
     several = f"mean of {num_seeds} seeds" if num_seeds > 1 else ""
@@ -208,17 +226,16 @@ def _definition(rows: Sequence[_Trained], request: TableRequest) -> dict[str, An
 def _facts(run: Path) -> dict[str, Any]:
     """What a run's stages say of themselves: steps, losses, seconds."""
     folder = RunFolder(run)
-    stages = [name for name in ("field", "denoiser") if folder.stage(name).is_complete]
+    stages = [name for name in _model().stages if folder.stage(name).is_complete]
     return {name: folder.stage(name).read_summary() for name in stages}
 
 
 def _differences(rows: Sequence[_Trained]) -> tuple[str, ...]:
     """A warning where runs differ in more than what the table varies: trained longer, or on other sequences."""
-    varied = {parse_override(setting)[0] for row in rows for setting in row.entry.variant.change}
-    varied |= {parse_override(setting)[0] for settings in LAYOUTS.values() for setting in settings}
+    varied = frozenset[str]().union(*(row.entry.variant.varied for row in rows))
     values: dict[str, dict[str, list[str]]] = {}
     for run in dict.fromkeys(run for row in rows for run in row.runs):
-        for stage in ("field", "denoiser"):
+        for stage in _model().stages:
             folder = RunFolder(run).stage(stage)
             if folder.is_complete:
                 for key, value in _leaves(folder.read_config()["config"][stage], f"{stage}."):
@@ -282,7 +299,7 @@ def _nothing_printed(ablation: Ablation) -> str:
 
 TABLES = {
     name: Table("nerm", name, ablation.title, partial(build_ablation, ablation), takes_samples=False)
-    for name, ablation in ABLATIONS.items()
+    for name, ablation in NERM.tables.items()
 }
 TABLE_5, TABLE_6, TABLE_7, TABLE_8, TABLE_9 = (TABLES[number] for number in "56789")
 TABLE_OURS = TABLES["ours"]

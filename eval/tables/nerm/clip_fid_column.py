@@ -1,7 +1,7 @@
 """One framerate of Table 2: the real set, what is made of it, what a model and other systems have for it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING
@@ -24,18 +24,26 @@ P2 = "real, disjoint halves of the takes (P2)"
 SLERP = "real kept at 20 fps, SLERP"
 VECTORS = "real kept at 20 fps, as vectors (handicapped)"
 REFERENCES = (P1, P2, SLERP, VECTORS)
-NERM = "NeRM"
-NERM_SLERP = "NeRM generated at 20 fps, SLERP"
+GENERATED_LOW = "{} generated at 20 fps, SLERP"
+"""The row of a model's motions that were asked for at 20 fps, then upsampled like the real ones."""
+
+# A model's motions for stretches of real sequences, by the model's name.
+ModelFields = Mapping[str, Mapping[Window, MotionField]]
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Everything that one framerate's numbers are made of; `train` is None where there is no training motion."""
+    """Everything that one framerate's numbers are made of; `train` is None where there is no training motion.
+
+    `models` are the rows that models generated at this framerate, `samples` those of other systems.
+    """
 
     fps: Fraction
     real: SampleSet
     rows: Mapping[str, SampleSet]
     train: SampleSet | None
+    models: tuple[str, ...] = ()
+    samples: tuple[str, ...] = ()
 
     @property
     def others(self) -> dict[str, SampleSet]:
@@ -50,29 +58,29 @@ class Column:
     @property
     def size(self) -> "ColumnSize":
         """What remains to be said of it when its motions are gone."""
-        generated = self.rows[NERM].num_sequences if NERM in self.rows else None
+        generated = {name: self.rows[name].num_sequences for name in self.models}
         return ColumnSize(self.fps, self.real.num_sequences, self.real.duration_seconds, generated)
 
     def low_passed(self, cutoff_hz: float | None) -> "Column":
         """The same column with every set smoothed alike; itself where no cut-off is given."""
         if cutoff_hz is None:
             return self
-        return Column(
-            self.fps,
-            low_passed(self.real, cutoff_hz),
-            {name: low_passed(samples, cutoff_hz) for name, samples in self.rows.items()},
-            None if self.train is None else low_passed(self.train, cutoff_hz),
+        return replace(
+            self,
+            real=low_passed(self.real, cutoff_hz),
+            rows={name: low_passed(samples, cutoff_hz) for name, samples in self.rows.items()},
+            train=None if self.train is None else low_passed(self.train, cutoff_hz),
         )
 
 
 @dataclass(frozen=True)
 class ColumnSize:
-    """How much real motion a column has, and how many generated motions; None where there are none."""
+    """How much real motion a column has, and how many motions each model generated for it."""
 
     fps: Fraction
     num_sequences: int
     duration_seconds: float
-    num_generated: int | None
+    num_generated: Mapping[str, int]
 
     @property
     def label(self) -> str:
@@ -84,7 +92,7 @@ def make_column(
     fps: Fraction,
     real: RealMotion,
     train: RealMotion,
-    fields: Mapping[Window, MotionField],
+    fields: ModelFields,
     samples: Mapping[str, SampleSet],
     missing: list[str],
 ) -> Column:
@@ -98,20 +106,24 @@ def make_column(
         low = _same_sequences(real.at(LOW_FPS), reference)
         rows[SLERP] = upsampled(low, fps, SLERP)
         rows[VECTORS] = upsample_as_vectors(low, fps, VECTORS)
-    native = sample_fields(fields, reference.sequence_ids, fps, NERM)
-    if native is not None:
-        rows[NERM] = native
-    elif fields:
-        missing.append(f"{NERM}, {framerate_label(fps)}: no generated motion is for a sequence this fast")
-    coarse = sample_fields(fields, reference.sequence_ids, LOW_FPS, NERM_SLERP)
-    if coarse is not None and fps >= LOW_FPS:
-        rows[NERM_SLERP] = upsampled(coarse, fps, NERM_SLERP)
+    models = []
+    for name, own in fields.items():
+        native = sample_fields(own, reference.sequence_ids, fps, name)
+        if native is None:
+            missing.append(f"{name}, {framerate_label(fps)}: no generated motion is for a sequence this fast")
+            continue
+        rows[name] = native
+        models.append(name)
+        coarse_name = GENERATED_LOW.format(name)
+        coarse = sample_fields(own, reference.sequence_ids, LOW_FPS, coarse_name)
+        if coarse is not None and fps >= LOW_FPS:
+            rows[coarse_name] = upsampled(coarse, fps, coarse_name)
     rows |= samples
     try:
         training = train.at(fps)
     except NoRealMotionError:
         training = None
-    return Column(fps, reference, rows, training)
+    return Column(fps, reference, rows, training, tuple(models), tuple(samples))
 
 
 def samples_at(folders: Sequence[SampleFolder], fps: Fraction, display: "Progress") -> dict[str, SampleSet]:

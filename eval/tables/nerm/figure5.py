@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 from eval.report.results import Block, Cell, Result, Row, environment
+from eval.tables.models import require_models
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
 from eval.tables.nerm.table2 import COLUMNS, ROW_NOTES
@@ -10,21 +11,24 @@ from eval.tables.registry import Table, TableRequest
 from motionkit.errors import UsageError
 
 VERSION = "unconditional/1"
-NERM, REAL = "NeRM, unconditional", "real"
+REAL = "real"
 
 
 def build_figure5(request: TableRequest) -> Result:
     """clip-FID and diversity of motions that were generated without a condition.
 
-    Raises `UsageError` without a run, `RunError` where it is not trained, and what loading the store raises.
+    Raises `UsageError` without a run, `RunError` where it holds no model, and what loading the store raises.
     """
     from motionkit.store.reader import Store
 
     if request.run is None:
         raise UsageError("figure 5 needs a trained model: --run NAME (motionkit train makes one)")
     store = Store.open(request.store)
+    models = require_models(request.run)
     yardstick = Yardstick(store, request, request.fps or COLUMNS)
-    part, floors = yardstick.unconditional(request.run), yardstick.floors()
+    parts = {f"{name}, unconditional": yardstick.unconditional(model) for name, model in models.items()}
+    floors = yardstick.floors()
+    first = next(iter(parts.values()))
     columns = tuple(label(Fraction(fps)) for fps in yardstick.rates)
     nothing: dict[str, Cell] = {}
     protocol = request.protocol
@@ -43,15 +47,15 @@ def build_figure5(request: TableRequest) -> Result:
                 columns,
                 (
                     *(Row(name, "reference", floors.rows.get(name, nothing), ROW_NOTES[name]) for name in (P1, P2)),
-                    Row(NERM, "ours", part.rows.get(SYNTHESIS, nothing)),
+                    *(Row(name, "ours", part.rows.get(SYNTHESIS, nothing)) for name, part in parts.items()),
                 ),
             ),
             Block(
                 "Diversity (Eq. 7) of clips in the kinematic descriptor's space",
                 columns,
                 (
-                    Row(REAL, "reference", part.rows.get(REAL_DIVERSITY, nothing)),
-                    Row(NERM, "ours", part.rows.get(DIVERSITY, nothing)),
+                    Row(REAL, "reference", first.rows.get(REAL_DIVERSITY, nothing)),
+                    *(Row(name, "ours", part.rows.get(DIVERSITY, nothing)) for name, part in parts.items()),
                 ),
                 lower_is_better=False,
                 note="Better the closer to real motion's. It sees clips, not whole motions.",
@@ -62,7 +66,7 @@ def build_figure5(request: TableRequest) -> Result:
             "The paper draws this figure as bars without numbers, for methods trained on another data set; its FID of "
             "whole motions needs the evaluator of Guo et al.",
         ),
-        missing=tuple(dict.fromkeys((*part.missing, *floors.missing))),
+        missing=tuple(dict.fromkeys(line for part in (*parts.values(), floors) for line in part.missing)),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "run": request.run.name,

@@ -3,13 +3,15 @@
 import time
 from collections.abc import Callable, Mapping
 from fractions import Fraction
+from itertools import product
 
 from eval.report.results import Block, Cell, Result, Row, environment
+from eval.tables.models import require_models
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import SYNTHESIS, Yardstick, label
 from eval.tables.registry import Table, TableRequest
 from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions, load_model
+from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.motionfield import to_motion
 
 VERSION = "cost/1"
@@ -23,7 +25,7 @@ CPU, WALL = "CPU seconds a motion", "seconds a motion"
 def build_figure8(request: TableRequest) -> Result:
     """Seconds for one motion of 9.8 s (or l_max) at 60 fps, and clip-FID there, by the number of diffusion steps.
 
-    Raises `UsageError` without a run, `RunError` where it is not trained, and what loading the store raises.
+    Raises `UsageError` without a run, `RunError` where it holds no model, and what loading the store raises.
     """
     from motionkit.store.reader import Store
 
@@ -32,19 +34,20 @@ def build_figure8(request: TableRequest) -> Result:
     fps, *others = request.fps or (TARGET_FPS,)
     if others:
         raise UsageError(f"figure 8 is at one framerate: --fps {fps}")
-    store, model = Store.open(request.store), load_model("nerm", request.run)
+    store, models = Store.open(request.store), require_models(request.run)
     yardstick = Yardstick(store, request, (fps,))
     floors = yardstick.floors()
     missing = list(floors.missing)
     quality, column = f"clip-FID, {label(fps)}", label(fps)
     rows = [Row(name, "reference", _renamed(floors.rows.get(name, {}), column, quality)) for name in (P1, P2)]
-    for steps in STEPS:
+    seconds = min(SECONDS, *(trained.loaded.max_duration_seconds for trained in models.values()))
+    for (name, trained), steps in product(models.items(), STEPS):
         sampling = SamplingOptions(steps=steps)
-        part = yardstick.synthesis(request.run, sampling)
+        part = yardstick.synthesis(trained, sampling)
         missing.extend(part.missing)
-        cells = _renamed(part.rows[SYNTHESIS], column, quality) | generation_cost(model, sampling, fps)
-        rows.append(Row(f"NeRM, {steps} diffusion steps", "ours", cells))
-    seconds = min(SECONDS, model.max_duration_seconds)
+        cost = generation_cost(trained.loaded, sampling, fps, seconds)
+        cells = _renamed(part.rows[SYNTHESIS], column, quality) | cost
+        rows.append(Row(f"{name}, {steps} diffusion steps", "ours", cells))
     return Result(
         task="nerm-figure8",
         version=VERSION,
@@ -69,9 +72,11 @@ def build_figure8(request: TableRequest) -> Result:
     )
 
 
-def generation_cost(model: GenerativeModel, sampling: SamplingOptions, fps: Fraction) -> dict[str, Cell]:
+def generation_cost(
+    model: GenerativeModel, sampling: SamplingOptions, fps: Fraction, seconds: float
+) -> dict[str, Cell]:
     """CPU and wall seconds of the quickest of some calls, each of one unconditional motion that is decoded whole."""
-    request = GenerationRequest(min(SECONDS, model.max_duration_seconds))
+    request = GenerationRequest(seconds)
 
     def generate() -> None:
         (field,) = model.generate([request], seed=0, sampling=sampling)

@@ -1,10 +1,9 @@
-"""What one trained run scores: how it reconstructs and what it generates, by framerate."""
+"""What one trained model scores: how it reconstructs and what it generates, by framerate."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,23 +29,23 @@ from eval.report.results import Cell
 from eval.samples.generated import Window, chosen_windows, sample_fields, windows_of
 from eval.samples.real import NoRealMotionError, RealMotion, real_motion
 from eval.samples.sets import SampleSet
+from eval.tables.models import Trained, TrainedModel, reconstructor
+from eval.tables.nerm import table4
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.table2 import clip_fid_cell
 from eval.tables.nerm.table4 import VERSION as RECONSTRUCTION_VERSION
-from eval.tables.nerm.table4 import held_out_windows, training_windows
+from eval.tables.nerm.table4 import described_windows
 from eval.tables.parts import Part, kept
 from eval.tables.reconstruction_errors import mpjpe_cell, mre_cell, window_errors
 from eval.tables.registry import TableRequest
-from motionkit.checksums import sha256_of
-from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions, load_model
-from motionkit.motionfield import MotionField
-from motionkit.training.run import RunFolder
+from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.motionfield import MotionEncoder, MotionField
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
 
 TRAINING, HELD_OUT, SYNTHESIS = "training", "held out", "clip-FID"
+WINDOW_SETS = {table4.TRAINING: TRAINING, table4.HELD_OUT: HELD_OUT}
 DIVERSITY, REAL_DIVERSITY = "diversity", "diversity of real motion"
 PARTS = {"slip": BLOCKS["slip"]}
 MPJPE, MRE = "root-aligned MPJPE (mm)", "MRE"
@@ -81,33 +80,34 @@ class Yardstick:
         """clip-FID of real motion with itself: independent draws (P1), and disjoint halves of the takes (P2)."""
         return kept(self.request.results, "floors", self._clip_terms(), self._floors)
 
-    def synthesis(self, run: Path, sampling: SamplingOptions = SamplingOptions()) -> Part:
-        """clip-FID of what a run generates for the captions and durations of the real sequences.
+    def synthesis(self, trained: TrainedModel, sampling: SamplingOptions = SamplingOptions()) -> Part:
+        """clip-FID of what a model generates for the captions and durations of the real sequences.
 
         Raises `RunError` where a stage of it is not trained.
         """
-        terms = {**self._generated_terms(run), "sampling": asdict(sampling)}
-        return kept(self.request.results, "synthesis", terms, lambda: self._synthesis(run, sampling))
+        terms = {**self._generated_terms(trained), "sampling": asdict(sampling)}
+        return kept(self.request.results, "synthesis", terms, lambda: self._synthesis(trained, sampling))
 
-    def unconditional(self, run: Path) -> Part:
-        """clip-FID and diversity of what a run generates without any condition but the real sequences' durations.
+    def unconditional(self, trained: TrainedModel) -> Part:
+        """clip-FID and diversity of what a model generates without any condition but the real sequences' durations.
 
         Raises `RunError` where a stage of it is not trained.
         """
-        return kept(self.request.results, "unconditional", self._generated_terms(run), lambda: self._unconditional(run))
+        terms = self._generated_terms(trained)
+        return kept(self.request.results, "unconditional", terms, lambda: self._unconditional(trained))
 
-    def reconstruction(self, run: Path) -> Part:
-        """Errors of training windows decoded from μ and of held-out windows encoded by optimisation.
+    def reconstruction(self, trained: Trained[MotionEncoder]) -> Part:
+        """Errors of an encoder's training windows, as they were trained, and of held-out windows.
 
-        Raises `RunError` where the field is not trained.
+        Raises `RunError` where a stage of it is not trained.
         """
         terms = {
             "version": RECONSTRUCTION_VERSION,
-            "models": {"field": _sha256(run, "field")},
+            "models": dict(trained.identity),
             "motions": self.request.max_motions,
             **self._terms(),
         }
-        return kept(self.request.results, "reconstruction", terms, lambda: self._reconstruction(run))
+        return kept(self.request.results, "reconstruction", terms, lambda: self._reconstruction(trained))
 
     def _terms(self) -> dict[str, Any]:
         request = self.request
@@ -119,9 +119,8 @@ class Yardstick:
             "seed": request.seed,
         }
 
-    def _generated_terms(self, run: Path) -> dict[str, Any]:
-        models = {stage: _sha256(run, stage) for stage in ("field", "denoiser")}
-        return {"models": models, "motions": self.request.max_motions, **self._clip_terms()}
+    def _generated_terms(self, trained: TrainedModel) -> dict[str, Any]:
+        return {"models": dict(trained.identity), "motions": self.request.max_motions, **self._clip_terms()}
 
     def _clip_terms(self) -> dict[str, Any]:
         versions = [CLIP_FID_VERSION, KINEMATIC_VERSION]
@@ -162,8 +161,8 @@ class Yardstick:
         windows = windows_of(self.real.at(min(self._columns.found)), model.max_duration_seconds)
         return chosen_windows(windows, self.request.seed, self.request.max_motions)
 
-    def _synthesis(self, run: Path, sampling: SamplingOptions) -> Part:
-        model, columns = load_model("nerm", run), self._columns
+    def _synthesis(self, trained: TrainedModel, sampling: SamplingOptions) -> Part:
+        model, columns, name = trained.loaded, self._columns, trained.run.name
         if not columns.found:
             return Part({SYNTHESIS: {}}, columns.missing)
         windows = self._windows(model)
@@ -171,15 +170,15 @@ class Yardstick:
         fields = dict(zip(windows, model.generate(requests, seed=self.request.seed, sampling=sampling), strict=True))
         cells, missing = {}, list(columns.missing)
         for fps in columns.found:
-            score = self._score(run, fields, fps)
+            score = self._score(name, fields, fps)
             if score is None:
-                missing.append(f"{run.name}, {label(fps)}: no generated motion is for a sequence this fast")
+                missing.append(f"{name}, {label(fps)}: no generated motion is for a sequence this fast")
             else:
                 cells[label(fps)] = score
         return Part({SYNTHESIS: cells}, tuple(missing))
 
-    def _unconditional(self, run: Path) -> Part:
-        model, columns = load_model("nerm", run), self._columns
+    def _unconditional(self, trained: TrainedModel) -> Part:
+        model, columns, name = trained.loaded, self._columns, trained.run.name
         if not columns.found:
             return Part({}, columns.missing)
         windows = self._windows(model)
@@ -187,20 +186,20 @@ class Yardstick:
         fields = dict(zip(windows, model.generate(requests, seed=self.request.seed), strict=True))
         rows: dict[str, dict[str, Cell]] = {SYNTHESIS: {}, DIVERSITY: {}, REAL_DIVERSITY: {}}
         for fps, (real, _) in columns.found.items():
-            score, samples = self._score(run, fields, fps), sample_fields(fields, real.sequence_ids, fps, run.name)
+            score, samples = self._score(name, fields, fps), sample_fields(fields, real.sequence_ids, fps, name)
             if score is not None and samples is not None:
                 rows[SYNTHESIS][label(fps)] = score
                 rows[DIVERSITY][label(fps)] = self._diversity(self._smoothed(samples), fps)
             rows[REAL_DIVERSITY][label(fps)] = self._diversity(real, fps)
         return Part(rows, columns.missing)
 
-    def _score(self, run: Path, fields: Mapping[Window, MotionField], fps: Fraction) -> Cell | None:
+    def _score(self, name: str, fields: Mapping[Window, MotionField], fps: Fraction) -> Cell | None:
         real, descriptor = self._columns.found[fps]
-        samples = sample_fields(fields, real.sequence_ids, fps, run.name)
+        samples = sample_fields(fields, real.sequence_ids, fps, name)
         if samples is None:
             return None
-        rows = {run.name: self._smoothed(samples)}
-        return clip_fid_cell(score_rows(real, rows, descriptor, self.request.protocol, PARTS)[run.name])
+        rows = {name: self._smoothed(samples)}
+        return clip_fid_cell(score_rows(real, rows, descriptor, self.request.protocol, PARTS)[name])
 
     def _diversity(self, samples: SampleSet, fps: Fraction) -> Cell:
         """Diversity of random clips in the descriptor's space, over the protocol's replications."""
@@ -213,28 +212,16 @@ class Yardstick:
         found = estimate(values)
         return Cell(found.mean, found.ci95)
 
-    def _reconstruction(self, run: Path) -> Part:
-        from nerm.field.reconstruction import reconstructions
-        from nerm.field.saved import load_field
-
-        trained = load_field(run)
-        if trained.store_fingerprint != self.store.fingerprint:
-            raise UsageError(
-                f"the field of {run} was trained on another state of the store (fingerprint "
-                f"{trained.store_fingerprint[:16]}, now {self.store.fingerprint[:16]}): name that store, or train again"
-            )
+    def _reconstruction(self, trained: Trained[MotionEncoder]) -> Part:
         missing: list[str] = []
-        sets = {
-            TRAINING: training_windows(trained, self.store, self.request),
-            HELD_OUT: held_out_windows(trained, self.store, self.request, missing),
-        }
+        sets = described_windows(reconstructor(trained, self.store), self.store, self.request, missing)
         rows: dict[str, dict[str, Cell]] = {}
-        for name, encoded in sets.items():
-            if encoded is None:
+        for kind, name in WINDOW_SETS.items():
+            if kind not in sets:
                 continue
+            every = np.arange(len(sets[kind].windows))
             for fps in self.rates:
-                found = reconstructions(trained, encoded.source, encoded.windows, encoded.latents, fps)
-                errors = [window_errors(window, fps) for window in found]
+                errors = [window_errors(window, fps) for window in sets[kind].reconstructed(every, fps)]
                 if not errors:
                     missing.append(f"{name} windows, {label(fps)}: no take is that fast")
                 for error, cell_of in ERRORS.items():
@@ -252,10 +239,3 @@ def error_of(windows: str, error: str) -> str:
 def label(fps: Fraction) -> str:
     """A framerate as a column's name."""
     return f"{fps} fps"
-
-
-def _sha256(run: Path, stage: str) -> str:
-    """The hash of a stage's model; raises `RunError` where the stage is not trained."""
-    folder = RunFolder(run).stage(stage)
-    folder.read_summary()
-    return sha256_of(folder.model_path)

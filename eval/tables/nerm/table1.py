@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from eval.samples.real import NoRealMotionError
 from eval.scoring.scores import Scores
 from eval.scoring.text_motion import TextMotionPairs, score_text_motion
 from eval.scoring.yardsticks import size_remarks
+from eval.tables.models import Trained, TrainedModel, check_names, trained_models
 from eval.tables.registry import Table, TableRequest
 from eval.tables.text_motion_blocks import ScoredRow, paper_block, scored_blocks
 from eval.tables.text_motion_sources import text_motion_evaluators
@@ -25,32 +25,21 @@ from eval.text_motion.kit_joints import MADE_OF_22, kit_bone_lengths
 from eval.text_motion.model_motions import ModelMotions
 from eval.text_motion.real_pairs import CaptionedMotions, captioned_motions, limited
 from eval.text_motion.sample_motions import sample_embeddings
-from motionkit.checksums import sha256_of
 from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError
-from motionkit.generation import GenerativeModel, load_model
+from motionkit.generation import installed_models
 from motionkit.skeleton import SMPL22, STANDARD_SKELETONS
-from motionkit.training.run import RunFolder
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
 VERSION = "text-motion/1"
 DEFAULT_FPS = Fraction(20)
-REAL, NERM, FIXED = "real", "NeRM", "NeRM-fixed"
+REAL = "real"
 FIXED_SUFFIX = "-fixed"
+"""What stands behind the names of a run and of its models where they were trained at a single framerate."""
 SMALL = 1000
 """Fewer motions than this make a table a small-scale one, and its caption says so."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Model:
-    """A trained run as a row; `identity` holds the hashes of all that its motions come from."""
-
-    name: str
-    run: Path
-    model: GenerativeModel
-    identity: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -75,7 +64,7 @@ class _Job:
 
     request: TableRequest
     protocol: TextMotionProtocol
-    models: tuple[_Model, ...]
+    models: Mapping[str, TrainedModel]
     folders: tuple[SampleFolder, ...]
     display: "Progress"
     missing: list[str]
@@ -96,8 +85,9 @@ def build_table1(request: TableRequest) -> Result:
         task = display.add_task("loading", total=None, note="")
         evaluators = text_motion_evaluators(request, protocol, missing)
         models = _models(request, missing)
-        for each in models:
-            longest = each.model.max_duration_seconds
+        check_names(request.samples, models)
+        for each in models.values():
+            longest = each.loaded.max_duration_seconds
             lengths, kit_lengths = (limited(rule, longest) for rule in (protocol.lengths, protocol.kit_lengths))
             protocol = replace(protocol, lengths=lengths, kit_lengths=kit_lengths)
         job = _Job(request, protocol, models, folders, display, missing)
@@ -121,7 +111,7 @@ def build_table1(request: TableRequest) -> Result:
         missing=tuple(dict.fromkeys(missing)),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "runs": {each.run.name: each.identity for each in models},
+            "runs": {each.run.name: dict(each.identity) for each in models.values()},
             "samples": {folder.name: folder.fingerprint for folder in folders},
             "seed": request.seed,
             "environment": environment(),
@@ -132,25 +122,28 @@ def build_table1(request: TableRequest) -> Result:
 TABLE = Table("nerm", "1", "text-to-motion at 20 fps", build_table1)
 
 
-def _models(request: TableRequest, missing: list[str]) -> tuple[_Model, ...]:
-    """NeRM and, where it is trained, NeRM-fixed: the run of the same name with `-fixed` after it."""
+def _models(request: TableRequest, missing: list[str]) -> dict[str, TrainedModel]:
+    """The run's models and, where they are trained, those of a single framerate: of the run with `-fixed` behind it."""
+    found = trained_models(request.run, missing)
     if request.run is None:
-        missing.append(f"{NERM}: no run was given (motionkit train makes one)")
-        return ()
-    found = []
-    fixed = request.run.with_name(request.run.name + FIXED_SUFFIX)
-    for name, run, setting in ((NERM, request.run, ""), (FIXED, fixed, " --set field.fixed_fps=20")):
-        if not run.is_dir():
-            missing.append(f"{name}: there is no run {run.name!r} (motionkit train --run {run.name}{setting} makes it)")
+        return found
+    run = request.run.with_name(request.run.name + FIXED_SUFFIX)
+    for loader in installed_models().values():
+        if not loader.fixed_fps_setting:
             continue
+        title = loader.title + FIXED_SUFFIX
+        if not run.is_dir():
+            setting = f"--set {loader.fixed_fps_setting}={float(DEFAULT_FPS):g}"
+            missing.append(
+                f"{title}: there is no run {run.name!r} (motionkit train --run {run.name} {setting} makes it)"
+            )
+            continue
+        model = Trained(loader, run)
         try:
-            model = load_model("nerm", run)
-            paths = {stage: RunFolder(run).stage(stage).model_path for stage in ("field", "denoiser")}
-            identity = {stage: sha256_of(path) for stage, path in paths.items()}
-            found.append(_Model(name, run, model, identity))
+            found[model.loaded.name + FIXED_SUFFIX] = model
         except MotionkitError as error:
-            missing.append(f"{name}: {error}")
-    return tuple(found)
+            missing.append(f"{title}: {error}")
+    return found
 
 
 def _sight(request: TableRequest, evaluator: TextMotionEvaluator) -> _Sight:
@@ -207,11 +200,11 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
     job.display.remove_task(task)
     chosen = _chosen(real, protocol, request)
     rows = [_real_row(job, pairs, chosen)]
-    for each in job.models:
+    for name, model in job.models.items():
         try:
-            rows.append(_model_row(job, each, real, pairs, chosen, embedder))
+            rows.append(_model_row(job, name, model, real, pairs, chosen, embedder))
         except (MotionkitError, ValueError) as error:
-            job.missing.append(f"{each.name}, {evaluator.name}: {error}")
+            job.missing.append(f"{name}, {evaluator.name}: {error}")
     for folder in job.folders:
         try:
             rows.append(_sample_row(job, folder, real, pairs, embedder))
@@ -247,16 +240,17 @@ def _real_row(job: _Job, pairs: TextMotionPairs, chosen: npt.NDArray[np.int64]) 
 
 def _model_row(
     job: _Job,
-    each: _Model,
+    name: str,
+    trained: TrainedModel,
     real: CaptionedMotions,
     pairs: TextMotionPairs,
     chosen: npt.NDArray[np.int64],
     embedder: Embedder,
 ) -> ScoredRow:
-    task = job.display.add_task(f"{embedder.evaluator.name}: {each.name}", total=None, note="motions generated")
+    task = job.display.add_task(f"{embedder.evaluator.name}: {name}", total=None, note="motions generated")
     lengths = kit_bone_lengths(real.samples)
     motions = ModelMotions(
-        *(each.name, each.model, each.identity, job.request.seed, lengths),
+        *(name, trained.loaded, trained.identity, job.request.seed, lengths),
         on_motions=lambda count: job.display.advance(task, count),
     )
     try:
@@ -267,8 +261,8 @@ def _model_row(
         job.display.remove_task(task)
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
     remarks = size_remarks(pairs.motions, reference.motions, draws[0].motions, job.request.seed)
-    note = "; ".join((f"run {each.run.name!r}", *([] if lengths is None else [MADE_OF_22]), *remarks))
-    return ScoredRow(each.name, "ours", _score(job, reference, draws, repeated), note)
+    note = "; ".join((f"run {trained.run.name!r}", *([] if lengths is None else [MADE_OF_22]), *remarks))
+    return ScoredRow(name, "ours", _score(job, reference, draws, repeated), note)
 
 
 def _sample_row(

@@ -1,6 +1,6 @@
 """NeRM's Table 2: clip-FID at 20, 40, 60, 100 and 120 fps."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -27,10 +27,10 @@ from eval.samples.generated import Window, generate_fields, sample_fields, windo
 from eval.samples.real import NoRealMotionError, RealMotion, real_motion
 from eval.samples.remarks import set_remarks
 from eval.scoring.memorisation import SAMPLED_FPS
+from eval.tables.models import check_names, trained_models
 from eval.tables.nerm.clip_fid_column import (
+    GENERATED_LOW,
     LOW_FPS,
-    NERM,
-    NERM_SLERP,
     P1,
     P2,
     REFERENCES,
@@ -38,6 +38,7 @@ from eval.tables.nerm.clip_fid_column import (
     VECTORS,
     Column,
     ColumnSize,
+    ModelFields,
     framerate_label,
     make_column,
     samples_at,
@@ -48,7 +49,6 @@ from eval.tables.reported import SOURCES, reported_figures
 from motionkit.console import progress
 from motionkit.core.files import require_no_link
 from motionkit.errors import MotionkitError
-from motionkit.generation import load_model
 from motionkit.motionfield import MotionField
 
 if TYPE_CHECKING:
@@ -62,12 +62,12 @@ ROW_NOTES = {
     P2: "takes of one half against takes of the other: what a faithful model of other takes could reach",
     SLERP: "joint rotations on great arcs, the root on straight lines: the fair way to upsample",
     VECTORS: "humanml3d vectors interpolated with per-frame velocities unscaled: a handicap of the procedure",
-    NERM: "asked for at the column's framerate, with the captions and durations of its real sequences",
-    NERM_SLERP: (
-        "the same motions asked for at 20 fps, then upsampled like the real ones; the kinks that this makes can stand "
-        "in for detail that a smooth motion lacks (docs/metrics.md)"
-    ),
 }
+GENERATED_NOTE = "asked for at the column's framerate, with the captions and durations of its real sequences"
+GENERATED_LOW_NOTE = (
+    "the same motions asked for at 20 fps, then upsampled like the real ones; the kinks that this makes can stand "
+    "in for detail that a smooth motion lacks (docs/metrics.md)"
+)
 DETAIL_NAMES = {
     "fid_infinity": "FID_∞",
     "kid": "KID",
@@ -104,13 +104,14 @@ def build_table2(request: TableRequest) -> Result:
     folders = request.sample_folders
     real = real_motion(store, request.split, request.where)
     train = _training_motion(store, real)
-    notes = ROW_NOTES | {folder.name: folder.describe() for folder in folders}
     missing: list[str] = []
     with progress() as display:
         task = display.add_task("real sets", total=None, note="")
         rates = _usable_rates(request.fps or COLUMNS, real, missing)
         display.update(task, description="generating", total=1)
-        fields = _nerm_fields(request, real, rates, missing)
+        fields = _generated_fields(request, real, rates, missing)
+        check_names(request.samples, _model_notes(fields))
+        notes = ROW_NOTES | _model_notes(fields) | {folder.name: folder.describe() for folder in folders}
         display.remove_task(task)
         without: list[str] = []
         sources = feature_sources(request.run, request.features, without, request.guo)
@@ -174,27 +175,32 @@ def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion, missing: list[s
     return usable
 
 
-def _nerm_fields(
+def _generated_fields(
     request: TableRequest, real: RealMotion, rates: list[Fraction], missing: list[str]
-) -> dict[Window, MotionField]:
-    """Motions that the run's model generates for the real sequences of the lowest framerate; empty without a run."""
-    if request.run is None or not request.run.is_dir():
-        where = "no run was given" if request.run is None else f"there is no run {str(request.run)!r}"
-        missing.append(f"NeRM: {where} (motionkit train makes one)")
-        return {}
-    try:
-        model = load_model("nerm", request.run)
-        windows = windows_of(real.at(min(rates)), model.max_duration_seconds)
-        return generate_fields(model, windows, request.seed, request.max_motions)
-    except MotionkitError as error:
-        missing.append(f"NeRM: {error}")
-        return {}
+) -> dict[str, dict[Window, MotionField]]:
+    """Motions that each of the run's models generates for the real sequences of the lowest framerate."""
+    found: dict[str, dict[Window, MotionField]] = {}
+    for name, trained in trained_models(request.run, missing).items():
+        model = trained.loaded
+        try:
+            windows = windows_of(real.at(min(rates)), model.max_duration_seconds)
+            found[name] = generate_fields(model, windows, request.seed, request.max_motions)
+        except MotionkitError as error:
+            missing.append(f"{name}: {error}")
+    return found
+
+
+def _model_notes(models: Iterable[str]) -> dict[str, str]:
+    notes: dict[str, str] = {}
+    for name in models:
+        notes |= {name: GENERATED_NOTE, GENERATED_LOW.format(name): GENERATED_LOW_NOTE}
+    return notes
 
 
 def _nearest_training(
     real: RealMotion,
     train: RealMotion,
-    fields: Mapping[Window, MotionField],
+    fields: ModelFields,
     folders: Sequence[SampleFolder],
     notes: Mapping[str, str],
     missing: list[str],
@@ -204,8 +210,8 @@ def _nearest_training(
         if train.name == real.name:
             raise NoRealMotionError("the compared motion is the training motion")
         held_out, training = real.at(SAMPLED_FPS), train.at(SAMPLED_FPS)
-        generated = sample_fields(fields, held_out.sequence_ids, SAMPLED_FPS, NERM)
-        others = {} if generated is None else {NERM: generated}
+        generated = {name: sample_fields(own, held_out.sequence_ids, SAMPLED_FPS, name) for name, own in fields.items()}
+        others = {name: samples for name, samples in generated.items() if samples is not None}
         others |= {folder.name: folder.at(SAMPLED_FPS) for folder in folders}
         return (nearest_training_block(held_out, training, others, notes),)
     except (NoRealMotionError, ValueError) as error:
@@ -265,8 +271,8 @@ def _too_few(column: Column, features: FeatureSet, protocol: Protocol) -> list[s
             f"With {protocol.num_clips} clips for {num_features} features every covariance is singular: clip-FID is "
             f"still the distance of the two fitted Gaussians, and says little about the motions; {advice} clips."
         )
-    few = {name: rows.num_sequences for name, rows in column.rows.items() if rows.num_sequences <= num_features}
-    few = {name: count for name, count in few.items() if name not in ROW_NOTES}
+    counts = {name: column.rows[name].num_sequences for name in column.samples}
+    few = {name: count for name, count in counts.items() if count <= num_features}
     found += [
         f"{name!r} has {count} motions, no more than there are features ({num_features}): its clips are parts of the "
         f"same few motions, and its clip-FID says how those differ; {advice} motions."
@@ -362,9 +368,7 @@ def _definition(columns: Sequence[ColumnSize], request: TableRequest) -> dict[st
             }
             for column in columns
         },
-        "generated_motions": {
-            column.label: column.num_generated for column in columns if column.num_generated is not None
-        },
+        "generated_motions": {column.label: dict(column.num_generated) for column in columns if column.num_generated},
         "sequences": "native framerate at least the column's, brought to it by anti-aliased resampling",
         "clips": "both sides share sizes and centre quantiles; each draws sequences in proportion to duration",
         "split": request.split,

@@ -18,18 +18,17 @@ from eval.samples.sets import SampleSet
 from eval.scoring.actions import LabelledRecognition, score_actions
 from eval.scoring.scores import Score, Scores
 from eval.scoring.yardsticks import size_remarks
+from eval.tables.models import check_names, trained_models
 from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, reported_figures
 from motionkit.console import progress
 from motionkit.errors import MotionkitError, UsageError
-from motionkit.generation import load_model
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
 
 VERSION = "action-to-motion/1"
 DEFAULT = "linear"
-NERM = "NeRM"
 ACCURACY, DIVERSITY, MULTIMODALITY = "Accuracy", "Diversity", "MultiModality"
 COLUMN_OF = {
     "accuracy": ACCURACY,
@@ -71,6 +70,7 @@ class _System:
     draws: tuple[LabelledRecognition, ...]
     note: str
     is_reference: bool = False
+    is_model: bool = False
 
 
 def build_table3(request: TableRequest) -> Result:
@@ -91,7 +91,7 @@ def build_table3(request: TableRequest) -> Result:
         real = _real(source, recogniser, store, request, missing)
         systems = [_real_system(real, recogniser, request)]
         display.update(task, description="generating")
-        systems += [*_nerm(real, recogniser, request, missing), *_folders(source, recogniser, request, missing)]
+        systems += [*_models(real, recogniser, request, missing), *_folders(source, recogniser, request, missing)]
     references = _references(real, recogniser, request)
     blocks = [
         *(_block(protocol, source, references, systems, request, missing) for protocol in protocols),
@@ -109,7 +109,7 @@ def build_table3(request: TableRequest) -> Result:
         missing=tuple(dict.fromkeys(missing)),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "run": request.run.name if request.run and any(each.name == NERM for each in systems) else None,
+            "run": request.run.name if request.run and any(each.is_model for each in systems) else None,
             "seed": request.seed,
             "environment": environment(),
         },
@@ -180,22 +180,21 @@ def _counted(motions: int, draws: int) -> str:
     return f"{motions:,} motions" + (f", generated {draws} times" if draws > 1 else "")
 
 
-def _nerm(real: _Real, recogniser: ActionRecogniser, request: TableRequest, missing: list[str]) -> list[_System]:
-    """The run's own row: one motion for every real one, or for a random choice of `max_motions`, --draws times over."""
-    if request.run is None or not request.run.is_dir():
-        where = "no run was given" if request.run is None else f"there is no run {str(request.run)!r}"
-        missing.append(f"{NERM}: {where} (motionkit train makes one)")
-        return []
-    try:
-        model = load_model("nerm", request.run)
-        asked = _at_most(real.compared, request.max_motions, request.seed)
-        count = asked.samples.num_sequences
-        draws = generated_like(asked, model, real.compared.samples.fps, request.draws, request.seed)
-        recognised = tuple(draw.recognised(recogniser) for draw in draws)
-    except MotionkitError as error:
-        missing.append(f"{NERM}: {error}")
-        return []
-    return [_System(NERM, recognised, f"{_counted(count, request.draws)}, with the actions and durations of real ones")]
+def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest, missing: list[str]) -> list[_System]:
+    """A row for each model of the run: one motion for every real one, or for a random choice of `max_motions`, --draws
+    times over."""
+    asked = _at_most(real.compared, request.max_motions, request.seed)
+    note = f"{_counted(asked.samples.num_sequences, request.draws)}, with the actions and durations of real ones"
+    systems = []
+    models = trained_models(request.run, missing)
+    check_names(request.samples, models)
+    for name, trained in models.items():
+        try:
+            draws = generated_like(asked, trained.loaded, real.compared.samples.fps, request.draws, request.seed)
+            systems.append(_System(name, tuple(draw.recognised(recogniser) for draw in draws), note, is_model=True))
+        except MotionkitError as error:
+            missing.append(f"{name}: {error}")
+    return systems
 
 
 def _at_most(real: ActionSet, limit: int, seed: int) -> ActionSet:

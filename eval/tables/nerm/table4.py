@@ -1,46 +1,53 @@
 """NeRM's Table 4: how well the first stage reconstructs motions at 20, 40, 60, 100 and 120 fps."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+import numpy as np
+from jaxtyping import Int64
+
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.samples.real import of_split_and
+from eval.tables.models import reconstructor, trained_reconstructors
 from eval.tables.reconstruction_errors import WindowErrors, mpjpe_cell, mre_cell, window_errors
 from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import reported_figures
+from motionkit.clips.reconstruction import (
+    ModelWindows,
+    Reconstruction,
+    ReconstructsWindows,
+    comparable,
+    reconstructions,
+    separate_windows,
+)
+from motionkit.clips.windows import PositionSource, Windows
 from motionkit.errors import UsageError
+from motionkit.motionfield import MotionField
 
 if TYPE_CHECKING:
-    import numpy as np
-    import torch
-
-    from motionkit.clips.windows import PositionSource, Windows
     from motionkit.store.reader import Store
-    from nerm.field.trained import TrainedField
 
 VERSION = "reconstruction/2"
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
-TRAINING = "training windows, from their μ"
-HELD_OUT = "held-out windows, encoded by optimisation"
+TRAINING, HELD_OUT = "training windows", "held-out windows"
 MOST_WINDOWS = 384
 PAPER_NOTE = "100 sequences of another data set; the paper says neither if they were in training nor what is aligned."
 
 
 @dataclass(frozen=True, eq=False)
-class EncodedWindows:
-    """Windows of a source with a latent each."""
+class DescribedWindows:
+    """Some windows of a source with what a model makes of each: a motion field in the window's own frame."""
 
-    source: "PositionSource"
-    windows: "Windows"
-    latents: "torch.Tensor"
+    source: PositionSource
+    windows: Windows
+    fields: Sequence[MotionField]
+    described: str
 
-    def select(self, rows: "np.ndarray") -> "EncodedWindows":
-        """Some of them."""
-        import torch
-
-        return EncodedWindows(self.source, self.windows.select(rows), self.latents[torch.from_numpy(rows)])
+    def reconstructed(self, rows: Int64[np.ndarray, "chosen"], fps: Fraction) -> Iterator[Reconstruction]:
+        """Some of the windows beside their truth at a framerate."""
+        return reconstructions(self.source, self.windows.select(rows), [self.fields[row] for row in rows], fps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,23 +68,19 @@ def build_table4(request: TableRequest) -> Result:
     Raises `UsageError` without a run or with a run of another store, and what loading the run or the store raises.
     """
     from motionkit.store.reader import Store
-    from nerm.field.saved import load_field
 
     if request.run is None:
-        raise UsageError("table 4 needs a trained field: --run NAME (motionkit train --stage field makes one)")
-    trained, store = load_field(request.run), Store.open(request.store)
-    if trained.store_fingerprint != store.fingerprint:
-        raise UsageError(
-            f"the field of {request.run} was trained on another state of the store (fingerprint "
-            f"{trained.store_fingerprint[:16]}, now {store.fingerprint[:16]}): name that store, or train again"
-        )
+        raise UsageError("table 4 needs a trained model that reconstructs windows of motion: --run NAME")
+    store = Store.open(request.store)
     rates = request.fps or COLUMNS
     missing: list[str] = []
-    sets = {
-        TRAINING: training_windows(trained, store, request),
-        HELD_OUT: held_out_windows(trained, store, request, missing),
-    }
-    measured = {name: _measure(trained, each, rates) for name, each in sets.items() if each is not None}
+    sets: dict[str, DescribedWindows] = {}
+    found = trained_reconstructors(request.run)
+    for name, trained in found.items():
+        each = described_windows(reconstructor(trained, store), store, request, missing)
+        whose = f"{name}: " if len(found) > 1 else ""
+        sets |= {f"{whose}{which}, {some.described}": some for which, some in each.items()}
+    measured = {name: _measure(each, rates) for name, each in sets.items()}
     _tell_missing(measured, missing)
     blocks = (
         _block("MPJPE in mm, takes fast enough for every column", measured, rates, mpjpe_cell, same=True),
@@ -123,62 +126,41 @@ def build_table4(request: TableRequest) -> Result:
 TABLE = Table("nerm", "4", "reconstruction MPJPE and MRE by framerate", build_table4, takes_samples=False)
 
 
-def training_windows(trained: "TrainedField", store: "Store", request: TableRequest) -> EncodedWindows:
-    """A sample of the windows that a field was trained on, with their posterior means."""
-    from nerm.field.reconstruction import separate_windows
-
-    source, _ = trained.vectors.open(store, trained.config.where or None)
-    everything = EncodedWindows(source, trained.windows, trained.posterior_mean)
-    return everything.select(_sample(separate_windows(trained.windows), trained.windows, request))
-
-
-def held_out_windows(
-    trained: "TrainedField", store: "Store", request: TableRequest, missing: list[str]
-) -> EncodedWindows | None:
-    """A sample of another split's windows, encoded against the frozen field; None where there is none."""
-    from motionkit.clips.windows import cut_windows
-    from nerm.field.reconstruction import encode_windows, separate_windows
-
+def described_windows(
+    encoder: ReconstructsWindows, store: "Store", request: TableRequest, missing: list[str]
+) -> dict[str, DescribedWindows]:
+    """Samples of the windows that an encoder was trained on and of another split's; without the latter where there is
+    none, which `missing` then tells."""
+    found = {TRAINING: _described(encoder.training_windows(store), request)}
     try:
         if request.split in ("all", "train"):
             raise UsageError(f"split {request.split!r} holds training windows; name another (--split test)")
-        source, frames = trained.vectors.open(store, of_split_and(request.split, request.where))
-        windows = cut_windows(
-            source,
-            max_duration_seconds=trained.max_duration_seconds,
-            min_duration_seconds=trained.config.min_duration_seconds,
-        )
+        found[HELD_OUT] = _described(encoder.other_windows(store, of_split_and(request.split, request.where)), request)
     except UsageError as error:
         missing.append(f"{HELD_OUT}: {error}")
-        return None
-    windows = windows.select(_sample(separate_windows(windows), windows, request))
-    return EncodedWindows(source, windows, encode_windows(trained, source, windows, frames))
+    return found
 
 
-def _sample(rows: "np.ndarray", windows: "Windows", request: TableRequest) -> "np.ndarray":
+def _described(windows: ModelWindows, request: TableRequest) -> DescribedWindows:
+    rows = _sample(separate_windows(windows.windows), windows.windows, request)
+    return DescribedWindows(windows.source, windows.windows.select(rows), windows.fields(rows), windows.described)
+
+
+def _sample(rows: Int64[np.ndarray, "windows"], windows: Windows, request: TableRequest) -> Int64[np.ndarray, "chosen"]:
     """At most `MOST_WINDOWS` of the rows, in order: drawn from the seed, those fast enough for every column first."""
-    import numpy as np
-
-    from nerm.field.reconstruction import comparable
-
     shuffled = np.random.default_rng(request.seed).permutation(rows)
     fast = comparable(windows, request.fps or COLUMNS)[shuffled]
     first_fast = np.concatenate((shuffled[fast], shuffled[~fast]))
     return np.sort(first_fast[: min(MOST_WINDOWS, request.max_motions)])
 
 
-def _measure(trained: "TrainedField", encoded: EncodedWindows, rates: Sequence[Fraction]) -> _Measured:
-    import numpy as np
-
-    from nerm.field.reconstruction import comparable, reconstructions
-
+def _measure(described: DescribedWindows, rates: Sequence[Fraction]) -> _Measured:
     errors: dict[Fraction, dict[int, WindowErrors]] = {}
     for fps in rates:
-        rows = np.flatnonzero(comparable(encoded.windows, [fps]))
-        chosen = encoded.select(rows)
-        found = reconstructions(trained, chosen.source, chosen.windows, chosen.latents, fps)
+        rows = np.flatnonzero(comparable(described.windows, [fps]))
+        found = described.reconstructed(rows, fps)
         errors[fps] = {int(row): window_errors(window, fps) for row, window in zip(rows, found, strict=True)}
-    return _Measured(errors, frozenset(np.flatnonzero(comparable(encoded.windows, rates)).tolist()))
+    return _Measured(errors, frozenset(np.flatnonzero(comparable(described.windows, rates)).tolist()))
 
 
 def _tell_missing(measured: dict[str, _Measured], missing: list[str]) -> None:

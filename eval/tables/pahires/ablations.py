@@ -1,6 +1,6 @@
 """PA-HiRes' Table 4 and Figures 5 and 6: runs of `motionkit ablate --paper pahires`, by interpolation at ×4.
 
-A variant is a cell: its entry's label says row and column. Where it was trained from several starts (seeds) its number
+A variant is a cell: its entry says row and column. Where it was trained from several starts (seeds) its number
 is their mean, and a block shows them one by one: what a start does by itself is no effect of a setting. What is not
 trained has no number, and a note says which command trains it.
 """
@@ -24,11 +24,11 @@ from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, reported_figures
 from motionkit.console import progress
 from motionkit.errors import UsageError
-from motionkit.training.ablations import Ablation, Variant, run_name
+from motionkit.training.ablations import Ablation, Variant, find_ablations, run_name
 from motionkit.training.run import RunFolder
-from pahires.ablations import PAHIRES, SEPARATOR, TABLES
-from pahires.stage import STAGE
 
+PAHIRES = find_ablations("pahires")
+STAGE = next(iter(PAHIRES.stages))
 SCALE = Fraction(4)
 METRICS = {"psnr": "PSNR (dB)", "ssim": "SSIM", "acceleration_error": "acceleration error (m/s²)"}
 REFERENCES = tuple(row for row in INTERPOLATION if row.name in ("SLERP", "cubic spline"))
@@ -48,7 +48,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
     all_runs = list({run.path: run for runs in trained.values() for run in runs.values()}.values())
     rates = {Fraction(_settings(run)["training"]["fps"]) for run in all_runs}
-    completers = [completer_of(STAGE.name, run.path, run.path.name) for run in all_runs]
+    completers = [completer_of(PAHIRES.paper, run.path, run.path.name) for run in all_runs]
     absent: dict[str, str] = {}
     measured: list[Measured] = []
     with progress() as display:
@@ -63,7 +63,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         raise nothing_at_all(absent or {"": f"no data set stands at {rates_told} fps, which the runs were trained for"})
     missing = [f"{label}: {reason}" for label, reason in absent.items()]
     scopes = with_pools([each.scope for each in measured], "clips")
-    untrained = [entry.variant for entry in ablation.entries if entry.label not in trained]
+    untrained = [entry.variant for entry in ablation.entries if entry.name not in trained]
     missing += [f"{variant.name}: {_command(ablation, request, variant)}" for variant in dict.fromkeys(untrained)]
     return Result(
         task=f"pahires-{_place(ablation).lower().replace(' ', '')}",
@@ -80,13 +80,13 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         ),
         definition={
             **definition(protocol, request),
-            "variants": {entry.label: list(entry.variant.change) for entry in ablation.entries},
+            "variants": {entry.name: list(entry.variant.change) for entry in ablation.entries},
         },
         notes=(*(remark for each in measured for remark in each.remarks), *_notes(ablation, trained)),
         missing=tuple(dict.fromkeys((*missing, *(line for each in measured for line in each.missing)))),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "runs": {run.path.name: run.stage(STAGE.name).read_summary() for run in all_runs},
+            "runs": {run.path.name: run.stage(STAGE).read_summary() for run in all_runs},
             "trained": {completer.name: completer.facts for completer in completers},
             "seed": request.seed,
             "environment": environment(),
@@ -95,7 +95,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
 
 
 TABLE_4, FIGURE_5, FIGURE_6 = (
-    Table("pahires", name, TABLES[name].title, partial(build_ablation, TABLES[name]))
+    Table("pahires", name, PAHIRES.tables[name].title, partial(build_ablation, PAHIRES.tables[name]))
     for name in ("4", "figure5", "figure6")
 )
 
@@ -108,27 +108,27 @@ def _trained(ablation: Ablation, request: TableRequest) -> _Trained:
     if request.run is None:
         raise UsageError("an ablation needs the name of its runs: --run NAME for runs/NAME-VARIANT")
     runs = {
-        entry.label: {
+        entry.name: {
             seed: RunFolder(request.run.parent / run_name(request.run.name, entry.variant, seed))
             for seed in range(MOST_SEEDS)
         }
         for entry in ablation.entries
     }
     found = {
-        label: {seed: run for seed, run in of_label.items() if run.stage(STAGE.name).is_complete}
+        label: {seed: run for seed, run in of_label.items() if run.stage(STAGE).is_complete}
         for label, of_label in runs.items()
     }
     if not any(found.values()):
         names = ", ".join(dict.fromkeys(of_label[0].path.name for of_label in runs.values()))
         raise UsageError(
             f"no run of it is trained in {str(request.run.parent)!r}: motionkit ablate {ablation.table} "
-            f"--paper pahires --run {request.run.name} trains {names}"
+            f"--paper {PAHIRES.paper} --run {request.run.name} trains {names}"
         )
     return {label: of_label for label, of_label in found.items() if of_label}
 
 
 def _settings(run: RunFolder) -> dict[str, Any]:
-    settings: dict[str, Any] = run.stage(STAGE.name).read_config()["config"]
+    settings: dict[str, Any] = run.stage(STAGE).read_config()["config"]
     return settings
 
 
@@ -145,7 +145,7 @@ def _told_training(runs: Sequence[RunFolder]) -> str:
 
 
 def _blocks(ablation: Ablation, scope: Scope, trained: _Trained) -> list[Block]:
-    places = {entry.label: entry.label.partition(SEPARATOR)[::2] for entry in ablation.entries}
+    places = {entry.name: (entry.label, entry.column) for entry in ablation.entries}
     columns = tuple(dict.fromkeys(column for _, column in places.values()))
     blocks = []
     for metric, title in METRICS.items():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.tables.reconstruction_errors import COUNT, DISTANCE, GLOBAL, mpjpe_cell, mre_cell, window_errors
-from nerm.field.reconstruction import Reconstruction
+from motionkit.clips.reconstruction import Reconstruction
 from tests.nerm.corpus import analytic_positions
 
 FPS = Fraction(60)

@@ -3,10 +3,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from motionkit.clips.reconstruction import comparable, separate_windows, window_truth
 from motionkit.clips.windows import cut_windows
 from motionkit.features import field as field_vectors
 from motionkit.skeleton import SMPL22
-from nerm.field.reconstruction import comparable, separate_windows, window_truth
 from tests.nerm.corpus import analytic_positions, analytic_source
 
 PAIRS = SMPL22.left_right_pairs

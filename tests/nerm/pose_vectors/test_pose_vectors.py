@@ -9,6 +9,7 @@ import pytest
 
 from motionkit import kinematics
 from motionkit.clips.poses import WindowPoses
+from motionkit.clips.reconstruction import window_truth
 from motionkit.clips.windows import cut_windows
 from motionkit.errors import UsageError
 from motionkit.features import field, native
@@ -22,7 +23,7 @@ from motionkit.synthetic import make_body, perform
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
-from nerm.field.reconstruction import encode_windows, window_truth
+from nerm.field.motion_encoder import encode_windows
 from nerm.field.saved import load_field
 from nerm.pose_vectors.choice import training_vectors
 from nerm.pose_vectors.convention import PoseVectors

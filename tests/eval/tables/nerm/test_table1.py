@@ -26,7 +26,7 @@ from motionkit.motion import Caption, Motion
 from motionkit.skeleton import SMPL22
 from motionkit.store.writer import StoreWriter
 from motionkit.timegrid import TimeGrid
-from tests.scripted_model import PosesAt, ScriptedModel
+from tests.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 
 TAKES = 70
 TOP1, TOP3, FID, MM_DIST = (title_of(name) for name in ("r_precision_top1", "r_precision_top3", "fid", "mm_dist"))
@@ -85,19 +85,15 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    for name in ("nano", "nano-fixed"):
-        for stage in ("field", "denoiser"):
-            folder = tmp_path / "runs" / name / stage
-            folder.mkdir(parents=True)
-            (folder / "model.safetensors").write_text(f"{name} {stage}")
-    return tmp_path / "runs" / "nano"
+    trained_run(tmp_path / "runs" / "nano-fixed")
+    return trained_run(tmp_path / "runs" / "nano")
 
 
 @pytest.fixture
 def models(run: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, ScriptedModel]:
     """`nano` listens to its captions, `nano-fixed` doesn't."""
     made = {"nano": ScriptedModel(listens), "nano-fixed": ScriptedModel(ignores)}
-    monkeypatch.setattr(table1, "load_model", lambda name, folder: made[folder.name])
+    install_models(monkeypatch, lambda folder: made[folder.name])
     monkeypatch.setattr(sources, "_native", lambda request: Shapes())
     return made
 

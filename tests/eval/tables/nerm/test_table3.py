@@ -30,7 +30,7 @@ from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from motionkit.timegrid import TimeGrid
 from tests.acting import ACTIONS, acted, acted_at
-from tests.scripted_model import PosesAt, ScriptedModel
+from tests.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 
 EACH = 12
 FPS = Fraction(20)
@@ -77,10 +77,8 @@ def build(store: Path, folder: Path, **changes: object) -> Result:
 
 
 def with_model(monkeypatch: pytest.MonkeyPatch, folder: Path, model: ScriptedModel) -> Path:
-    monkeypatch.setattr(table3, "load_model", lambda name, run: model)
-    run = folder / "runs" / "nano"
-    run.mkdir(parents=True)
-    return run
+    install_models(monkeypatch, lambda run: model)
+    return trained_run(folder / "runs" / "nano")
 
 
 def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:

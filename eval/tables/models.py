@@ -1,0 +1,121 @@
+"""Which installed models and encoders a run holds: a table has a row for each."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from motionkit.checksums import sha256_of
+from motionkit.clips.reconstruction import ReconstructsWindows
+from motionkit.encoders import installed_encoders
+from motionkit.errors import MotionkitError, UsageError
+from motionkit.generation import GenerativeModel, installed_models
+from motionkit.motionfield import MotionEncoder
+from motionkit.training.loaders import Loader
+from motionkit.training.run import RunError, RunFolder
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Trained(Generic[T]):
+    """What a loader loads from a run, once somebody asks for it."""
+
+    loader: Loader[T]
+    run: Path
+
+    @cached_property
+    def loaded(self) -> T:
+        """The model itself; raises what loading it raises."""
+        return self.loader.load(self.run)
+
+    @cached_property
+    def identity(self) -> Mapping[str, str]:
+        """Hexadecimal sha256 of the result of each of its stages; raises `RunError` where one is not trained."""
+        found = {}
+        for name in self.loader.stages:
+            stage = RunFolder(self.run).stage(name)
+            if not stage.model_path.is_file():
+                stage.read_summary()
+            found[name] = sha256_of(stage.model_path if stage.model_path.is_file() else stage.summary_path)
+        return found
+
+
+# A generative model of a run.
+TrainedModel = Trained[GenerativeModel]
+
+
+def trained_models(run: Path | None, missing: list[str]) -> dict[str, TrainedModel]:
+    """The installed models that a run holds, by the names of their rows, loaded.
+
+    Why a model cannot be had is told in `missing`; one that the run knows nothing of only where it holds no other.
+    """
+    loaders = list(installed_models().values())
+    if run is None or not run.is_dir():
+        where = "no run was given" if run is None else f"there is no run {str(run)!r}"
+        missing += [f"{loader.title}: {where} (motionkit train makes one)" for loader in loaders]
+        return {}
+    begun = [loader for loader in loaders if loader.begun_in(run)]
+    if not begun:
+        missing += [f"{each.title}: run {run.name!r} has none ({each.train_command(run)})" for each in loaders]
+    found: dict[str, TrainedModel] = {}
+    for loader in begun:
+        model = Trained(loader, run)
+        try:
+            name = model.loaded.name
+        except MotionkitError as error:
+            missing.append(f"{loader.title}: {error}")
+            continue
+        if name in found:
+            missing.append(f"{loader.title}: another model of the run is called {name!r} too")
+        else:
+            found[name] = model
+    return found
+
+
+def require_models(run: Path) -> dict[str, TrainedModel]:
+    """As `trained_models`; raises `RunError` where there is none."""
+    missing: list[str] = []
+    found = trained_models(run, missing)
+    if not found:
+        raise RunError("; ".join(missing) or "no model is installed")
+    return found
+
+
+def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:
+    """The installed encoders that a run holds and that reconstruct windows of motion, by name, loaded.
+
+    Raises `RunError` where there is none, and what loading them raises.
+    """
+    loaders = installed_encoders("reconstruction").values()
+    held = [Trained(loader, run) for loader in loaders if loader.begun_in(run)]
+    if not held:
+        commands = " or ".join(loader.train_command(run) for loader in loaders) or "none is installed"
+        raise RunError(f"run {run.name!r} holds no model that reconstructs windows of motion: {commands}")
+    return {each.loaded.name: each for each in held}
+
+
+def reconstructor(trained: Trained[MotionEncoder], store: "Store") -> ReconstructsWindows:
+    """An encoder that reconstructs windows, trained on this store.
+
+    Raises `UsageError` for an encoder that doesn't, and for one that was trained on another state of the store.
+    """
+    encoder = trained.loaded
+    if not isinstance(encoder, ReconstructsWindows):
+        raise UsageError(f"{trained.loader.title} doesn't reconstruct windows of motion")
+    if encoder.store_fingerprint != store.fingerprint:
+        raise UsageError(
+            f"{encoder.name} of {trained.run} was trained on another state of the store (fingerprint "
+            f"{encoder.store_fingerprint[:16]}, now {store.fingerprint[:16]}): name that store, or train again"
+        )
+    return encoder
+
+
+def check_names(samples: Iterable[str], models: Iterable[str]) -> None:
+    """Raise `UsageError` for samples that are called as a row of the table's own."""
+    for name in sorted(set(samples) & set(models)):
+        raise UsageError(f"--samples {name}=…: the table has a row {name!r} of its own; choose another name")

@@ -1,0 +1,52 @@
+"""Nothing names a package above it, not in a string either: what is installed is found by entry points."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+# In eval a paper may be named, but no module of a model.
+FORBIDDEN = {
+    "motionkit": re.compile(r"\b(nerm|pahires|eval)\b"),
+    "eval": re.compile(r"\b(nerm|pahires)\.[a-z]|^(nerm|pahires):"),
+}
+
+
+def strings(source: str) -> Iterator[tuple[int, str]]:
+    """Every string of a module but its docstrings, with its line."""
+    tree = ast.parse(source)
+    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+            yield node.lineno, node.value
+
+
+def named(package: str, source: str) -> list[tuple[int, str]]:
+    return [(line, text) for line, text in strings(source) if FORBIDDEN[package].search(text)]
+
+
+@pytest.mark.parametrize("package", FORBIDDEN)
+def test_no_string_names_a_package_above(package: str) -> None:
+    found = {
+        f"{path.relative_to(REPOSITORY)}:{line}": text
+        for path in sorted((REPOSITORY / package).rglob("*.py"))
+        for line, text in named(package, path.read_text(encoding="utf-8"))
+    }
+    assert found == {}
+
+
+@pytest.mark.parametrize(
+    ("package", "source"),
+    [
+        ("motionkit", 'load_model("nerm", run)'),
+        ("motionkit", 'print(f"motionkit train --stage pahires --run {run}")'),
+        ("eval", 'import_module("nerm.field.saved")'),
+        ("eval", 'def f():\n    """A docstring."""\n    return "pahires.stage:load"'),
+    ],
+)
+def test_such_a_string_is_found(package: str, source: str) -> None:
+    assert len(named(package, source)) == 1
+    assert named(package, f'"""A module that speaks of {source.count("x")} nerm."""') == []
