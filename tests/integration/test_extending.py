@@ -57,7 +57,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def python(site: Path, *arguments: str, installed: bool = True) -> subprocess.CompletedProcess[str]:
     """Run a program in a folder beside the package, so that only PYTHONPATH decides whether it is found."""
-    environment = {**os.environ, "PYTHONPATH": str(site) if installed else "", "COLUMNS": "120"}
+    folders = ([str(site)] if installed else []) + [path for path in [os.environ.get("PYTHONPATH")] if path]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(folders), "COLUMNS": "120"}
     beside = site / "beside"
     beside.mkdir(exist_ok=True)
     return subprocess.run(
