@@ -4,6 +4,7 @@ Files: our_vab_data.npy, our_vab_words.pkl and our_vab_idx.pkl, 4,199 words of 3
 utils/word_vectorizer.py and data/dataset.py.
 """
 
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,14 +13,15 @@ import numpy as np
 from jaxtyping import Float64
 
 from eval.evaluators.guo.kind import GuoError
-from eval.evaluators.plain_pickle import PlainPickleError, read_plain_pickle
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
 from motionkit.formats.arrays import npy
+from motionkit.formats.arrays.pickled_data import PickleError, parse_pickle
 from motionkit.motion import Caption
 
 PREFIX = "our_vab"
 NUM_NUMBERS = 300
+LARGEST_BYTES = 64 << 20
 MAX_TOKENS = 20
 """Tokens of a caption that are read; `sos` and `eos` come on top."""
 PARTS_OF_SPEECH = (
@@ -112,9 +114,9 @@ def read_word_vectors(folder: Path) -> WordVectors:
         raise GuoError(str(error)) from None
     if vectors.dtype.kind != "f":
         raise GuoError(f"{path}: {vectors.dtype} numbers, expected floating-point ones")
-    vectors = vectors.astype(np.float64)
     if not np.isfinite(vectors).all():
         raise GuoError(f"{path}: holds numbers that are not finite")
+    vectors = vectors.astype(np.float64)
     for word in (START, END, UNKNOWN, *words):
         if word not in places:
             raise GuoError(f"{folder}: the word {word!r} is missing in {PREFIX}_idx.pkl")
@@ -125,10 +127,9 @@ def read_word_vectors(folder: Path) -> WordVectors:
 
 def _read_words(path: Path) -> list[str]:
     found = _read_plain(path)
-    words = [word for word in found if isinstance(word, str)]
-    if not isinstance(found, list) or len(words) != len(found):
+    if not isinstance(found, list) or not all(isinstance(word, str) for word in found):
         raise GuoError(f"{path}: expected a list of words")
-    return words
+    return found
 
 
 def _read_places(path: Path) -> dict[str, int]:
@@ -140,8 +141,10 @@ def _read_places(path: Path) -> dict[str, int]:
     return places
 
 
-def _read_plain(path: Path) -> list[object] | dict[object, object]:
+def _read_plain(path: Path) -> object:
     try:
-        return read_plain_pickle(path)
-    except (OSError, PlainPickleError) as error:
+        if path.stat().st_size > LARGEST_BYTES:
+            raise GuoError(f"{path}: {path.stat().st_size:,} bytes are too many for a list of words")
+        return parse_pickle(io.BytesIO(path.read_bytes()))
+    except (OSError, PickleError) as error:
         raise GuoError(f"{path}: {error}") from None

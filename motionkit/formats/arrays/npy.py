@@ -15,6 +15,7 @@ from motionkit.formats.arrays.plausible import checked_numbers
 
 MAGIC = b"\x93NUMPY"
 HEADER_BYTES = 10_000
+LARGEST_CHARACTER = 0x10FFFF
 LARGEST_SIZE = 2**48
 NUMBERS = re.compile(r"[<>|=]?(f[248]|[iu][1248])")
 STRINGS = re.compile(r"[<>|=]?[US][1-9]\d{0,6}")
@@ -84,6 +85,8 @@ def parse_npy(
             reason="truncated",
         )
     flat = np.frombuffer(data, dtype, count, offset=file.tell())
+    if dtype.kind == "U" and (flat.view(dtype.byteorder + "u4") > LARGEST_CHARACTER).any():
+        raise FormatError("text with characters that do not exist", path=path, reason="not-what-it-says")
     return flat.reshape(stated, order="F" if column_major else "C")
 
 
@@ -106,6 +109,6 @@ def read_header(file: io.BytesIO) -> tuple[tuple[int, ...], bool, str]:
         shape, column_major, code = header["shape"], header["fortran_order"], header["descr"]
     except (ValueError, SyntaxError, TypeError, KeyError, IndexError, RecursionError, MemoryError):
         raise ValueError("not a dictionary with shape, fortran_order and descr") from None
-    if not (isinstance(shape, tuple) and all(isinstance(size, int) and 0 <= size < LARGEST_SIZE for size in shape)):
+    if not (isinstance(shape, tuple) and all(type(size) is int and 0 <= size < LARGEST_SIZE for size in shape)):
         raise ValueError("a shape that no array has")
     return shape, column_major is True, str(code)

@@ -17,7 +17,7 @@ from jaxtyping import Float32, Float64
 
 from motionkit.errors import FormatError
 from motionkit.formats import sourcefile
-from motionkit.formats.arrays import npy, object_scalar
+from motionkit.formats.arrays import npy, pickled_data
 
 # Deflate reaches 1,032 at most, on constant bytes; arrays of measurements stay below 10. Small members may be constant.
 MAX_RATIO = 200
@@ -119,7 +119,7 @@ def read_strings(archive: NpzArchive, key: str) -> tuple[str, ...]:
 def read_scalar(archive: NpzArchive, key: str) -> str | int | float | None:
     """A member that holds one number or one string, of any type; bytes are decoded.
 
-    None where it is an object whose pickle is more than one constant (`object_scalar`): nothing is unpickled. Raises
+    None where it is an object whose pickle is more than one constant (`pickled_data`): nothing is unpickled. Raises
     `FormatError` (`missing-key`, `truncated`, `channel-count`, `not-a-number`).
     """
     info = _checked_info(archive, key)
@@ -137,7 +137,7 @@ def read_scalar(archive: NpzArchive, key: str) -> str | int | float | None:
             f"{key}: array of shape {shape}, expected one value", path=archive.path, reason="channel-count"
         )
     if code in ("|O", "O"):
-        return object_scalar.parse_scalar(file.read())
+        return pickled_data.parse_scalar(file.read())
     value: str | int | float | bytes = _parse(archive, key, shape, PLAIN).item()
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 

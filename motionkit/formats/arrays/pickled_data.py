@@ -3,8 +3,8 @@
 `np.save(path, {"motion": …, "text": […]})` writes an array of one Python object, hence a pickle; many repositories that
 generate motion publish their samples so. Here the opcodes are only listed (`pickletools.genops`) and a small machine
 puts together what they describe: text, numbers, lists, tuples, dictionaries, and numpy arrays of numbers or text. The
-calls that numpy writes are known by name and never made; a pickle with any other is refused. Source: numpy's
-`ndarray.__reduce__` and `numpy.lib.format`, pickle protocols 2 to 5.
+calls that numpy writes are known by name and never made; a pickle with any other is refused. AMASS's `gender` and Guo's
+lists of words are read so, too. Source: numpy's `ndarray.__reduce__` and `numpy.lib.format`, pickle protocols 2 to 5.
 """
 
 import io
@@ -118,6 +118,19 @@ def parse_pickle(file: io.BytesIO | mmap.mmap) -> Any:
         raise PickleError(f"broken ({error})"[:120]) from None
 
 
+def parse_scalar(content: bytes) -> str | int | float | None:
+    """The string or number in the pickle of an object array of size 1; None where it is anything else."""
+    try:
+        value = parse_pickle(io.BytesIO(content))
+    except PickleError:
+        return None
+    if isinstance(value, list) and len(value) == 1:
+        value = value[0]
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return value if isinstance(value, (str, int, float)) else None
+
+
 class _Machine:
     """The stack and the memo that a pickle's opcodes work on."""
 
@@ -150,7 +163,7 @@ class _Machine:
         elif name == "GLOBAL":
             stack.append(_known(str(argument)))
         elif name == "STACK_GLOBAL":
-            attribute, module = stack.pop(), stack.pop()
+            attribute, module = _text(stack.pop()), _text(stack.pop())
             stack.append(_known(f"{module} {attribute}"))
         elif name == "REDUCE":
             arguments, function = stack.pop(), stack.pop()
@@ -187,6 +200,13 @@ class _Machine:
             raise PickleError("broken (items for what holds none)")
 
 
+def _text(value: object) -> str:
+    # Shared lists may be nested so that to write one out would take for ever.
+    if not isinstance(value, str):
+        raise PickleError(f"broken (a {type(value).__name__} where a text belongs)")
+    return value
+
+
 def _known(name: str) -> _Name:
     if name not in KNOWN:
         raise PickleError(f"it calls for {name.replace(' ', '.')[:80]!r}, which would be code to run")
@@ -198,9 +218,10 @@ def _result(function: str, arguments: tuple[Any, ...]) -> object:
     if function in RECONSTRUCT:
         return _Array()
     if function == DTYPE:
-        if not CODES.fullmatch(arguments[0]):
-            raise PickleError(f"an array of {arguments[0]!r}"[:80])
-        return _Type(arguments[0])
+        code = _text(arguments[0])
+        if not CODES.fullmatch(code):
+            raise PickleError(f"an array of {code!r}"[:80])
+        return _Type(code)
     if function in FROM_BUFFER:
         content, kind, shape, order = arguments
         return _Array(shape, kind, order == "F", content)
@@ -208,7 +229,7 @@ def _result(function: str, arguments: tuple[Any, ...]) -> object:
         kind, content = arguments
         return _numbers(_Array((), kind, False, content)).item()
     if function == ENCODE:
-        text, encoding = arguments
+        text, encoding = map(_text, arguments)
         if encoding != "latin1":
             raise PickleError(f"bytes written as {encoding!r}"[:80])
         return text.encode("latin1")
@@ -252,8 +273,8 @@ def _numbers(array: _Array) -> np.ndarray:
     shape, kind, content = array.shape, array.type, array.content
     if not (isinstance(shape, tuple) and isinstance(kind, _Type) and isinstance(content, (bytes, bytearray))):
         raise PickleError("broken (an array without its bytes)")
-    if not all(isinstance(size, int) and size >= 0 for size in shape) or kind.code == "O8":
-        raise PickleError(f"broken (an array of shape {shape!r})"[:120])
+    if not all(type(size) is int and size >= 0 for size in shape) or kind.code == "O8":
+        raise PickleError("broken (an array without a shape of whole numbers)")
     dtype = np.dtype(kind.code).newbyteorder(">" if kind.order == ">" else "<")
     if math.prod(shape) * dtype.itemsize != len(content):
         raise PickleError(f"an array of shape {shape} in {len(content)} bytes")

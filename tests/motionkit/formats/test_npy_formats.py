@@ -7,6 +7,7 @@ import pytest
 
 from motionkit import kinematics
 from motionkit.errors import FormatError
+from motionkit.formats.arrays import npy
 from motionkit.formats.arrays.joints_npy import read_joints_npy, write_joints_npy
 from motionkit.formats.humanact12 import read_humanact12
 from motionkit.formats.items import ReadOptions
@@ -126,3 +127,20 @@ def _fault(path: Path) -> tuple[str, int | None]:
     assert "\n" not in str(caught.value)
     json.dumps(str(caught.value))
     return caught.value.reason, caught.value.frame
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_characters_that_do_not_exist_are_refused(order: str) -> None:
+    header = f"{{'descr': '{order}U1', 'fortran_order': False, 'shape': (1,)}}".encode().ljust(117) + b"\n"
+    content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    last, beyond = (np.array(number, order + "u4").tobytes() for number in (0x10FFFF, 0x110000))
+    assert npy.parse_npy(Path("a.npy"), content + last, None, npy.STRINGS).tolist() == [chr(0x10FFFF)]
+    with pytest.raises(FormatError, match="characters that do not exist"):
+        npy.parse_npy(Path("a.npy"), content + beyond, None, npy.STRINGS)
+
+
+def test_a_shape_is_of_numbers() -> None:
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (True, 2)}".ljust(117) + b"\n"
+    content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(8)
+    with pytest.raises(FormatError, match="a shape that no array has"):
+        npy.parse_npy(Path("a.npy"), content, None)

@@ -95,6 +95,31 @@ def test_shared_and_nested_lists_do_not_explode() -> None:
         parse_pickle(io.BytesIO(pickle.dumps(endless, 4)))
 
 
+@pytest.mark.parametrize(
+    "opcodes",
+    [
+        b"\x8c\x04name\x93",  # STACK_GLOBAL: the name of a module
+        b"\x8c\x05numpy\x8c\x05dtype\x93h\x29\x85R",  # a type's code
+        b"\x8c\x07_codecs\x8c\x06encode\x93\x8c\x01ah\x29\x86R",  # an encoding
+    ],
+)
+def test_shared_lists_are_never_written_out(opcodes: bytes) -> None:
+    # Each pair holds the one before it twice: written out, the last has 2^40 leaves.
+    pairs = b"]\x94" + b"".join(b"h" + bytes((level,)) + b"h" + bytes((level,)) + b"\x86\x94" for level in range(41))
+    with pytest.raises(PickleError, match="a tuple where a text belongs"):
+        parse_pickle(io.BytesIO(b"\x80\x04" + pairs + opcodes + b"."))
+
+
+PLAIN_VALUES = st.lists(st.text() | st.integers(-(2**40), 2**40)) | st.dictionaries(
+    st.text(), st.integers(0, 2**31) | st.text()
+)
+
+
+@given(value=PLAIN_VALUES, protocol=st.integers(2, pickle.HIGHEST_PROTOCOL))
+def test_lists_and_dictionaries_of_words_are_read_whole(value: object, protocol: int) -> None:
+    assert parse_pickle(io.BytesIO(pickle.dumps(value, protocol=protocol))) == value
+
+
 CONTENT = pickle.dumps({key: RESULTS[key] for key in ("text", "lengths", "column", "num_repetitions")}, 4)
 
 

@@ -1,6 +1,5 @@
 """What is not a published evaluator's weights, statistics or word vectors is refused with one line that says why."""
 
-import contextlib
 import pickle
 from collections import OrderedDict
 from collections.abc import Callable
@@ -9,15 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from eval.evaluators.guo.evaluator import load_guo
 from eval.evaluators.guo.files import GuoFiles
 from eval.evaluators.guo.kind import KINDS, GuoError, read_statistics
 from eval.evaluators.guo.networks import GuoNetworks, GuoWidths
 from eval.evaluators.guo.words import read_word_vectors
-from eval.evaluators.plain_pickle import PlainPickleError, read_plain_pickle
 from motionkit.training.tensors import CheckpointError
 from tests.published_guo import KIT, PLAIN, T2M, checkpoint, write_archive, write_glove, write_statistics
 
@@ -84,7 +80,7 @@ def test_nothing_in_a_file_is_executed(tmp_path: Path, monkeypatch: pytest.Monke
         load_guo(GuoFiles(tmp_path / "finest.tar"), SMALL)
     glove = write_glove(tmp_path / "glove")
     (glove / "our_vab_words.pkl").write_bytes(pickle.dumps(["sos", Program()]))
-    with pytest.raises(GuoError, match=r"our_vab_words.pkl: asks for (STACK_)?GLOBAL"):
+    with pytest.raises(GuoError, match=r"our_vab_words.pkl: it calls for .*, which would be code to run"):
         read_word_vectors(glove)
     assert not (tmp_path / "executed").exists()
 
@@ -169,9 +165,9 @@ GLOVE_FAULTS: dict[str, tuple[str, object, str]] = {
     "a dictionary of words": ("our_vab_words.pkl", {"sos": 1}, "expected a list of words"),
     "a list of places": ("our_vab_idx.pkl", ["sos"], "expected a dictionary from words to their rows"),
     "places that are words": ("our_vab_idx.pkl", {"sos": "0"}, "expected a dictionary from words to their rows"),
-    "containers": ("our_vab_words.pkl", [["sos"]], "containers inside containers"),
-    "another class": ("our_vab_idx.pkl", OrderedDict(sos=0), "which a list of words has no use for"),
-    "a number": ("our_vab_words.pkl", 3, "neither a list nor a dictionary"),
+    "containers": ("our_vab_words.pkl", [["sos"]], "expected a list of words"),
+    "another class": ("our_vab_idx.pkl", OrderedDict(sos=0), "OrderedDict', which would be code to run"),
+    "a number": ("our_vab_words.pkl", 3, "expected a list of words"),
     "no start": ("our_vab_idx.pkl", {"eos": 0, "unk": 1}, "the word 'sos' is missing"),
     "a row outside": ("our_vab_idx.pkl", {"sos": 0, "eos": 1, "unk": 99, "a": 2}, "'unk' is row 99 of 20"),
 }
@@ -191,6 +187,7 @@ def test_vectors_of_another_size_are_refused(tmp_path: Path) -> None:
     for array, message in (
         (np.zeros((20, 50), np.float32), r"of shape \(20, 50\), expected \(any, 300\)"),
         (np.full((20, 300), np.nan), "not finite"),
+        (np.full((20, 300), 0x7F800001, np.uint32).view(np.float32), "not finite"),  # warns where it is converted
         (np.zeros((20, 300), np.int64), "int64 numbers"),
     ):
         np.save(glove / "our_vab_data.npy", array)
@@ -199,25 +196,3 @@ def test_vectors_of_another_size_are_refused(tmp_path: Path) -> None:
     (glove / "our_vab_data.npy").unlink()
     with pytest.raises(GuoError, match=r"our_vab_data.npy"):
         read_word_vectors(glove)
-
-
-PLAIN_VALUES = st.lists(st.text() | st.integers(-(2**40), 2**40)) | st.dictionaries(
-    st.text(), st.integers(0, 2**31) | st.text()
-)
-
-
-@given(value=PLAIN_VALUES, protocol=st.integers(2, pickle.HIGHEST_PROTOCOL))
-def test_plain_pickles_are_read_whole(tmp_path_factory: pytest.TempPathFactory, value: object, protocol: int) -> None:
-    path = tmp_path_factory.getbasetemp() / "plain.pkl"
-    path.write_bytes(pickle.dumps(value, protocol=protocol))
-    assert read_plain_pickle(path) == value
-
-
-@given(data=st.binary(max_size=60), cut=st.integers(0, 40))
-def test_no_bytes_do_anything_else(tmp_path_factory: pytest.TempPathFactory, data: bytes, cut: int) -> None:
-    path = tmp_path_factory.getbasetemp() / "damaged.pkl"
-    whole = pickle.dumps({"sos": 0, "eos": 1, "walk": 2})
-    for content in (data, whole[:cut] + data):
-        path.write_bytes(content)
-        with contextlib.suppress(PlainPickleError):
-            assert isinstance(read_plain_pickle(path), list | dict)
