@@ -62,7 +62,7 @@ def format_number(value: float | int) -> str:
     return f"{value:.2e}" if decimals is None else f"{value:.{decimals}f}"
 
 
-def _decimals(value: float) -> int | None:
+def _decimals(value: float | int) -> int | None:
     """Decimals that show three significant digits; None where an exponent is better."""
     if value == 0:
         return 0
@@ -94,7 +94,7 @@ class DetailTable:
 
     name: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[Row, Mapping[str, float]], ...]
+    rows: tuple[tuple[Row, Mapping[str, float | int]], ...]
 
 
 def detail_tables(block: Block) -> list[DetailTable]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from motionkit.core.sealed import read_json, write_json
 from motionkit.errors import MotionkitError
@@ -149,23 +149,47 @@ def _result(path: Path, document: dict[str, Any]) -> Result:
         raise ResultError(f"{path}: not a result of format {FORMAT} (found {found!r}); run the evaluation again")
     try:
         blocks = tuple(_block(block) for block in document.pop("blocks"))
-        notes, missing = tuple(document.pop("notes")), tuple(document.pop("missing"))
-        return Result(**document, blocks=blocks, notes=notes, missing=missing)
+        notes, missing = _texts(document.pop("notes")), _texts(document.pop("missing"))
+        result = Result(**document, blocks=blocks, notes=notes, missing=missing)
+        _require(str, result.task, result.version, result.title, result.caption, result.figure)
+        _require(dict, result.definition, result.provenance)
+        return result
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ResultError(f"{path}: cannot be read as a result: {error!r}; run the evaluation again") from None
 
 
 def _block(document: dict[str, Any]) -> Block:
-    rows = tuple(
-        Row(**{**row, "cells": {str(column): _cell(cell) for column, cell in row["cells"].items()}})
-        for row in document["rows"]
-    )
-    return Block(**{**document, "rows": rows, "columns": tuple(map(str, document["columns"]))})
+    rows = tuple(map(_row, document["rows"]))
+    block = Block(**{**document, "rows": rows, "columns": _texts(document["columns"])})
+    _require(str, block.title, block.note)
+    _require(dict, block.provenance)
+    _require(bool, block.lower_is_better)
+    return block
+
+
+def _row(document: dict[str, Any]) -> Row:
+    row = Row(**{**document, "cells": {column: _cell(cell) for column, cell in document["cells"].items()}})
+    _require(str, row.name, row.note, row.origin)
+    if row.origin not in get_args(Origin):
+        raise ValueError(f"{row.origin[:40]!r}, expected one of {', '.join(get_args(Origin))}")
+    return row
 
 
 def _cell(document: dict[str, Any]) -> Cell:
     cell = Cell(**document)
     for value in (cell.value, *([] if cell.ci95 is None else [cell.ci95]), *cell.details.values()):
-        if not isinstance(value, int | float) or abs(value) > sys.float_info.max:
+        if type(value) not in (int, float) or abs(value) > sys.float_info.max:
             raise ValueError(f"{str(value)[:40]} where a finite number was expected")
     return cell
+
+
+def _texts(values: list[str]) -> tuple[str, ...]:
+    _require(list, values)
+    _require(str, *values)
+    return tuple(values)
+
+
+def _require(kind: type, *values: object) -> None:
+    for value in values:
+        if not isinstance(value, kind):
+            raise TypeError(f"{str(value)[:40]!r} where a {kind.__name__} was expected")

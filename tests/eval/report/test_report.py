@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -76,6 +77,34 @@ def test_a_value_that_is_no_finite_number_is_named_and_nothing_else_is_lost(
     assert "broken.json" in told.err.replace("\n", "")
     assert told.out == f"{tmp_path / 'report.html'}\n"
     assert "Table 2" in (tmp_path / "report.html").read_text()
+
+
+def places(document: object, at: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Where values lie in a document, itself among them."""
+    yield at
+    children = document.items() if isinstance(document, dict) else enumerate(document) if type(document) is list else ()
+    for key, child in children:
+        yield from places(child, (*at, key))
+
+
+@pytest.mark.parametrize("value", [None, True, 3, "a", ["a"], [3], {}, {"a": 3}])
+def test_a_value_of_another_type_anywhere_is_shown_or_refused(value: object, result: Result, tmp_path: Path) -> None:
+    path = write_result(result, tmp_path)
+    whole = json.loads(path.read_text())
+    del whole["checksum"]
+    refused = 0
+    for *upper, last in filter(None, places(whole)):
+        document = json.loads(json.dumps(whole))
+        within = document
+        for key in upper:
+            within = within[key]
+        within[last] = value
+        path.write_text(json.dumps(document))
+        found = find_results(tmp_path)
+        for each in found.results:
+            assert to_markdown(each) + to_latex(each) + to_csv(each) + to_html([each])
+        refused += len(found.faults)
+    assert refused > 20
 
 
 def test_every_flipped_byte_of_a_result_is_noticed_or_changes_nothing(result: Result, tmp_path: Path) -> None:
