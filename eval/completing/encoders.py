@@ -26,7 +26,7 @@ from motionkit.training.run import RunFolder, commit, versions
 class Completer:
     """A row: an encoder, what it is, and what its figures depend on beside the protocol.
 
-    `form` is what a trained network's answer is (`pahires.settings.Form`): rows of different forms are not compared by
+    `form` is what a trained network's answer is (`Form` of its settings): rows of different forms are not compared by
     their networks alone. It is empty where nothing says so. `facts` tell how it was trained.
     """
 

@@ -1,6 +1,6 @@
 """The app, assembled from entry points: each `motionkit.commands` entry is one typer command.
 
-An entry point names a command (`ingest`, `eval` …) and a function; nothing heavy may be imported by the module that
+An entry point names a command (`ingest`, `train` …) and a function; nothing heavy may be imported by the module that
 holds it, so that `motionkit --help` stays light. Anybody's package can add a command the same way.
 """
 

@@ -41,8 +41,8 @@ def complete(
     - `keep`: the frames to keep, all others are made anew: `[(0, 10), (40, None)]`, half-open and counted from 0, or
       "0:10,40:", or a mask of one bool for each frame
     - `extend`: seconds to add after it; or a pair, before and after; or "0,15f" in frames
-    - `model`: an interpolator (`spline`, `slerp`, `hold` …) or a trained encoder (`pahires` …); by default a trained
-      PA-HiRes if there is one in ./runs, else `spline`
+    - `model`: an interpolator (`spline`, `slerp`, `hold` …) or the name of a trained encoder; by default the
+      preferred encoder (PA-HiRes) if ./runs holds a trained one, else `spline`
     - `run`: the run of a trained encoder, by default the one trained last
 
     Warns where more is asked of a trained encoder than it has learnt. Raises `MotionkitError` for what cannot be had of

@@ -5,9 +5,9 @@ A package says in its `__init__.py` where its names lie:
     give_names(__name__, {"Store": "motionkit.store.reader"})
 
 so that importing the package costs nothing (PEP 562), and a public name may be that of a subpackage:
-`from eval import clip_fid` is the function, whatever has been imported before, and `from eval.clip_fid import score`
-finds the module. (`import eval.clip_fid.score as score` does not, for Python then looks it up as an attribute of the
-function.) Type checkers read the same names from imports under `if TYPE_CHECKING`.
+`from package import name` is the function `name`, whatever has been imported before, and `from package.name import
+module` finds the module. (`import package.name.module as module` does not, for Python then looks it up as an attribute
+of the function.) Type checkers read the same names from imports under `if TYPE_CHECKING`.
 """
 
 import sys
