@@ -1,6 +1,7 @@
 """Results on stdout, progress and messages on stderr."""
 
 import json
+import logging
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,14 +11,18 @@ from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
+    ProgressColumn,
     Task,
+    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.progress import Progress as Display
 from rich.text import Text
 
+from motionkit.core.progress import OnProgress, Progress, ignore
+from motionkit.core.warn import LOGGER
 from motionkit.plain_text import UNSAFE_LETTERS, printable
 
 
@@ -64,10 +69,65 @@ def _json_escape(found: re.Match[str]) -> str:
     return f"\\\\u{number:04x}" if 0xD800 <= number < 0xE000 else f"\\u{number:04x}"
 
 
+class _WarningHandler(logging.Handler):
+    """Prints warnings as lines on stderr."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        stderr.print(f"motionkit: warning: {self.format(record)}")
+
+
+def show_warnings() -> None:
+    """Print the warnings of the logger `motionkit` as lines on stderr from now on."""
+    if not any(isinstance(handler, _WarningHandler) for handler in LOGGER.handlers):
+        LOGGER.addHandler(_WarningHandler())
+
+
 @contextmanager
-def progress() -> Iterator[Progress]:
-    """A progress display on stderr, silent where stderr is not a terminal."""
-    columns = (
+def progress() -> Iterator[OnProgress]:
+    """A callback that draws progress bars on stderr; it does nothing where stderr is not a terminal."""
+    if not stderr.is_terminal:
+        yield ignore
+        return
+    bars = _Bars()
+    try:
+        yield bars
+    finally:
+        bars.stop()
+
+
+class _Bars:
+    """One bar for each task that is under way; without any, nothing is drawn."""
+
+    def __init__(self) -> None:
+        self._display: Display | None = None
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, progress: Progress) -> None:
+        """Draw a task's new state; remove the bar of a finished one."""
+        if progress.finished:
+            if self._display is not None and progress.name in self._tasks:
+                self._display.remove_task(self._tasks.pop(progress.name))
+            if not self._tasks:
+                self.stop()
+            return
+        if self._display is None:
+            self._display = Display(*_columns(), console=stderr, transient=True)
+            self._display.start()
+        facts: dict[str, Any] = {"completed": progress.done, "total": progress.total, "note": progress.note}
+        if progress.name in self._tasks:
+            self._display.update(self._tasks[progress.name], **facts)
+        else:
+            self._tasks[progress.name] = self._display.add_task(progress.name, **facts)
+
+    def stop(self) -> None:
+        """Remove all bars."""
+        if self._display is not None:
+            self._display.stop()
+        self._display, self._tasks = None, {}
+
+
+def _columns() -> tuple[ProgressColumn, ...]:
+    return (
         _NameColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
@@ -75,5 +135,3 @@ def progress() -> Iterator[Progress]:
         TimeRemainingColumn(),
         _NameColumn("{task.fields[note]}", markup=False),
     )
-    with Progress(*columns, console=stderr, disable=not stderr.is_terminal, transient=True) as display:
-        yield display

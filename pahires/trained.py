@@ -11,7 +11,6 @@ import torch
 
 from motionkit.errors import UsageError
 from motionkit.skeleton import Feet, Skeleton
-from motionkit.store.reader import Store
 from motionkit.training.config import ConfigLike, from_plain, to_plain
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
@@ -77,14 +76,14 @@ def train_network(
     `settings` are a part of `config`, which is recorded whole. Errors are those of `open_takes` and `train_loop`.
     """
     started = time.perf_counter()
-    store, device = Store.open(context.store), resolve_device(context.device)
+    store, device = context.open_store(), resolve_device(context.device)
     takes = open_takes(store, settings)
     folder = context.begin(stage, config, store_fingerprint=store.fingerprint)
     with seeded_initialisation(context.seed, stage):
         network = make(takes.num_numbers)
     training = TemporalTraining(network, WindowSampler(takes, settings), seed=context.seed, device=device)
     with float32_products(settings.precision):
-        figures = train_loop(training, folder, steps=training.steps, seed=context.seed)
+        figures = train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
     tensors = prefixed("network", training.trained_tensors()) | prefixed(
         "scaling", {"mean": training.scaling.mean, "scale": training.scaling.scale}
     )
@@ -106,7 +105,7 @@ def train_network(
 
 def check_corpus(context: StageContext, settings: TemporalSettings) -> None:
     """Raise what would stop a training: no take at the framerate."""
-    open_takes(Store.open(context.store), settings)
+    open_takes(context.open_store(), settings)
 
 
 def load_network(

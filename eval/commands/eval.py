@@ -1,10 +1,11 @@
 """`motionkit eval`: build a table or a figure, or calibrate the feature sets."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eval.commands import eval_options as options
-from motionkit.console import print_json, print_text, stderr
+from motionkit.console import print_json, print_text, progress, stderr
 from motionkit.core.files import write_whole
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
@@ -82,7 +83,9 @@ def evaluate(
         seed=seed,
         encoders=_encoders(encoder or [], runs or default_path("runs")),
     )
-    result = _build(request, table if figure is None else f"figure{figure}", paper, as_json)
+    with progress() as show:
+        request = replace(request, on_progress=show)
+        result = _build(request, table if figure is None else f"figure{figure}", paper, as_json)
     _refuse_rowless(request, result)
     if not allow_broken:
         _refuse_broken(request)

@@ -7,6 +7,7 @@ import typer
 
 from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.core.files import write_whole
+from motionkit.core.progress import task
 from motionkit.errors import UsageError
 
 STATISTICS_FILES = {"mean": "mean.npy", "std": "std.npy"}
@@ -45,13 +46,8 @@ def samples(
         _write_manifest(folder, stated)
     elif stated.keys() - {"fps"}:
         raise UsageError(f"--{sorted(stated.keys() - {'fps'})[0].replace('_', '-')} goes with --init")
-    with progress() as display:
-        task = display.add_task("reading", total=None, note="")
-
-        def show(done: int, total: int) -> None:
-            display.update(task, completed=done, total=total)
-
-        read = read_sample_folder(folder.name, folder, SampleOptions(framerate, "--fps"), show)
+    with progress() as show, task(show, "reading") as work:
+        read = read_sample_folder(folder.name, folder, SampleOptions(framerate, "--fps"), work.set)
     found = summarise(read)
     if as_json:
         print_json(asdict(found))

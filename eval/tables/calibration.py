@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from fractions import Fraction
-from functools import partial
 
 from eval.clip_fid.calibration import (
     CLEAN,
@@ -22,7 +21,7 @@ from eval.corruptions import families
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.samples.real import RealMotion, real_motion
 from eval.tables.registry import TableRequest
-from motionkit.console import progress
+from motionkit.core.progress import task
 from motionkit.errors import MotionkitError
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
@@ -34,9 +33,7 @@ def build_calibration(request: TableRequest) -> Result:
 
     Raises `UsageError` or `StoreError` for a store that cannot be used.
     """
-    from motionkit.store.reader import Store
-
-    store = Store.open(request.store)
+    store = request.open_store()
     held_out = real_motion(store, request.split, request.where)
     train = real_motion(store, "train") if request.split != "all" else held_out
     missing: list[str] = []
@@ -79,17 +76,14 @@ def _calibrate(
 ) -> list[Calibration]:
     results = []
     protocol = source.protocol(request.protocol)
-    with progress() as display:
-        for fps in request.fps or COLUMNS:
-            task = display.add_task(f"{source.name}, {fps} fps", total=2 * protocol.replications, note="")
+    for fps in request.fps or COLUMNS:
+        with task(request.on_progress, f"{source.name}, {fps} fps", 2 * protocol.replications) as work:
             try:
                 real, shifted = held_out.at(fps), held_out.at(fps, first_frame=1)
                 features = source.fit(train.at(fps))
-                advance = partial(display.advance, task)
-                results.append(calibrate(real, shifted, features, protocol, advance))
+                results.append(calibrate(real, shifted, features, protocol, work.advance))
             except MotionkitError as error:
                 missing.append(f"{source.name}, {fps} fps: {error}")
-            display.remove_task(task)
     return results
 
 

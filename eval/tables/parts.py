@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from eval.report.results import Cell
-from motionkit.console import stderr
 from motionkit.core.files import require_no_link
 from motionkit.core.sealed import read_json, write_json
+from motionkit.core.warn import warn
 from motionkit.errors import DamagedFileError
 
 FOLDER = "parts"
@@ -38,7 +38,7 @@ def kept(results: Path, name: str, terms: Mapping[str, Any], compute: Callable[[
 
 
 def find_part(results: Path, name: str, terms: Mapping[str, Any]) -> Part | None:
-    """The part that was kept for these terms; None where there is none, or a damaged one, which stderr says."""
+    """The part that was kept for these terms; None where there is none, or a damaged one, which is warned of."""
     path, key = _place(results, name, terms)
     if not path.is_file():
         return None
@@ -46,9 +46,9 @@ def find_part(results: Path, name: str, terms: Mapping[str, Any]) -> Part | None
         document = read_json(path, "computing it anew")
         return _part(document) if document["key"] == key else None
     except DamagedFileError as error:
-        stderr.print(f"motionkit: {error}")
+        warn(str(error))
     except (AttributeError, KeyError, TypeError) as error:
-        stderr.print(f"motionkit: {path} is no part of a table ({error!r}): computing it anew")
+        warn(f"{path} is no part of a table ({error!r}): computing it anew")
     return None
 
 

@@ -15,11 +15,11 @@ from eval.clip_fid.score import Protocol
 from eval.evaluators.guo.files import GuoFiles
 from eval.report.results import Result
 from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
-from motionkit.console import progress
+from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.errors import UsageError
 
 if TYPE_CHECKING:
-    from rich.progress import TaskID
+    from motionkit.store.reader import Store
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class TableRequest:
     a published evaluator; `low_pass_hz`, where given, smooths every set alike before clips are drawn. Tables of whole
     motions follow the protocol called `published`, with the known bugs `compat` switched on, and ask models `draws`
     times for every motion. Tables of completed motion show the trained encoders that `run` holds and those of
-    `encoders`, pairs of an encoder's name and a run.
+    `encoders`, pairs of an encoder's name and a run. `on_progress` is called during long steps.
     """
 
     store: Path
@@ -52,6 +52,13 @@ class TableRequest:
     draws: int = 1
     seed: int = 0
     encoders: tuple[tuple[str, Path], ...] = ()
+    on_progress: OnProgress = field(default=ignore, compare=False, repr=False)
+
+    def open_store(self) -> "Store":
+        """The store, for reading."""
+        from motionkit.store.reader import Store
+
+        return Store.open(self.store, on_progress=self.on_progress)
 
     @property
     def restriction(self) -> str:
@@ -64,14 +71,9 @@ class TableRequest:
         folders = []
         # Guo's evaluators alone read pose vectors and KIT-ML's joints.
         options = replace(self.sample_options, keep_published=self.guo is not None)
-        with progress() as display:
-            for name, path in self.samples.items():
-                task = display.add_task(f"reading {name}", total=None, note="")
-
-                def show(done: int, total: int, task: "TaskID" = task) -> None:
-                    display.update(task, completed=done, total=total)
-
-                folders.append(read_sample_folder(name, path, options, show))
+        for name, path in self.samples.items():
+            with task(self.on_progress, f"reading {name}") as work:
+                folders.append(read_sample_folder(name, path, options, work.set))
         return tuple(folders)
 
 

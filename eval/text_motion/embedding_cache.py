@@ -18,8 +18,8 @@ from safetensors.numpy import load_file, save
 
 from eval.evaluators.text_motion import TextMotionEvaluator
 from eval.samples.sets import SampleSet
-from motionkit.console import stderr
 from motionkit.core.files import require_no_link
+from motionkit.core.warn import warn
 from motionkit.errors import DamagedFileError
 from motionkit.motion import Caption
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
@@ -55,7 +55,7 @@ class Embedder:
     def kept(self, key: Mapping[str, Any], num_rows: int, compute: Callable[[], Embeddings]) -> Embeddings:
         """What was computed for this key by this evaluator, else `compute()`, which is written.
 
-        A file that is damaged, of another key or shape, or not finite is computed anew, and stderr says so. Raises
+        A file that is damaged, of another key or shape, or not finite is computed anew with a warning. Raises
         `ValueError` where `compute` gives another number of rows.
         """
         whole = {"format": FORMAT, "evaluator": [self.evaluator.name, self.evaluator.fingerprint], **key}
@@ -102,7 +102,7 @@ def _read(path: Path, key: str, num_rows: int) -> Embeddings | None:
                 return np.asarray(found)
     except (DamagedFileError, OSError) as error:
         reason = error.fault if isinstance(error, DamagedFileError) else str(error)
-    stderr.print(f"{path}: not usable ({reason}); computing it anew", markup=False)
+    warn(f"{path}: not usable ({reason}); computing it anew")
     return None
 
 

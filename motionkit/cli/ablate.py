@@ -1,11 +1,12 @@
 """`motionkit ablate`: train the variants that an ablation table is made of."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from motionkit.console import print_json, stderr, stdout
+from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.settings import default_path
 from motionkit.training.ablations import (
@@ -69,7 +70,8 @@ def ablate(
     store_path = store or default_path("store")
     read_manifest(store_path)  # a store that is missing is told before anything heavy is imported
     sweep = Sweep(store_path, folder, prefix, recipe, seed=seed, overwrite=overwrite, device=device)
-    trained = _train_all(ablations, sweep, jobs, configs, as_json)
+    with progress() as show:
+        trained = _train_all(ablations, replace(sweep, on_progress=show), jobs, configs, as_json)
     if as_json:
         print_json({"runs": str(folder), "trained": trained})
     if len(trained) < len(jobs):

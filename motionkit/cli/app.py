@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from motionkit.console import stderr, stdout
+from motionkit.console import show_warnings, stderr, stdout
 from motionkit.core.version import __version__
 from motionkit.errors import MotionkitError, UsageError, describe
 
@@ -57,6 +57,7 @@ def _options(
 
 def main() -> None:
     """Run the app; explained faults and the system's become one line on stderr and exit code 1 (2 for usage)."""
+    show_warnings()
     try:
         build_app(*sys.argv[1:2])()
     except UsageError as error:

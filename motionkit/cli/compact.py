@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from motionkit.console import print_json, progress, stdout
+from motionkit.core.progress import task
 from motionkit.settings import default_path
 
 MEGABYTE = 1e6
@@ -27,9 +28,8 @@ def compact(
     path = store or default_path("store")
     before = read_manifest(path)
     num_left = len(leftovers(path, before))
-    with progress() as display:
-        task = display.add_task("compact", total=before.num_sequences, note="")
-        changed = compact_store(path, lambda: display.advance(task))
+    with progress() as show, task(show, "compact", before.num_sequences) as work:
+        changed = compact_store(path, work.advance)
     after = read_manifest(path)
     if as_json:
         print_json(

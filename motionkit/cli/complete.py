@@ -1,7 +1,6 @@
 """`motionkit complete`: more frames between those of a clip, its gaps closed, its ends continued."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +8,7 @@ import typer
 
 from motionkit.cli import complete_options as option
 from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.core.progress import task, tracked
 from motionkit.errors import MotionkitError, describe
 from motionkit.settings import default_path
 
@@ -84,12 +84,11 @@ def _complete_each(
     """What was written, and name and message of each clip that could not be: one that fails loses no other."""
     done: list[CompletedClip] = []
     failures: list[tuple[str, str]] = []
-    with progress() as display:
-        task = display.add_task("complete", total=len(sources), note="")
-        for source in sources:
-            frames = display.add_task(source.name, total=None, note="")
+    with progress() as show:
+        for source in tracked(show, "complete", sources, len(sources)):
             try:
-                completed = job.complete(source, path_of, partial(display.advance, frames))
+                with task(show, source.name) as frames:
+                    completed = job.complete(source, path_of, frames.advance)
             except (MotionkitError, OSError) as error:
                 message = describe(error)
                 failures.append((source.name, message))
@@ -98,8 +97,6 @@ def _complete_each(
             else:
                 done.append(completed)
                 _tell(completed, as_json)
-            display.remove_task(frames)
-            display.advance(task)
     return done, failures
 
 

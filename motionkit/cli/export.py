@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.core.progress import task
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 from motionkit.timegrid import parse_fps
@@ -54,9 +55,8 @@ def export(
     num_chosen = len(selection.indices)
     if not num_chosen:
         raise UsageError(f"no sequence of {opened.path} satisfies {where!r}" if where else f"{opened.path} is empty")
-    with progress() as display:
-        task = display.add_task("export", total=num_chosen, note="")
-        report = export_selection(selection, out, EXPORTS[format], on_outcome=lambda outcome: display.advance(task))
+    with progress() as show, task(show, "export", num_chosen) as work:
+        report = export_selection(selection, out, EXPORTS[format], on_outcome=lambda outcome: work.advance())
     _tell_left_out(report.left_out)
     if as_json:
         print_json(_as_json(report))

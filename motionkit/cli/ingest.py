@@ -4,6 +4,7 @@ import gc
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from motionkit.cli import ingest_options as option
 from motionkit.cli.ingest_options import Compat, OnError
 from motionkit.cli.reading import read_options
 from motionkit.console import print_json, print_text, progress, stderr, stdout
+from motionkit.core.progress import Task, task
 from motionkit.errors import FormatError, MotionkitError, UsageError
 from motionkit.plain_text import printable
 from motionkit.settings import default_path, optional_path
@@ -71,8 +73,7 @@ def ingest(
         body_models=_body_models(body_models),
     )
     teller = _Teller()
-    with progress() as display:
-        task = display.add_task("scan", total=None, note="")
+    with progress() as show, task(show, "ingest", note="scanning") as work:
         report = ingest_sources(
             sources,
             store or default_path("store"),
@@ -82,8 +83,8 @@ def ingest(
             num_workers=workers,
             engine=engine,
             listener=Listener(
-                on_start=lambda num_items: display.update(task, description="ingest", total=num_items),
-                on_item=lambda: display.advance(task),
+                on_start=partial(_start, work),
+                on_item=work.advance,
                 on_warning=lambda warning: teller.tell(warning, "warning: "),
                 on_problem=teller.tell,
             ),
@@ -93,6 +94,11 @@ def ingest(
     else:
         _print_summary(report)
     _check_success(report, on_error)
+
+
+def _start(work: Task, num_items: int) -> None:
+    work.note("")
+    work.set_total(num_items)
 
 
 def _check_success(report: "IngestReport", on_error: OnError) -> None:

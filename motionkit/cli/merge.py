@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.core.progress import task
 
 if TYPE_CHECKING:
     from motionkit.store.rewrite import MergeReport
@@ -37,15 +38,14 @@ def merge(
     """
     from motionkit.store.rewrite import merge as merge_stores
 
-    with progress() as display:
-        task = display.add_task("merge", total=None, note="")
+    with progress() as show, task(show, "merge") as work:
         report = merge_stores(
             out,
             sources,
             where=where,
             on_conflict=on_conflict.value,
-            on_start=lambda num_sequences: display.update(task, total=num_sequences),
-            on_sequence=lambda: display.advance(task),
+            on_start=work.set_total,
+            on_sequence=work.advance,
         )
     for sequence_id in report.conflicts:
         stderr.print(f"left out: {sequence_id!r} is there from another file", markup=False)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from motionkit.console import print_json, progress, stdout
+from motionkit.core.progress import task
 from motionkit.settings import default_path
 
 
@@ -22,9 +23,8 @@ def migrate(
 
     path = store or default_path("store")
     before = read_manifest(path)
-    with progress() as display:
-        task = display.add_task("migrate", total=before.num_sequences, note="")
-        migrated = migrate_store(path, lambda: display.advance(task))
+    with progress() as show, task(show, "migrate", before.num_sequences) as work:
+        migrated = migrate_store(path, work.advance)
     after = read_manifest(path)
     if as_json:
         print_json({"store": str(path), "from_version": before.format_version, "to_version": after.format_version})

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from motionkit.conditions import conjunction
-from motionkit.console import print_json, stderr, stdout
+from motionkit.console import print_json, progress, stderr, stdout
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 from motionkit.training.config import apply_overrides, flatten, parse_override, unknown_setting
@@ -58,7 +58,8 @@ def train(
     fingerprint = read_manifest(store_path).fingerprint
     from motionkit.training.ranks import joined_ranks
 
-    with joined_ranks() as ranks:
+    with joined_ranks() as ranks, progress() as show:
+        context = replace(context, on_progress=show)
         for each, config in zip(chosen, configs, strict=True):
             ranks.on_first(partial(_check, each, context, config, fingerprint))
         summaries = []

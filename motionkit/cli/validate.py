@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from motionkit.console import print_json, progress, stdout
+from motionkit.core.progress import task
 from motionkit.settings import default_path
 
 
@@ -23,11 +24,11 @@ def validate(
 
     path = store or default_path("store")
     manifest = read_manifest(path)
-    with progress() as display:
-        task = display.add_task("validate", total=len(manifest.files), note="")
+    with progress() as show, task(show, "validate", len(manifest.files)) as work:
 
         def on_file(name: str) -> None:
-            display.update(task, advance=1, note=name)
+            work.note(name)
+            work.advance()
 
         found = list(faults(path, on_file, deep=deep))
     if as_json:

@@ -1,7 +1,6 @@
 """`motionkit view`: moving skeletons in a page that opens from disk."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import typer
@@ -9,6 +8,7 @@ import typer
 from motionkit.cli import view_options as option
 from motionkit.cli.reading import read_options
 from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.core.progress import task
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.settings import default_path
 
@@ -58,9 +58,8 @@ def view(
     path = page_path(out, sources) if sources else Path()
     if sources and path.exists() and not overwrite:
         raise MotionkitError(f"{path} exists: --overwrite replaces it, --out writes elsewhere")
-    with progress() as display:
-        task = display.add_task("read", total=len(sources), note="")
-        takes, failed = read_takes(sources, stretch, partial(display.advance, task))
+    with progress() as show, task(show, "read", len(sources)) as work:
+        takes, failed = read_takes(sources, stretch, work.advance)
     failures += failed
     for name, message in failures:
         stderr.print(f"motionkit: {message if name in message else f'{name}: {message}'}", markup=False)

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int, Int32, Int64
 
-from motionkit.console import stderr
 from motionkit.core.files import read_regular, require_no_link
 from motionkit.core.sealed import read_json
+from motionkit.core.warn import warn
 from motionkit.errors import DamagedFileError, StoreError, UsageError
 from motionkit.skeleton import STANDARD_SKELETONS
 from motionkit.store.cache_build import INDEX_DTYPE, NATIVE, Skipped, Wanted, build
@@ -120,7 +120,7 @@ class PositionCache:
 def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None) -> PositionCache:
     """The cache of the sequences for which the SQL condition `where` holds, in the layout; built where it is missing.
 
-    A damaged one is not used: it is built anew, which is said on stderr. Layouts: `smpl22`, `kit21`, and `native` for
+    A damaged one is not used: it is built anew, with a warning. Layouts: `smpl22`, `kit21`, and `native` for
     stores (or filters) with one number of joints. Two processes may ask at once: one builds, the other waits. Raises
     `UsageError` for an unknown layout, bad SQL, or a choice that is empty or cannot be held; `StoreError` where the
     disk is too small or may not be written to; `LinkError` where the folder of caches is a symbolic link.
@@ -138,7 +138,7 @@ def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None
         if isinstance(found, PositionCache):
             return found
         if found is not None:
-            stderr.print(f"motionkit: warning: {found}")
+            warn(str(found))
         remove_stale(root, store.fingerprint)
         try:
             build(wanted, target)

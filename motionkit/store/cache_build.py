@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from motionkit.checksums import sha256_of
-from motionkit.console import progress
 from motionkit.core.files import write_whole
+from motionkit.core.progress import tracked
 from motionkit.core.sealed import write_json
 from motionkit.errors import StoreError, UsageError
 from motionkit.skeleton import Skeleton
@@ -99,10 +99,9 @@ def build(wanted: Wanted, target: Path) -> None:
     mark(target)
     uses_tips = any(maps[fingerprint].uses_tips for fingerprint in kept["skeleton"].unique())
     motions = store.read_many(index["sequence_index"].tolist(), rotations=uses_tips)
-    with progress() as display:
-        task = display.add_task(f"cache {wanted.layout}", total=len(index), note="")
-        frames = (map_joints(motion, wanted.layout) for motion in display.track(motions, task_id=task))
-        positions = write_rows(target / POSITIONS_FILE, shape, frames)
+    counted = tracked(store.on_progress, f"cache {wanted.layout}", motions, len(index))
+    frames = (map_joints(motion, wanted.layout) for motion in counted)
+    positions = write_rows(target / POSITIONS_FILE, shape, frames)
     content = io.BytesIO()
     np.save(content, index, allow_pickle=False)
     write_whole(target / INDEX_FILE, content.getvalue())

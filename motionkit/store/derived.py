@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32
 
-from motionkit.console import stderr
 from motionkit.core.sealed import read_json, write_json
+from motionkit.core.warn import warn
 from motionkit.errors import DamagedFileError
 from motionkit.store.cache_folder import writable
 from motionkit.store.digests import FileDigest, file_fault
@@ -42,7 +42,7 @@ def derived_rows(
         if isinstance(found, RowFile):
             return found
         if found is not None:
-            stderr.print(f"motionkit: warning: {found}")
+            warn(str(found))
         digest = write_rows(cache.path / f"{name}.npy", shape, _checked(name, cache, num_numbers, compute()))
         write_json(cache.path / f"{name}.json", asdict(digest))
     return RowFile.open(cache.path / f"{name}.npy")

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Int, Int64
 
+from motionkit.core.progress import OnProgress, ignore
 from motionkit.errors import StoreError, UsageError
 from motionkit.motion import Motion
 from motionkit.store import codec
@@ -47,8 +48,17 @@ class Store:
     Fraction(60, 1)
     """
 
-    def __init__(self, path: Path, manifest: Manifest, sequences: pa.Table, skeletons: pa.Table) -> None:
+    def __init__(
+        self,
+        path: Path,
+        manifest: Manifest,
+        sequences: pa.Table,
+        skeletons: pa.Table,
+        on_progress: OnProgress = ignore,
+    ) -> None:
         self.path = path
+        self.on_progress = on_progress
+        """Callback for long work on the store, such as building a cache."""
         self.manifest = manifest
         self.sequences_table = sequences
         self.skeletons_table = skeletons
@@ -57,15 +67,18 @@ class Store:
         self._segments = SegmentReader(path, manifest.files)
 
     @classmethod
-    def open(cls, path: Path | str) -> "Store":
-        """Open a store; raises `StoreError` where there is none, or it is damaged or of another format version."""
+    def open(cls, path: Path | str, *, on_progress: OnProgress = ignore) -> "Store":
+        """Open a store; `on_progress` is called while caches are built from it.
+
+        Raises `StoreError` where there is none, or it is damaged or of another format version.
+        """
         path = Path(path)
         for _ in range(OPEN_ATTEMPTS):
             manifest = read_manifest(path)
             sequences = open_table(path, manifest, SEQUENCES_FILE)
             skeletons = open_table(path, manifest, SKELETONS_FILE)
             if sequences is not None and skeletons is not None:
-                return cls(path, manifest, sequences.combine_chunks(), skeletons)
+                return cls(path, manifest, sequences.combine_chunks(), skeletons, on_progress)
         raise not_committed(path)
 
     @property

@@ -6,11 +6,12 @@ That module must import lightly. `motionkit ablate` trains the rows' runs; the t
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from motionkit.core.progress import OnProgress, ignore
 from motionkit.errors import UsageError
 from motionkit.training.config import ConfigLike, parse_override
 from motionkit.training.run import RunFolder
@@ -90,11 +91,19 @@ class Sweep:
     seed: int = 0
     overwrite: bool = False
     device: str = "auto"
+    on_progress: OnProgress = field(default=ignore, compare=False, repr=False)
 
     def context(self, run: RunFolder, seed: int, *, overwrite: bool) -> StageContext:
         """A context for one run."""
         return StageContext(
-            self.store, run, self.recipe, seed=seed, resume=not overwrite, overwrite=overwrite, device=self.device
+            self.store,
+            run,
+            self.recipe,
+            seed=seed,
+            resume=not overwrite,
+            overwrite=overwrite,
+            device=self.device,
+            on_progress=self.on_progress,
         )
 
 

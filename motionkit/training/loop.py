@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 
 import torch
 
-from motionkit.console import progress
+from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.training.metrics_log import NOTHING_LOGGED
 from motionkit.training.randomness import step_generator
 from motionkit.training.ranks import ALONE, Ranks
@@ -54,6 +54,7 @@ def train_loop(
     log_every: int = 50,
     checkpoint_seconds: float = 60.0,
     ranks: Ranks = ALONE,
+    on_progress: OnProgress = ignore,
 ) -> dict[str, float]:
     """Train to `steps`, from the folder's checkpoint where there is one; returns the last logged figures.
 
@@ -67,8 +68,8 @@ def train_loop(
     latest = (folder.read_metrics() or [{}])[-1]
     saved = time.perf_counter()
     started = saved - latest.get("seconds", 0.0)
-    with progress() as display, _interrupts() as interrupted:
-        task = display.add_task(purpose, total=steps, completed=first, note="", visible=ranks.is_first)
+    report = on_progress if ranks.is_first else ignore
+    with task(report, purpose, steps, done=first) as work, _interrupts() as interrupted:
         for step in range(first, steps):
             figures.add(trainable.step(step, step_generator(seed, purpose, step)))
             done = step + 1
@@ -79,7 +80,7 @@ def train_loop(
             if log:
                 latest = {"step": float(done), "seconds": round(time.perf_counter() - started, 3)} | figures.means(done)
                 figures = _Figures({}, since=done)
-                display.update(task, note=" ".join(f"{name} {latest[name]:.4g}" for name in list(latest)[2:5]))
+                work.note(" ".join(f"{name} {latest[name]:.4g}" for name in list(latest)[2:5]))
             if log and ranks.is_first:
                 folder.append_metrics(latest)
             if save:
@@ -87,7 +88,7 @@ def train_loop(
                 saved = time.perf_counter()
             if stop:
                 raise KeyboardInterrupt
-            display.advance(task)
+            work.advance()
     return latest
 
 

@@ -5,17 +5,19 @@ An entry point names a module attribute that is a `Stage`. That module must impo
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
+from motionkit.core.progress import OnProgress, ignore
 from motionkit.errors import UsageError
 from motionkit.training.config import ConfigLike, ConfigT
 from motionkit.training.run import RunFolder, StageFolder, begin_stage, check_same
 
 if TYPE_CHECKING:
+    from motionkit.store.reader import Store
     from motionkit.training.ranks import Ranks
 
 
@@ -24,6 +26,7 @@ class StageContext:
     """Where a stage is trained: from which store, into which run, with which seed, on which device.
 
     `device` is "auto" or a torch device's name; `shared` whether all ranks that torchrun started train this stage.
+    `on_progress` is called during training and while caches are built for it.
     """
 
     store: Path
@@ -34,6 +37,13 @@ class StageContext:
     overwrite: bool = False
     device: str = "auto"
     shared: bool = False
+    on_progress: OnProgress = field(default=ignore, compare=False, repr=False)
+
+    def open_store(self) -> "Store":
+        """The store, for reading."""
+        from motionkit.store.reader import Store
+
+        return Store.open(self.store, on_progress=self.on_progress)
 
     @property
     def ranks(self) -> "Ranks":

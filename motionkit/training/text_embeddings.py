@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float32
 from safetensors.numpy import load_file, save
 
-from motionkit.console import stderr
 from motionkit.core.files import require_no_link
+from motionkit.core.warn import warn
 from motionkit.errors import DamagedFileError
 from motionkit.store.cache_folder import writable
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
@@ -39,7 +39,7 @@ def _key(text: str) -> bytes:
 
 
 def _read(path: Path) -> dict[bytes, np.ndarray]:
-    """What is known; nothing where the file is damaged, which stderr says: it is computed anew."""
+    """What is known; nothing where the file is damaged, which is warned of: it is computed anew."""
     if not path.is_file():
         return {}
     try:
@@ -48,9 +48,9 @@ def _read(path: Path) -> dict[bytes, np.ndarray]:
         keys, embeddings = arrays["text_sha256"], arrays["embeddings"]
         return {row.tobytes(): embedding for row, embedding in zip(keys, embeddings, strict=True)}
     except DamagedFileError as error:
-        stderr.print(f"motionkit: {error}")
+        warn(str(error))
     except (KeyError, ValueError) as error:
-        stderr.print(f"motionkit: {path} is no cache of text embeddings ({error}): computing them anew")
+        warn(f"{path} is no cache of text embeddings ({error}): computing them anew")
     return {}
 
 

@@ -13,9 +13,9 @@ from jaxtyping import Float32, Int64
 
 from motionkit.checksums import sha256_of
 from motionkit.clips.windows import PositionSource
-from motionkit.console import stderr
 from motionkit.core.files import whole_file
 from motionkit.core.sealed import read_json, write_json
+from motionkit.core.warn import warn
 from motionkit.errors import DamagedFileError, UsageError
 from motionkit.resample import resample_positions
 from nerm.codebook.vectors import codebook_vectors
@@ -56,7 +56,7 @@ def prepare_vectors(source: PositionSource, config: CodebookConfig, path: Path) 
         fault = _fault_of(path)
         if fault is None:
             return
-        stderr.print(f"motionkit: {path} is made again: {fault}")
+        warn(f"{path} is made again: {fault}")
         table.unlink()
     _write_vectors(source, config, path)
 

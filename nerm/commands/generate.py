@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.core.progress import task
 from motionkit.errors import UsageError
 from motionkit.settings import default_path
 from motionkit.timegrid import parse_fps
@@ -79,13 +80,12 @@ def _write_all(
 
     report: dict[str, Any] = {"already_there": folder.num_done, "motions": []}
     plan.output.begin(folder.path, plan.fps)
-    with progress() as display:
-        task = display.add_task("generate", total=len(plan.motions), completed=folder.num_done, note="")
+    with progress() as show, task(show, "generate", len(plan.motions), done=folder.num_done) as work:
         for field, sample in plan.samples(model, folder.num_done):
             files = plan.output.files(sample.name)
             plan.output.write(folder.path / files[0], sample)
             folder.add(sample)
-            display.advance(task)
+            work.advance()
             if not as_json:
                 stdout.print(str(folder.path / files[0]), markup=False)
                 continue

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from motionkit.console import stderr
 from motionkit.core.files import naming, temporary_name
 from motionkit.core.sealed import read_json, write_json
+from motionkit.core.warn import warn
 from motionkit.errors import DamagedFileError, UsageError
 from motionkit.generate.samples import GeneratedSample, motion_name
 from motionkit.generation import GenerationRequest
@@ -151,7 +151,7 @@ def _keep_complete(table: GeneratedTable) -> int:
     done = []
     for row in table.rows():
         if not all(path.is_file() for path in table.paths(row)):
-            stderr.print(f"motionkit: {row['file']} is gone: the motions are made again from there")
+            warn(f"{row['file']} is gone: the motions are made again from there")
             break
         fault = table.fault(row)
         if fault is not None:

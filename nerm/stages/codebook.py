@@ -25,7 +25,7 @@ from nerm.settings.codebook import CodebookConfig
 
 def train_codebook(context: StageContext, config: NermConfig) -> None:
     """Train the VQ-VAE, or take T2M-GPT's own; writes codes [N, d], network and statistics to model.safetensors."""
-    store, device, ranks = Store.open(context.store), resolve_device(context.device), context.ranks
+    store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.codebook, device)
     config = dataclasses.replace(config, codebook=settings)
     description = {"format": FORMAT, "version": FORMAT_VERSION, "fps": settings.fps, "convention": FORMAT}
@@ -45,7 +45,9 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     corpus = open_vectors(settings, vectors)
     training = CodebookTraining(corpus, settings, seed=context.seed, device=device, ranks=ranks)
     with float32_products(settings.precision):
-        figures = train_loop(training, folder, steps=settings.steps, seed=context.seed, ranks=ranks)
+        figures = train_loop(
+            training, folder, steps=settings.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
+        )
     if not ranks.is_first:
         return
     tensors = {"codes": training.network.quantiser.codes, "mean": corpus.mean, "scale": corpus.scale}
@@ -80,7 +82,7 @@ def _facts(published: PublishedCodebook) -> dict[str, Any]:
 def check_codebook(context: StageContext, config: NermConfig) -> None:
     """Raise what would stop this stage: no sequence that is long enough, published weights that are not there."""
     if _published(config.codebook) is None:
-        _source(Store.open(context.store), config.codebook)
+        _source(context.open_store(), config.codebook)
 
 
 def _source(store: Store, settings: CodebookConfig) -> PositionCache:

@@ -5,7 +5,6 @@ import time
 
 from motionkit.checksums import sha256_of
 from motionkit.errors import MotionkitError, UsageError
-from motionkit.store.reader import Store
 from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
 from motionkit.training.precision import float32_products, with_precision_of
@@ -27,7 +26,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     Raises `RunError` where the field is missing or was trained on another state of the store (captions are looked up in
     the store by its windows' sequences), and `UsageError` where texts are to be learnt and no window has any.
     """
-    store, device, ranks = Store.open(context.store), resolve_device(context.device), context.ranks
+    store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.denoiser, device)
     config = dataclasses.replace(config, denoiser=settings)
     field = load_field(context.run)
@@ -51,7 +50,9 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
     with float32_products(settings.precision):
-        figures = train_loop(training, folder, steps=training.num_steps, seed=context.seed, ranks=ranks)
+        figures = train_loop(
+            training, folder, steps=training.num_steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
+        )
     if not ranks.is_first:
         return
     trained = training.finished(
@@ -76,7 +77,7 @@ def check_denoiser(context: StageContext, config: NermConfig) -> None:
     settings = config.denoiser
     if _encoder(settings) is None:
         return
-    store = Store.open(context.store)
+    store = context.open_store()
     if not store.columns("captions")["captions"].map(len).any():
         raise _without_captions(f"no sequence of {context.store}", settings)
 

@@ -8,7 +8,7 @@ from jaxtyping import Float32
 
 from motionkit.clips.frame_vectors import FrameVectors
 from motionkit.clips.poses import WindowPoses
-from motionkit.console import stderr
+from motionkit.core.warn import warn
 from motionkit.skeleton import SMPL22
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
@@ -30,7 +30,7 @@ from nerm.settings.field import FieldConfig
 
 def train_field(context: StageContext, config: NermConfig) -> None:
     """Train f_θ and the posteriors of all windows; writes both, with the window table, to model.safetensors."""
-    store, device, ranks = Store.open(context.store), resolve_device(context.device), context.ranks
+    store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.field, device)
     config = dataclasses.replace(config, field=settings)
     started = time.perf_counter()
@@ -41,7 +41,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     builds_on = () if codes is None else ("codebook",)
     folder = context.begin("field", config, store_fingerprint=store.fingerprint, builds_on=builds_on)
     for remark in remarks(source, windows, settings) if ranks.is_first else []:
-        stderr.print(f"motionkit: warning: {remark}", markup=False)
+        warn(remark)
     training = FieldTraining(
         WindowPoses(source, windows, SMPL22.left_right_pairs, settings.fixed_framerate, frames),
         settings,
@@ -52,7 +52,9 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         ranks=ranks,
     )
     with float32_products(settings.precision):
-        figures = train_loop(training, folder, steps=training.steps, seed=context.seed, ranks=ranks)
+        figures = train_loop(
+            training, folder, steps=training.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
+        )
     mean, log_variance = training.posteriors()
     if not ranks.is_first:
         return
@@ -74,7 +76,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
 
 def check_field(context: StageContext, config: NermConfig) -> None:
     """Raise what would stop this stage: no sequence to cut windows from."""
-    _, source, _ = _corpus(Store.open(context.store), config.field)
+    _, source, _ = _corpus(context.open_store(), config.field)
     training_windows(source, config.field)
 
 

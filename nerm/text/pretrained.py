@@ -12,7 +12,7 @@ from urllib.request import getproxies
 
 from safetensors import SafetensorError
 
-from motionkit.console import stderr
+from motionkit.core.warn import warn
 from motionkit.errors import MotionkitError
 
 SENTENCES_PER_BATCH = 64
@@ -98,14 +98,13 @@ def _quiet_transformers() -> Iterator[None]:
 
 
 def tell_of_cut_texts(name: str, tokens: Any, longest: int) -> None:
-    """Say on stderr where texts of a batch are longer than the encoder reads."""
+    """Warn where texts of a batch are longer than the encoder reads."""
     cut = sum(bool(encoding.overflowing) for encoding in tokens.encodings or ())
     if cut:
         told = f"{cut} texts are" if cut > 1 else "a text is"
-        stderr.print(
-            f"motionkit: warning: {told} longer than the {longest} tokens that the text encoder {name!r} reads; what "
-            "comes after them has no effect",
-            markup=False,
+        warn(
+            f"{told} longer than the {longest} tokens that the text encoder {name!r} reads; what comes after them has "
+            "no effect"
         )
 
 

@@ -6,6 +6,8 @@ import pytest
 
 from motionkit import console
 from motionkit.console import LineConsole, print_json, print_text
+from motionkit.core.progress import Progress, task
+from motionkit.core.warn import LOGGER, warn
 from motionkit.errors import MotionkitError, describe
 from motionkit.plain_text import printable
 
@@ -76,3 +78,50 @@ def test_lines_stay_lines(capsys: pytest.CaptureFixture[str]) -> None:
 )
 def test_errors_of_the_system_are_told_with_their_file(error: Exception, told: str) -> None:
     assert describe(error) == told
+
+
+LINE_ABOVE_ERASED = "\x1b[1A\x1b[2K"
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """What a terminal is sent on stderr."""
+    file = io.StringIO()
+    monkeypatch.setattr(console, "stderr", LineConsole(file=file, force_terminal=True, width=100))
+    return file
+
+
+def test_every_task_has_a_bar_until_it_is_finished(terminal: io.StringIO) -> None:
+    with console.progress() as show:
+        show(Progress("outer", 1, 3))
+        show(Progress("inner\x1b[2J", 7, None, "a\nb"))
+        both = terminal.getvalue()
+        show(Progress("inner\x1b[2J", 7, None, finished=True))
+        show(Progress("outer", 2, 3))
+    assert "outer" in both and "1/3" in both
+    assert r"inner\x1b[2J" in both and r"a\nb" in both and "7/?" in both
+    last = terminal.getvalue()[len(both) :]
+    assert "2/3" in last and "inner" not in last[last.rindex("outer") :]
+    assert last.endswith(LINE_ABOVE_ERASED)
+
+
+def test_bars_are_erased_where_a_task_fails(terminal: io.StringIO) -> None:
+    with pytest.raises(KeyError), console.progress() as show:
+        show(Progress("never finished", 1, 2))
+        raise KeyError
+    drawn = terminal.getvalue()
+    assert "1/2" in drawn and drawn.endswith(LINE_ABOVE_ERASED)
+
+
+def test_no_bar_is_drawn_where_stderr_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with console.progress() as show, task(show, "read", 2) as work:
+        work.advance()
+    assert capsys.readouterr() == ("", "")
+
+
+def test_warnings_are_lines_on_stderr(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(LOGGER, "handlers", [])
+    console.show_warnings()
+    console.show_warnings()
+    warn("[bold] of a\nb")
+    assert capsys.readouterr() == ("", "motionkit: warning: [bold] of a\\nb\n")

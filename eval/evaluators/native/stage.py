@@ -22,7 +22,6 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     from eval.evaluators.native.bank import build_banks
     from eval.evaluators.native.evaluator import STAGE_NAME, describe_training
     from eval.evaluators.native.training import NativeTraining, collect_sentences
-    from motionkit.store import Store
     from motionkit.store.cache import open_cache
     from motionkit.store.cache_folder import cache_root
     from motionkit.timegrid import parse_fps
@@ -33,7 +32,7 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     from motionkit.training.text_embeddings import embed_texts
     from motionkit.training.text_encoders import load_text_encoder
 
-    store = Store.open(context.store)
+    store = context.open_store()
     takes = takes_of_cache(store, open_cache(store, layout=LAYOUT, where=config.training.where or None))
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
     training = config.training
@@ -47,7 +46,7 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
         cache = cache_root(store.path, store.fingerprint)
         sentences = collect_sentences(takes.captions, partial(embed_texts, encoder, folder=cache))
     trainable = NativeTraining(config, banks, sentences, context.seed, resolve_device(context.device))
-    latest = train_loop(trainable, folder, steps=training.steps, seed=context.seed)
+    latest = train_loop(trainable, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
     reached = [bank.fps for bank in banks]
     save_tensors(
         folder.model_path,

@@ -19,7 +19,7 @@ from eval.tables.nerm.table2 import ROW_NOTES
 from eval.tables.parts import Part
 from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, Reported, reported_figures
-from motionkit.console import progress
+from motionkit.core.progress import OnProgress, task
 from motionkit.encoders import EncoderLoader, encoder_loader
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.generation import ModelLoader, model_loader
@@ -53,8 +53,6 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     Raises `UsageError` without a run's name, or where none of the table's runs is trained, and what loading the store
     raises.
     """
-    from motionkit.store.reader import Store
-
     if request.run is None:
         raise UsageError("an ablation table needs the name of its runs: --run NAME for runs/NAME-VARIANT")
     rows = [_Trained(entry, _runs(request.run, entry)) for entry in ablation.entries]
@@ -63,7 +61,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
             f"no run of this table is trained in {str(request.run.parent)!r}: motionkit ablate {ablation.table} "
             f"--run {request.run.name} trains {', '.join(run_name(request.run.name, v, 0) for v in ablation.variants)}"
         )
-    yardstick = Yardstick(Store.open(request.store), request, request.fps or COLUMNS)
+    yardstick = Yardstick(request.open_store(), request, request.fps or COLUMNS)
     missing: list[str] = []
     blocks = _reconstruction_blocks(ablation, rows, yardstick, missing)
     generating = _model().stages[-1]
@@ -116,7 +114,7 @@ def _reconstruction_blocks(
     ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick, missing: list[str]
 ) -> list[Block]:
     encoder = _encoder()
-    measured = _measure(rows, lambda run: yardstick.reconstruction(Trained(encoder, run)), missing, encoder.stages[-1])
+    measured = _measure(rows, encoder, yardstick.reconstruction, yardstick.request.on_progress, missing)
     blocks = []
     for windows, error in WANTED_ERRORS:
         name = error_of(windows, error)
@@ -136,7 +134,7 @@ def _reconstruction_blocks(
 
 def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick, missing: list[str]) -> Block:
     model = _model()
-    measured = _measure(rows, lambda run: yardstick.synthesis(Trained(model, run)), missing, model.stages[-1])
+    measured = _measure(rows, model, yardstick.synthesis, yardstick.request.on_progress, missing)
     found = {row.entry.label: _mean([part.rows[SYNTHESIS] for part in measured[row.entry.label]]) for row in rows}
     references: tuple[Row, ...] = ()
     if any(found.values()):
@@ -159,22 +157,26 @@ def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Ya
 
 
 def _measure(
-    rows: Sequence[_Trained], figure: Callable[[Path], Part], missing: list[str], stage: str
+    rows: Sequence[_Trained],
+    loader: Loader[Any],
+    figure: Callable[[Trained[Any]], Part],
+    on_progress: OnProgress,
+    missing: list[str],
 ) -> dict[str, list[Part]]:
-    """A figure of every run whose stage is trained, each run once; a run that can't be measured is told."""
+    """A figure of what a loader finds in every run, each run once; a run that can't be measured is told."""
     parts: dict[Path, Part] = {}
+    stage = loader.stages[-1]
     runs = list(dict.fromkeys(run for row in rows for run in row.runs if RunFolder(run).stage(stage).is_complete))
-    with progress() as display:
-        task = display.add_task(f"measuring {stage}", total=len(runs), note="")
+    with task(on_progress, f"measuring {stage}", len(runs)) as work:
         for run in runs:
-            display.update(task, note=run.name)
+            work.note(run.name)
             try:
-                parts[run] = figure(run)
+                parts[run] = figure(Trained(loader, run))
             except MotionkitError as error:
                 missing.append(f"{run.name}: {error}")
             else:
                 missing.extend(parts[run].missing)
-            display.advance(task)
+            work.advance()
     return {row.entry.label: [parts[run] for run in row.runs if run in parts] for row in rows}
 
 

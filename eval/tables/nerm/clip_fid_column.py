@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
-from typing import TYPE_CHECKING
 
 from eval.baselines.low_pass import low_passed
 from eval.baselines.upsampled import upsampled
@@ -13,10 +11,8 @@ from eval.sample_folder import SampleFolder
 from eval.samples.generated import Window, sample_fields
 from eval.samples.real import NoRealMotionError, RealMotion
 from eval.samples.sets import SampleSet
+from motionkit.core.progress import OnProgress, task
 from motionkit.motionfield import MotionField
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
 
 LOW_FPS = Fraction(20)
 P1 = "real, independent draws (P1)"
@@ -126,13 +122,12 @@ def make_column(
     return Column(fps, reference, rows, training, tuple(models), tuple(samples))
 
 
-def samples_at(folders: Sequence[SampleFolder], fps: Fraction, display: "Progress") -> dict[str, SampleSet]:
+def samples_at(folders: Sequence[SampleFolder], fps: Fraction, on_progress: OnProgress) -> dict[str, SampleSet]:
     """Every folder's motions at a framerate, by name."""
     made = {}
     for folder in folders:
-        task = display.add_task(f"{folder.name}, {framerate_label(fps)}", total=folder.num_motions, note="")
-        made[folder.name] = folder.at(fps, partial(display.advance, task))
-        display.remove_task(task)
+        with task(on_progress, f"{folder.name}, {framerate_label(fps)}", folder.num_motions) as work:
+            made[folder.name] = folder.at(fps, work.advance)
     return made
 
 

@@ -19,11 +19,9 @@ def build_figure5(request: TableRequest) -> Result:
 
     Raises `UsageError` without a run, `RunError` where it holds no model, and what loading the store raises.
     """
-    from motionkit.store.reader import Store
-
     if request.run is None:
         raise UsageError("figure 5 needs a trained model: --run NAME (motionkit train makes one)")
-    store = Store.open(request.store)
+    store = request.open_store()
     models = require_models(request.run)
     yardstick = Yardstick(store, request, request.fps or COLUMNS)
     parts = {f"{name}, unconditional": yardstick.unconditional(model) for name, model in models.items()}

@@ -27,14 +27,12 @@ def build_figure8(request: TableRequest) -> Result:
 
     Raises `UsageError` without a run, `RunError` where it holds no model, and what loading the store raises.
     """
-    from motionkit.store.reader import Store
-
     if request.run is None:
         raise UsageError("figure 8 needs a trained model: --run NAME (motionkit train makes one)")
     fps, *others = request.fps or (TARGET_FPS,)
     if others:
         raise UsageError(f"figure 8 is at one framerate: --fps {fps}")
-    store, models = Store.open(request.store), require_models(request.run)
+    store, models = request.open_store(), require_models(request.run)
     yardstick = Yardstick(store, request, (fps,))
     floors = yardstick.floors()
     missing = list(floors.missing)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,13 +25,10 @@ from eval.text_motion.kit_joints import MADE_OF_22, kit_bone_lengths
 from eval.text_motion.model_motions import ModelMotions
 from eval.text_motion.real_pairs import CaptionedMotions, captioned_motions, limited
 from eval.text_motion.sample_motions import sample_embeddings
-from motionkit.console import progress
+from motionkit.core.progress import task
 from motionkit.errors import MotionkitError, UsageError
 from motionkit.generation import installed_models
 from motionkit.skeleton import SMPL22, STANDARD_SKELETONS
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
 
 VERSION = "text-motion/1"
 DEFAULT_FPS = Fraction(20)
@@ -66,7 +63,6 @@ class _Job:
     protocol: TextMotionProtocol
     models: Mapping[str, TrainedModel]
     folders: tuple[SampleFolder, ...]
-    display: "Progress"
     missing: list[str]
 
 
@@ -76,13 +72,10 @@ def build_table1(request: TableRequest) -> Result:
     Raises `UsageError` for a protocol, evaluator or framerate that there is not, `StoreError` for a store that cannot
     be used, and `NoRealMotionError` where it has no captioned motion.
     """
-    from motionkit.store.reader import Store
-
     protocol = find_text_motion_protocol(request.published)
     missing: list[str] = []
-    store, folders = Store.open(request.store), request.sample_folders
-    with progress() as display:
-        task = display.add_task("loading", total=None, note="")
+    store, folders = request.open_store(), request.sample_folders
+    with task(request.on_progress, "loading"):
         evaluators = text_motion_evaluators(request, protocol, missing)
         models = _models(request, missing)
         check_names(request.samples, models)
@@ -90,7 +83,6 @@ def build_table1(request: TableRequest) -> Result:
             longest = each.loaded.max_duration_seconds
             lengths, kit_lengths = (limited(rule, longest) for rule in (protocol.lengths, protocol.kit_lengths))
             protocol = replace(protocol, lengths=lengths, kit_lengths=kit_lengths)
-        job = _Job(request, protocol, models, folders, display, missing)
         real: dict[_Sight, CaptionedMotions] = {}
         for evaluator in evaluators:
             sight = _sight(request, evaluator)
@@ -98,8 +90,7 @@ def build_table1(request: TableRequest) -> Result:
                 rule = protocol.lengths_at(sight.fps)
                 real[sight] = captioned_motions(store, request.split, request.where, sight.fps, rule, sight.layout)
                 _check_pool(real[sight], protocol, request)
-        display.remove_task(task)
-        blocks = _all_blocks(job, evaluators, real)
+    blocks = _all_blocks(_Job(request, protocol, models, folders, missing), evaluators, real)
     return Result(
         task="nerm-table1",
         version=VERSION,
@@ -195,9 +186,8 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
     """One evaluator's numbers."""
     protocol, request = job.protocol, job.request
     embedder = Embedder(evaluator, request.results / FOLDER)
-    task = job.display.add_task(f"{evaluator.name}: embedding real motion", total=None, note="")
-    pairs = TextMotionPairs(embedder.texts(real.captions), embedder.motions(real.samples))
-    job.display.remove_task(task)
+    with task(request.on_progress, f"{evaluator.name}: embedding real motion"):
+        pairs = TextMotionPairs(embedder.texts(real.captions), embedder.motions(real.samples))
     chosen = _chosen(real, protocol, request)
     rows = [_real_row(job, pairs, chosen)]
     for name, model in job.models.items():
@@ -247,18 +237,13 @@ def _model_row(
     chosen: npt.NDArray[np.int64],
     embedder: Embedder,
 ) -> ScoredRow:
-    task = job.display.add_task(f"{embedder.evaluator.name}: {name}", total=None, note="motions generated")
-    lengths = kit_bone_lengths(real.samples)
-    motions = ModelMotions(
-        *(name, trained.loaded, trained.identity, job.request.seed, lengths),
-        on_motions=lambda count: job.display.advance(task, count),
-    )
-    try:
-        wanted = real.select(chosen)
-        draws = [motions.draw(wanted, number, embedder) for number in range(job.request.draws)]
-        repeated = motions.repeated(wanted, job.protocol.multimodality, job.request.max_motions, embedder)
-    finally:
-        job.display.remove_task(task)
+    lengths, wanted, request = kit_bone_lengths(real.samples), real.select(chosen), job.request
+    with task(request.on_progress, f"{embedder.evaluator.name}: {name}", note="motions generated") as work:
+        motions = ModelMotions(
+            *(name, trained.loaded, trained.identity, request.seed, lengths), on_motions=work.advance
+        )
+        draws = [motions.draw(wanted, number, embedder) for number in range(request.draws)]
+        repeated = motions.repeated(wanted, job.protocol.multimodality, request.max_motions, embedder)
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
     remarks = size_remarks(pairs.motions, reference.motions, draws[0].motions, job.request.seed)
     note = "; ".join((f"run {trained.run.name!r}", *([] if lengths is None else [MADE_OF_22]), *remarks))
@@ -281,8 +266,7 @@ def _score(
     draws: list[TextMotionPairs],
     repeated: npt.NDArray[np.float64] | None = None,
 ) -> Scores:
-    task = job.display.add_task("scoring", total=job.protocol.replications, note="")
-    try:
+    with task(job.request.on_progress, "scoring", job.protocol.replications) as work:
         return score_text_motion(
             reference,
             draws,
@@ -290,10 +274,8 @@ def _score(
             job.request.seed,
             repeated=repeated,
             compat=job.request.compat,
-            on_replication=lambda: job.display.advance(task),
+            on_replication=work.advance,
         )
-    finally:
-        job.display.remove_task(task)
 
 
 def _caption(request: TableRequest, protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]) -> str:

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,14 +45,12 @@ from eval.tables.nerm.clip_fid_column import (
 from eval.tables.nerm.nearest_training import nearest_training_block
 from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, reported_figures
-from motionkit.console import progress
 from motionkit.core.files import require_no_link
+from motionkit.core.progress import OnProgress, task
 from motionkit.errors import MotionkitError
 from motionkit.motionfield import MotionField
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from motionkit.store.reader import Store
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
@@ -98,40 +95,36 @@ def build_table2(request: TableRequest) -> Result:
     Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` where no column has
     real motion.
     """
-    from motionkit.store.reader import Store
-
-    store = Store.open(request.store)
+    store = request.open_store()
     folders = request.sample_folders
     real = real_motion(store, request.split, request.where)
     train = _training_motion(store, real)
     missing: list[str] = []
-    with progress() as display:
-        task = display.add_task("real sets", total=None, note="")
+    with task(request.on_progress, "real sets"):
         rates = _usable_rates(request.fps or COLUMNS, real, missing)
-        display.update(task, description="generating", total=1)
+    with task(request.on_progress, "generating", 1):
         fields = _generated_fields(request, real, rates, missing)
-        check_names(request.samples, _model_notes(fields))
-        notes = ROW_NOTES | _model_notes(fields) | {folder.name: folder.describe() for folder in folders}
-        display.remove_task(task)
-        without: list[str] = []
-        sources = feature_sources(request.run, request.features, without, request.guo)
-        sheets = [_Sheet(source, source.protocol(request.protocol)) for source in sources]
-        sizes: list[ColumnSize] = []
-        remarks: list[str] = []
-        for fps in rates:
-            # One column's motions at a time: those of all framerates together are three times as many.
-            samples = samples_at(folders, fps, display)
-            column = make_column(fps, real, train, fields, samples, missing).low_passed(request.low_pass_hz)
-            sizes.append(column.size)
-            remarks += set_remarks(column.real, column.others)
-            for sheet in sheets:
-                _fill(sheet, column, request.results, display)
-            del samples, column
-            for motion in (real, train):
-                motion.forget_all_but(LOW_FPS)
-        missing += [*without, *(line for sheet in sheets for line in sheet.missing)]
-        blocks = tuple(_block(sheet, sizes, notes) for sheet in sheets)
-        display.add_task("nearest training motion", total=None, note="")
+    check_names(request.samples, _model_notes(fields))
+    notes = ROW_NOTES | _model_notes(fields) | {folder.name: folder.describe() for folder in folders}
+    without: list[str] = []
+    sources = feature_sources(request.run, request.features, without, request.guo)
+    sheets = [_Sheet(source, source.protocol(request.protocol)) for source in sources]
+    sizes: list[ColumnSize] = []
+    remarks: list[str] = []
+    for fps in rates:
+        # One column's motions at a time: those of all framerates together are three times as many.
+        samples = samples_at(folders, fps, request.on_progress)
+        column = make_column(fps, real, train, fields, samples, missing).low_passed(request.low_pass_hz)
+        sizes.append(column.size)
+        remarks += set_remarks(column.real, column.others)
+        for sheet in sheets:
+            _fill(sheet, column, request)
+        del samples, column
+        for motion in (real, train):
+            motion.forget_all_but(LOW_FPS)
+    missing += [*without, *(line for sheet in sheets for line in sheet.missing)]
+    blocks = tuple(_block(sheet, sizes, notes) for sheet in sheets)
+    with task(request.on_progress, "nearest training motion"):
         nearest = _nearest_training(real, train, fields, folders, notes, missing)
     return Result(
         task="nerm-table2",
@@ -219,7 +212,7 @@ def _nearest_training(
         return ()
 
 
-def _fill(sheet: _Sheet, column: Column, results: Path, display: "Progress") -> None:
+def _fill(sheet: _Sheet, column: Column, request: TableRequest) -> None:
     """Score a column's rows; numbers that cannot be had are named in the sheet's `missing`."""
     label, source = column.label, sheet.source
     if column.train is None:
@@ -228,13 +221,13 @@ def _fill(sheet: _Sheet, column: Column, results: Path, display: "Progress") -> 
     try:
         check_lengths(column.real, sheet.protocol)
         features = source.fit(column.train)
-        scores = _scores(column, features, source, sheet.protocol, display, sheet.missing)
+        scores = _scores(column, features, source, sheet.protocol, request.on_progress, sheet.missing)
     except MotionkitError as error:
         sheet.missing.append(f"{label}, {source.name}: {error}")
         return
     sheet.fingerprints[label] = features.fingerprint
     if isinstance(features, KinematicDescriptor):
-        folder = results / "features"
+        folder = request.results / "features"
         require_no_link(folder, "delete the link, or name another folder with --results")
         features.save(folder / f"kinematic-{features.fingerprint}.npz")
     said = [*_too_few(column, features, sheet.protocol), source.remark_at(column.fps)]
@@ -286,15 +279,10 @@ def _scores(
     features: FeatureSet,
     source: FeatureSource,
     protocol: Protocol,
-    display: "Progress",
+    on_progress: OnProgress,
     missing: list[str],
 ) -> dict[str, ClipFid]:
     label = column.label
-    task = display.add_task(f"{source.name}, {label}", total=2 * protocol.replications, note="")
-
-    def advance() -> None:
-        display.advance(task)
-
     rows = {}
     for name, samples in column.rows.items():
         try:
@@ -302,12 +290,12 @@ def _scores(
             rows[name] = samples
         except ClipError as error:
             missing.append(f"{name}, {label}: {error}")
-    scores = score_rows(column.real, rows, features, protocol, source.parts, advance)
-    try:
-        scores[P2] = score_disjoint_halves(column.real, features, protocol, source.parts, advance)
-    except ClipError as error:
-        missing.append(f"{P2}, {label}: {error}")
-    display.remove_task(task)
+    with task(on_progress, f"{source.name}, {label}", 2 * protocol.replications) as work:
+        scores = score_rows(column.real, rows, features, protocol, source.parts, work.advance)
+        try:
+            scores[P2] = score_disjoint_halves(column.real, features, protocol, source.parts, work.advance)
+        except ClipError as error:
+            missing.append(f"{P2}, {label}: {error}")
     return scores
 
 

@@ -21,7 +21,7 @@ from eval.scoring.yardsticks import size_remarks
 from eval.tables.models import check_names, trained_models
 from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, reported_figures
-from motionkit.console import progress
+from motionkit.core.progress import task
 from motionkit.errors import MotionkitError, UsageError
 
 if TYPE_CHECKING:
@@ -79,18 +79,15 @@ def build_table3(request: TableRequest) -> Result:
     Raises `UsageError` for an unknown recogniser or protocol or missing weights, `CheckpointError` for other weights,
     and `NoActionsError` where the store has no motion of an action that the recogniser knows.
     """
-    from motionkit.store.reader import Store
-
     source, protocols = _choices(request)
-    store = Store.open(request.store)
+    store = request.open_store()
     missing: list[str] = []
-    with progress() as display:
-        task = display.add_task("recogniser", total=None, note="")
+    with task(request.on_progress, "recogniser"):
         recogniser = _recogniser(source, store, request)
-        display.update(task, description="real motion")
+    with task(request.on_progress, "real motion"):
         real = _real(source, recogniser, store, request, missing)
         systems = [_real_system(real, recogniser, request)]
-        display.update(task, description="generating")
+    with task(request.on_progress, "generating"):
         systems += [*_models(real, recogniser, request, missing), *_folders(source, recogniser, request, missing)]
     references = _references(real, recogniser, request)
     blocks = [

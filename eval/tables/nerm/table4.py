@@ -67,11 +67,9 @@ def build_table4(request: TableRequest) -> Result:
 
     Raises `UsageError` without a run or with a run of another store, and what loading the run or the store raises.
     """
-    from motionkit.store.reader import Store
-
     if request.run is None:
         raise UsageError("table 4 needs a trained model that reconstructs windows of motion: --run NAME")
-    store = Store.open(request.store)
+    store = request.open_store()
     rates = request.fps or COLUMNS
     missing: list[str] = []
     sets: dict[str, DescribedWindows] = {}

@@ -22,7 +22,6 @@ from eval.tables.pahires.interpolation import caption, definition
 from eval.tables.pahires.measured_interpolation import Measured, measure_data_set
 from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, reported_figures
-from motionkit.console import progress
 from motionkit.errors import UsageError
 from motionkit.training.ablations import Ablation, Variant, find_ablations, run_name
 from motionkit.training.run import RunFolder
@@ -41,23 +40,20 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     Raises `UsageError` without a run's name, or where none of the runs is trained, and what `build_interpolation`
     raises.
     """
-    from motionkit.store.reader import Store
-
     trained = _trained(ablation, request)
-    store, protocol = Store.open(request.store), InterpolationProtocol()
+    store, protocol = request.open_store(), InterpolationProtocol()
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
     all_runs = list({run.path: run for runs in trained.values() for run in runs.values()}.values())
     rates = {Fraction(_settings(run)["training"]["fps"]) for run in all_runs}
     completers = [completer_of(PAHIRES.paper, run.path, run.path.name) for run in all_runs]
     absent: dict[str, str] = {}
     measured: list[Measured] = []
-    with progress() as display:
-        for data_set in (each for each in data_sets_of(store) if each.fps in rates):
-            try:
-                rows: list[Completer] = [*REFERENCES, *completers]
-                measured.append(measure_data_set(store, data_set, (SCALE,), rows, protocol, request, display))
-            except NoTakesError as error:
-                absent[data_set.label] = str(error)
+    for data_set in (each for each in data_sets_of(store) if each.fps in rates):
+        try:
+            rows: list[Completer] = [*REFERENCES, *completers]
+            measured.append(measure_data_set(store, data_set, (SCALE,), rows, protocol, request))
+        except NoTakesError as error:
+            absent[data_set.label] = str(error)
     if not measured:
         rates_told = ", ".join(f"{float(rate):g}" for rate in rates)
         raise nothing_at_all(absent or {"": f"no data set stands at {rates_told} fps, which the runs were trained for"})

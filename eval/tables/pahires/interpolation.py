@@ -14,7 +14,6 @@ from eval.tables.pahires.blocks import Shown, blocks_of, with_pools
 from eval.tables.pahires.measured_interpolation import Measured, measure_data_set
 from eval.tables.registry import Table, TableRequest
 from eval.tables.reported import SOURCES, reported_figures
-from motionkit.console import progress
 
 METRICS = {
     "psnr": "PSNR (dB)",
@@ -38,23 +37,20 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
     Raises `NoTakesError` where no data set has takes, `UsageError` for an encoder that nothing has, and what opening
     the store raises.
     """
-    from motionkit.store.reader import Store
-
-    store, protocol = Store.open(request.store), InterpolationProtocol()
+    store, protocol = request.open_store(), InterpolationProtocol()
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
     missing: list[str] = []
     completers = [*INTERPOLATION, *trained_completers("interpolation", request.run, request.encoders, missing)]
     measured: list[Measured] = []
     absent: dict[str, str] = {}
-    with progress() as display:
-        for data_set in data_sets_of(store, request.fps):
-            try:
-                found = measure_data_set(store, data_set, scales, completers, protocol, request, display)
-            except NoTakesError as error:
-                absent[data_set.label] = str(error)
-                continue
-            missing += found.missing
-            measured.append(found)
+    for data_set in data_sets_of(store, request.fps):
+        try:
+            found = measure_data_set(store, data_set, scales, completers, protocol, request)
+        except NoTakesError as error:
+            absent[data_set.label] = str(error)
+            continue
+        missing += found.missing
+        measured.append(found)
     if not measured:
         raise nothing_at_all(absent)
     missing += [f"{label}: {reason}" for label, reason in absent.items()]

@@ -15,10 +15,9 @@ from eval.protocols.interpolation import VERSION, InterpolationProtocol
 from eval.tables.pahires.blocks import Scope
 from eval.tables.pahires.kept_scores import find_scores, keep_scores
 from eval.tables.registry import TableRequest
+from motionkit.core.progress import task
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from motionkit.store.reader import Store
 
 
@@ -45,7 +44,6 @@ def measure_data_set(
     completers: Sequence[Completer],
     protocol: InterpolationProtocol,
     request: TableRequest,
-    display: "Progress",
 ) -> Measured:
     """A data set's figures: those that were measured before for the same terms are read from RESULTS/parts.
 
@@ -73,16 +71,15 @@ def measure_data_set(
             rows[completer.name] = kept
     wanted = [completer for completer in completers if completer.name not in rows]
     if wanted:
-        task = display.add_task(data_set.label, total=num_batches(clips), note=f"{clips.num_clips} clips")
-        made, failed = measure_interpolation(
-            InterpolationTask(clips, measure_scale(training), protocol), scales, wanted, lambda: display.advance(task)
-        )
+        asked = InterpolationTask(clips, measure_scale(training), protocol)
+        note = f"{clips.num_clips} clips"
+        with task(request.on_progress, data_set.label, num_batches(clips), note=note) as work:
+            made, failed = measure_interpolation(asked, scales, wanted, work.advance)
         for completer in wanted:
             if completer.name in made:
                 scores = rows[completer.name] = made[completer.name]
                 keep_scores(request.results, "interpolation", {**terms, "encoder": completer.fingerprint}, scores)
         missing += [f"{data_set.label}, {name}: {why}" for name, why in failed.items()]
-        display.remove_task(task)
     remarks.append(_told_clips(data_set, clips))
     remarks.append(f"{data_set.label}: {told_split(store, clips, request.split)}")
     ordered = {completer.name: rows[completer.name] for completer in completers if completer.name in rows}

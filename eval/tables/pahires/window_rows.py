@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from eval.completing.encoders import Completer, trained_completers
@@ -16,13 +15,11 @@ from eval.samples.real import of_split_and
 from eval.tables.pahires.blocks import Scope, Shown, blocks_of, with_pools
 from eval.tables.pahires.kept_scores import find_scores, keep_scores
 from eval.tables.registry import TableRequest
-from motionkit.console import progress
+from motionkit.core.progress import task
 from motionkit.encoders import Task
 from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from motionkit.store.reader import Store
 
 
@@ -59,20 +56,17 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     Raises `NoTakesError` where the store has no windows, `UsageError` for an encoder that nothing has, and what opening
     the store raises.
     """
-    from motionkit.store.reader import Store
-
-    store = Store.open(request.store)
+    store = request.open_store()
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
     missing: list[str] = []
     completers = [*table.rows, *trained_completers(table.task, request.run, request.encoders, missing)]
     scopes: list[Scope] = []
     absent: dict[str, str] = {}
     told: list[str] = []
-    with progress() as display:
-        for windows in _all_windows(store, request, absent, display):
-            rows = _rows(table, windows, completers, store.fingerprint, request, missing, display)
-            scopes.append(Scope(windows.name, FPS, rows))
-            told.append(f"{windows.name}: {windows.told}")
+    for windows in _all_windows(store, request, absent):
+        rows = _rows(table, windows, completers, store.fingerprint, request, missing)
+        scopes.append(Scope(windows.name, FPS, rows))
+        told.append(f"{windows.name}: {windows.told}")
     if not scopes:
         raise nothing_at_all(absent)
     missing += [f"{label}: {reason}" for label, reason in absent.items()]
@@ -90,24 +84,21 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     )
 
 
-def _all_windows(
-    store: "Store", request: TableRequest, absent: dict[str, str], display: "Progress"
-) -> "list[PoseWindows]":
+def _all_windows(store: "Store", request: TableRequest, absent: dict[str, str]) -> "list[PoseWindows]":
     """The windows of every data set at 30 fps that has any; why the others have none is told in `absent`."""
     found = []
     for data_set in data_sets_of(store):
         if data_set.fps != FPS:
             continue
-        task = display.add_task(f"windows of {data_set.name}", total=None, note="")
-        try:
-            if data_set.value == "lafan1":
-                display.update(task, total=num_lafan1_takes(store))
-                found.append(lafan1_windows(store, partial(display.advance, task)))
-            else:
-                found.append(data_set_windows(store, data_set, request.split, request.where))
-        except NoTakesError as error:
-            absent[data_set.label] = str(error)
-        display.remove_task(task)
+        with task(request.on_progress, f"windows of {data_set.name}") as work:
+            try:
+                if data_set.value == "lafan1":
+                    work.set_total(num_lafan1_takes(store))
+                    found.append(lafan1_windows(store, work.advance))
+                else:
+                    found.append(data_set_windows(store, data_set, request.split, request.where))
+            except NoTakesError as error:
+                absent[data_set.label] = str(error)
     return found
 
 
@@ -118,7 +109,6 @@ def _rows(
     fingerprint: str,
     request: TableRequest,
     missing: list[str],
-    display: "Progress",
 ) -> dict[str, Scores]:
     terms = {
         "version": table.version,
@@ -128,18 +118,17 @@ def _rows(
         "where": request.where,
     }
     rows: dict[str, Scores] = {}
-    task = display.add_task(windows.name, total=num_batches(windows) * len(completers), note="")
-    for completer in completers:
-        display.update(task, note=completer.name)
-        of_row = {**terms, "encoder": completer.fingerprint}
-        scores = find_scores(request.results, table.name, of_row)
-        if scores is None:
-            try:
-                scores = measure_windows(windows, table.questions, completer, partial(display.advance, task))
-            except (MotionkitError, ValueError) as error:
-                missing.append(f"{windows.name}, {completer.name}: {error}")
-                continue
-            keep_scores(request.results, table.name, of_row, scores)
-        rows[completer.name] = scores
-    display.remove_task(task)
+    with task(request.on_progress, windows.name, num_batches(windows) * len(completers)) as work:
+        for completer in completers:
+            work.note(completer.name)
+            of_row = {**terms, "encoder": completer.fingerprint}
+            scores = find_scores(request.results, table.name, of_row)
+            if scores is None:
+                try:
+                    scores = measure_windows(windows, table.questions, completer, work.advance)
+                except (MotionkitError, ValueError) as error:
+                    missing.append(f"{windows.name}, {completer.name}: {error}")
+                    continue
+                keep_scores(request.results, table.name, of_row, scores)
+            rows[completer.name] = scores
     return rows

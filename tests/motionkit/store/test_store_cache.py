@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.core import files
+from motionkit.core.progress import Progress
 from motionkit.core.sealed import read_json, write_json
 from motionkit.errors import StoreError, UsageError
 from motionkit.skeleton import KIT21, SMPL22, Skeleton
@@ -51,6 +52,17 @@ def test_the_cache_holds_the_frames_of_the_store(small_store):
     np.testing.assert_array_equal(built.fps_denominator, store.sequences["fps_denominator"])
     for n in range(built.num_sequences):
         np.testing.assert_array_equal(built.sequence_positions(n), map_joints(store.read(n), "smpl22"))
+
+
+def test_building_a_cache_is_reported(small_store, capfd):
+    reports: list[Progress] = []
+    store = Store.open(small_store, on_progress=reports.append)
+    cache.open_cache(store)
+    states = [Progress("cache smpl22", done, 6) for done in range(7)]
+    assert reports == [*states, Progress("cache smpl22", 6, 6, finished=True)]
+    cache.open_cache(store)
+    assert len(reports) == 8
+    assert capfd.readouterr() == ("", "")
 
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -239,7 +251,7 @@ def sums(built: cache.PositionCache) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["positions.npy", "index.npy", "cache.json", "sums.npy", "sums.json"])
 @pytest.mark.parametrize("damage", ["flip the first", "flip", "flip the last", "cut", "empty", "remove", "grow"])
-def test_a_damaged_cache_is_made_anew_and_said(small_store, name, damage, capsys):
+def test_a_damaged_cache_is_made_anew_and_said(small_store, name, damage, caplog):
     store = Store.open(small_store)
     built = cache.open_cache(store)
     positions, derived = built.positions.copy(), sums(built)
@@ -251,18 +263,19 @@ def test_a_damaged_cache_is_made_anew_and_said(small_store, name, damage, capsys
     path.write_bytes({"cut": content[: len(content) // 3], "empty": b"", "grow": content + b" ]"}.get(damage, content))
     if damage == "remove":
         path.unlink()
-    assert capsys.readouterr().err == ""
+    assert not caplog.records
     again = cache.open_cache(Store.open(small_store))
     np.testing.assert_array_equal(again.positions, positions)
     np.testing.assert_array_equal(sums(again), derived)
-    told = capsys.readouterr().err
+    warnings = caplog.messages
     if damage == "remove" and name.endswith(".json"):
-        assert told == "", "what was not finished is made"
+        assert not warnings, "what was not finished is made"
     else:
-        assert f"{name} is damaged (" in told and "anew" in told and told.count("\n") == 1
+        (warning,) = warnings
+        assert f"{name} is damaged (" in warning and "anew" in warning and "\n" not in warning
     assert cache.open_cache(Store.open(small_store)).path == built.path
     assert sums(again).tobytes() == derived.tobytes()
-    assert capsys.readouterr().err == ""
+    assert caplog.messages == warnings
 
 
 def test_who_has_a_damaged_cache_mapped_keeps_what_it_read(small_store):
@@ -305,12 +318,12 @@ def test_large_caches_are_checked_by_validate_deep(small_store, monkeypatch, nam
         ({"files": {"positions.npy": {"sha256": 5, "num_bytes": 1}, "index.npy": {}}}, "is no digest"),
     ],
 )
-def test_a_cache_that_was_signed_again_is_not_used(small_store, edit, says, capsys):
+def test_a_cache_that_was_signed_again_is_not_used(small_store, edit, says, caplog):
     built = cache.open_cache(Store.open(small_store))
     path = built.path / "cache.json"
     write_json(path, read_json(path, "") | edit)
     assert cache.open_cache(Store.open(small_store)).num_sequences == 6
-    assert says in capsys.readouterr().err
+    assert says in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -324,7 +337,7 @@ def test_a_cache_that_was_signed_again_is_not_used(small_store, edit, says, caps
         ("fps_numerator", 0, 0, "fps_numerator are not those"),
     ],
 )
-def test_an_index_that_was_signed_again_is_not_used(small_store, column, row, value, says, capsys):
+def test_an_index_that_was_signed_again_is_not_used(small_store, column, row, value, says, caplog):
     built = cache.open_cache(Store.open(small_store))
     path = built.path / "index.npy"
     index = np.load(path)
@@ -334,7 +347,7 @@ def test_an_index_that_was_signed_again_is_not_used(small_store, column, row, va
     facts["files"]["index.npy"]["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
     write_json(built.path / "cache.json", facts)
     np.testing.assert_array_equal(cache.open_cache(Store.open(small_store)).num_frames, built.num_frames)
-    assert says in capsys.readouterr().err
+    assert says in caplog.text
 
 
 def test_who_unpickles_a_removed_cache_is_told(small_store, make_motion):

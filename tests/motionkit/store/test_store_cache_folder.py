@@ -154,7 +154,7 @@ def elsewhere(tmp_path: Path, monkeypatch) -> Path:
     return tmp_path / "scratch"
 
 
-def test_caches_elsewhere(small_store, elsewhere, make_motion, capsys):
+def test_caches_elsewhere(small_store, elsewhere, make_motion, caplog):
     store = Store.open(small_store)
     built = open_cache(store)
     assert built.path.parent == elsewhere / store.fingerprint
@@ -173,7 +173,7 @@ def test_caches_elsewhere(small_store, elsewhere, make_motion, capsys):
     (fault,) = faults(small_store, deep=True)
     assert str(again.path) in fault
     assert open_cache(Store.open(small_store)).num_sequences == 7
-    assert "positions.npy is damaged" in capsys.readouterr().err
+    assert "positions.npy is damaged" in caplog.text
 
 
 def test_the_folder_elsewhere_is_not_reached_through_a_link_of_its_own(small_store, elsewhere, precious):

@@ -8,6 +8,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from motionkit.core.progress import Progress
 from motionkit.errors import DamagedFileError
 from motionkit.training.loop import train_loop
 from motionkit.training.randomness import seeded_initialisation, step_generator
@@ -65,6 +66,16 @@ def _folder(path: Path) -> StageFolder:
 
 def _interrupt_at(step: int, number: int = signal.SIGINT) -> Callable[[int], None]:
     return lambda now: os.kill(os.getpid(), number) if now == step else None
+
+
+def test_every_step_is_reported_to_the_callback(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    reports: list[Progress] = []
+    folder = _folder(tmp_path / "stage")
+    train_loop(Regression(), folder, steps=4, seed=1, log_every=2, on_progress=reports.append)
+    assert [report.done for report in reports if not report.note] == [0, 1]
+    assert reports[-1].finished and (reports[-1].name, reports[-1].done, reports[-1].total) == ("stage", 4, 4)
+    assert reports[-1].note == f"loss {folder.read_metrics()[-1]['loss']:.4g}"
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -1,0 +1,57 @@
+"""Progress and warnings below the command line: reports to a callback, records of a logger, nothing on the terminal."""
+
+import logging
+
+import pytest
+
+from motionkit.core.progress import Progress, ignore, task, tracked
+from motionkit.core.warn import warn
+
+
+def test_a_task_reports_its_state_after_every_change() -> None:
+    reports: list[Progress] = []
+    with task(reports.append, "read", note="first") as work:
+        work.set_total(5)
+        work.advance()
+        work.advance(3)
+        work.note("last")
+        work.set(2, 4)
+    assert reports == [
+        Progress("read", note="first"),
+        Progress("read", 0, 5, "first"),
+        Progress("read", 1, 5, "first"),
+        Progress("read", 4, 5, "first"),
+        Progress("read", 4, 5, "last"),
+        Progress("read", 2, 4, "last"),
+        Progress("read", 2, 4, "last", finished=True),
+    ]
+
+
+def test_a_task_that_fails_is_finished() -> None:
+    reports: list[Progress] = []
+    with pytest.raises(KeyError), task(reports.append, "read", 2):
+        raise KeyError
+    assert [report.finished for report in reports] == [False, True]
+
+
+def test_tracked_items_count_when_the_next_is_asked_for() -> None:
+    reports: list[Progress] = []
+    seen = [(item, reports[-1].done) for item in tracked(reports.append, "read", "ab", 2)]
+    assert seen == [("a", 0), ("b", 1)]
+    assert reports[-1] == Progress("read", 2, 2, finished=True)
+
+
+def test_items_left_over_finish_the_task_too() -> None:
+    reports: list[Progress] = []
+    items = tracked(reports.append, "read", "ab", 2)
+    assert next(items) == "a"
+    items.close()  # type: ignore[attr-defined]
+    assert reports[-1] == Progress("read", 0, 2, finished=True)
+
+
+def test_nothing_is_printed(capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture) -> None:
+    assert list(tracked(ignore, "read", "ab", 2)) == ["a", "b"]
+    with caplog.at_level(logging.WARNING):
+        warn("100 % of the cache is damaged")
+    assert caplog.record_tuples == [("motionkit", logging.WARNING, "100 % of the cache is damaged")]
+    assert capsys.readouterr().out == ""
