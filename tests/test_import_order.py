@@ -61,6 +61,14 @@ def test_imports_run_one_way() -> None:
             "import motionkit.cli.app",
             "models and evaluation do not know the command line",
         ),
+        ("motionkit/store/cache.py", "import motionkit.console", "data flows one way"),
+        (
+            "eval/tables/nerm/table2.py",
+            "from motionkit.console import progress",
+            "models and evaluation do not know the command line",
+        ),
+        ("eval/tables/nerm/table2.py", "from rich.progress import Progress", "nothing below the command line prints"),
+        ("motionkit/training/loop.py", "def f():\n    import rich", "nothing below the command line prints"),
     ],
 )
 def test_an_import_against_the_order_is_found(copy: Path, module: str, line: str, contract: str) -> None:
