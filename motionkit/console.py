@@ -23,18 +23,29 @@ from rich.text import Text
 
 from motionkit.core.progress import OnProgress, Progress, ignore
 from motionkit.core.warn import LOGGER
-from motionkit.plain_text import UNSAFE_LETTERS, printable
+from motionkit.plain_text import UNSAFE_LETTERS, printable, shortened
+
+# Messages quote what files say, which may have any length.
+LONGEST_MESSAGE = 3000
 
 
 class LineConsole(Console):
-    """A console on which a text is one line and nothing else: names of files may hold what a terminal would obey."""
+    """A console on which a text is one line and nothing else: names of files may hold what a terminal would obey.
 
-    def __init__(self, **options: Any) -> None:
+    Of a text of more than `longest` letters the middle is left out.
+    """
+
+    def __init__(self, longest: int | None = None, **options: Any) -> None:
         super().__init__(soft_wrap=True, highlight=False, markup=False, emoji=False, **options)
+        self._longest = longest
 
     def print(self, *objects: Any, **options: Any) -> None:
         """Print texts with control characters, line breaks among them, as their escapes; rich's objects as they are."""
-        super().print(*(printable(each) if isinstance(each, str) else each for each in objects), **options)
+        super().print(*(self._line(each) if isinstance(each, str) else each for each in objects), **options)
+
+    def _line(self, text: str) -> str:
+        line = printable(text)
+        return line if self._longest is None else shortened(line, self._longest)
 
 
 class _NameColumn(TextColumn):
@@ -45,7 +56,7 @@ class _NameColumn(TextColumn):
 
 
 stdout = LineConsole()
-stderr = LineConsole(stderr=True)
+stderr = LineConsole(LONGEST_MESSAGE, stderr=True)
 
 
 def print_text(text: str) -> None:

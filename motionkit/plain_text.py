@@ -87,6 +87,13 @@ def printable(text: str) -> str:
     return UNSAFE_LETTERS.sub(lambda found: found[0].encode("unicode_escape", "surrogatepass").decode("ascii"), text)
 
 
+def shortened(text: str, limit: int) -> str:
+    """A text of at most about `limit` letters: of a longer one the middle is left out, for its end says what to do."""
+    if len(text) <= limit:
+        return text
+    return f"{text[: limit // 2]} … ({len(text) - limit:,} letters left out) … {text[-(limit - limit // 2) :]}"
+
+
 def _bounded(digits: str) -> int | float:
     return int(digits) if len(digits) <= MOST_DIGITS else float(digits)
 
