@@ -9,6 +9,7 @@ import numpy as np
 
 from motionkit.errors import MotionkitError, UsageError, describe
 from motionkit.named_motions.holes import ReadClip
+from motionkit.plain_text import printable
 from motionkit.player.page import check_places, write_page
 from motionkit.player.take import Take, take_of
 from motionkit.timegrid import format_fps
@@ -110,7 +111,7 @@ def page_path(out: Path | None, sources: Sequence[ViewSource]) -> Path:
     """The page's file: `out`, a name in it where it is a folder, or NAME.view.html here."""
     first = sources[0].beside.name
     stem = first if len(sources) == 1 else f"{first}-and-{len(sources) - 1}-more"
-    short = stem.encode(errors="replace")[:LONGEST_STEM_BYTES].decode(errors="ignore")
+    short = printable(stem).encode(errors="replace")[:LONGEST_STEM_BYTES].decode(errors="ignore")
     name = f"{short or 'motion'}{SUFFIX}"
     if out is None:
         return Path(name)

@@ -1,5 +1,6 @@
 """`view` and a notebook's view: the player's page of motions in memory and in files, small enough for a notebook."""
 
+import dataclasses
 import html
 import json
 import re
@@ -56,6 +57,11 @@ def test_it_is_called_by_what_it_shows_and_replaces_what_was_there(motion: mk.Mo
     assert mk.view(mk.read("walk.npz")).name == f"{Path.cwd().name}_walk.view.html"
     assert mk.view(motion) == mk.view(motion, motion.resample(10), path=".").with_name("motion.view.html")
     assert mk.view("walk.npz", motion).name == "walk-and-1-more.view.html"
+
+
+def test_a_page_is_called_by_letters_that_a_name_can_have(motion: mk.Motion) -> None:
+    odd = dataclasses.replace(motion, sequence_id="a\0b\x1b[31m")
+    assert mk.view(odd).name == r"a\x00b\x1b[31m.view.html"
 
 
 def test_it_opens_the_page_where_asked(motion: mk.Motion, monkeypatch: pytest.MonkeyPatch) -> None:
