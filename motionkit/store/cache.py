@@ -5,7 +5,6 @@ fingerprint, the filter, the layout, the dtype and the joint maps of the store's
 a cache that fits. `cache.json` holds the digests of its other files, which are compared when it is opened.
 """
 
-import io
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int, Int32, Int64
 
-from motionkit.core.files import read_regular, require_no_link
+from motionkit.core.files import require_no_link, require_regular
 from motionkit.core.sealed import read_json
 from motionkit.core.warn import warn
 from motionkit.errors import DamagedFileError, StoreError, UsageError
@@ -204,11 +203,13 @@ def _load(path: Path, *, check: bool, deep: bool = False) -> PositionCache:
 
 def _read_index(path: Path) -> dict[str, Any]:
     """The columns of an index, consistent with each other."""
+    require_regular(path)
     try:
-        index = np.load(io.BytesIO(read_regular(path)), allow_pickle=False)
+        # A map of the file: nothing is allocated by what its header says.
+        index = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(index, np.ndarray) or index.dtype != INDEX_DTYPE or index.ndim != 1:
             raise ValueError("it holds something else")
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, OverflowError, EOFError, zipfile.BadZipFile) as error:
         raise DamagedFileError(path, str(error), _MEND) from None
     columns = {name: np.ascontiguousarray(index[name]) for name in INDEX_DTYPE.names or ()}
     ends = np.cumsum(columns["num_frames"], dtype=np.int64)

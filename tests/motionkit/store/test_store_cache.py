@@ -382,3 +382,16 @@ def test_opening_a_cache_maps_no_page_of_it(tmp_path, make_motion):
     before = resident()
     built = cache.open_cache(store)
     assert resident() - before < 4_000 < built.positions.nbytes // 1024
+
+
+def test_an_index_whose_header_says_more_than_there_is_is_not_used(small_store, capsys):
+    built = cache.open_cache(Store.open(small_store))
+    path = built.path / "index.npy"
+    with path.open("wb") as file:
+        header = {"descr": cache.INDEX_DTYPE.descr, "fortran_order": False, "shape": (10**15,)}
+        np.lib.format.write_array_header_1_0(file, header)
+    content, facts = path.read_bytes(), read_json(built.path / "cache.json", "")
+    facts["files"]["index.npy"] = {"sha256": hashlib.sha256(content).hexdigest(), "num_bytes": len(content)}
+    write_json(built.path / "cache.json", facts)
+    np.testing.assert_array_equal(cache.open_cache(Store.open(small_store)).num_frames, built.num_frames)
+    assert "index.npy is damaged" in capsys.readouterr().err
