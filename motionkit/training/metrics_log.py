@@ -8,6 +8,7 @@ from typing import Any
 
 from motionkit.core.files import naming, require_no_link, sync
 from motionkit.errors import DamagedFileError
+from motionkit.plain_text import shown
 
 MEND = "restore it from a copy, or train the stage again with --overwrite"
 
@@ -45,8 +46,10 @@ class MetricsLog:
             kept += len(line)
         return _extent_of(content[:kept])
 
-    def check(self, extent: Mapping[str, Any]) -> None:
-        """Raise `DamagedFileError` where the log does not begin with what was recorded."""
+    def check(self, extent: Any) -> None:
+        """Raise `DamagedFileError` where the log does not begin with what was recorded, as JSON holds it."""
+        if not isinstance(extent, Mapping) or not isinstance(extent.get("bytes"), int):
+            raise DamagedFileError(self.path, f"its length and sha256 were recorded as {shown(extent)}", MEND)
         found = _extent_of(self._content()[: extent["bytes"]])
         if found["bytes"] < extent["bytes"]:
             fault = f"it has {found['bytes']:,} bytes, expected {extent['bytes']:,}"
@@ -54,7 +57,7 @@ class MetricsLog:
         if found != extent:
             raise DamagedFileError(self.path, "its content is not what its checksum says", MEND)
 
-    def cut(self, extent: Mapping[str, Any]) -> None:
+    def cut(self, extent: Any) -> None:
         """Check what was recorded and forget what was logged after it; errors as in `check`."""
         self.check(extent)
         if self.path.is_file():
@@ -76,6 +79,7 @@ def _extent_of(content: bytes) -> dict[str, Any]:
 def _values_of(line: str) -> dict[str, float] | None:
     try:
         values = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
-    return values if isinstance(values, dict) and "step" in values else None
+    whole = isinstance(values, dict) and "step" in values
+    return values if whole and all(isinstance(value, (int, float)) for value in values.values()) else None

@@ -16,7 +16,8 @@ from typing import Any
 from motionkit.checksums import sha256_of
 from motionkit.core.files import remove_entry, require_no_link, temporary_name, write_whole
 from motionkit.core.sealed import read_json, write_json
-from motionkit.errors import MotionkitError, UsageError
+from motionkit.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.plain_text import shown
 from motionkit.training.config import ConfigLike, flatten, to_plain
 from motionkit.training.metrics_log import MEND, MetricsLog
 
@@ -24,6 +25,8 @@ NOTHING: Mapping[str, str] = MappingProxyType({})
 SHOWN_SETTINGS = 6
 # The key of summary.json under which length and sha256 of the log stand.
 LOGGED = "metrics.jsonl"
+# What begin_stage writes into config.json and others read.
+CONFIG_TYPES = {"config": dict, "recipe": str, "seed": int, "store_fingerprint": str, "builds_on": dict}
 RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
 
 
@@ -74,8 +77,15 @@ class StageFolder:
         return self.summary_path.is_file()
 
     def read_config(self) -> dict[str, Any]:
-        """The whole of config.json; raises `RunError` where the stage has not been trained."""
-        return self._read(self.config_path)
+        """The whole of config.json; raises `RunError` where the stage has not been trained, `DamagedFileError`."""
+        config = self._read(self.config_path)
+        for name, kind in CONFIG_TYPES.items():
+            if name in config and not isinstance(config[name], kind):
+                raise DamagedFileError(self.config_path, f"{name} is {shown(config[name])}", MEND)
+        for name, sha256 in config.get("builds_on", {}).items():
+            if not isinstance(sha256, str):
+                raise DamagedFileError(self.config_path, f"{shown(name)} in builds_on is {shown(sha256)}", MEND)
+        return config
 
     def read_summary(self) -> dict[str, Any]:
         """The final figures, once metrics.jsonl agrees with them; raises `RunError` where the stage is not complete."""
@@ -236,7 +246,8 @@ def check_same(
         ("store fingerprint", begun.get("store_fingerprint"), store_fingerprint),
     ):
         if was != now:
-            raise RunError(f"{folder.path} was begun with {name} {was!r}, not {now!r}: ask for the same, or {again}")
+            begun_with = f"{name} {shown(was)}, not {now!r}"
+            raise RunError(f"{folder.path} was begun with {begun_with}: ask for the same, or {again}")
     settings_then, settings_now = _leaves(begun.get("config", {})), _leaves(to_plain(config))
     changed = [
         key

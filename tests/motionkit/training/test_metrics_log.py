@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -81,3 +82,21 @@ def test_a_link_is_not_written_through(tmp_path: Path) -> None:
     with pytest.raises(LinkError):
         log.cut(NOTHING_LOGGED)
     assert foreign.read_text() == "mine"
+
+
+@pytest.mark.parametrize("extent", ["all", {}, {"bytes": "9" * 5000}, [1], {"bytes": -1, "sha256": ""}])
+def test_a_record_that_is_none_is_damage(extent: Any, tmp_path: Path) -> None:
+    log = _logged(tmp_path / "metrics.jsonl", 2)
+    whole = log.path.read_bytes()
+    with pytest.raises(DamagedFileError, match=r"metrics\.jsonl"):
+        log.cut(extent)
+    assert log.path.read_bytes() == whole
+
+
+def test_lines_that_hold_no_numbers_are_left_out(tmp_path: Path) -> None:
+    log = _logged(tmp_path / "metrics.jsonl", 1)
+    with log.path.open("a") as file:
+        for line in ("[" * 100_000, '{"step": "1"}', '{"step": 2, "loss": []}', f'{{"step": {"9" * 5000}}}', "7"):
+            file.write(line + "\n")
+    _logged(log.path, 2)
+    assert [line["step"] for line in log.lines()] == [1, 1, 2]

@@ -2,10 +2,12 @@ import json
 import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from motionkit.core.files import remove_entry, temporary_name, write_whole
+from motionkit.core.sealed import write_json
 from motionkit.errors import DamagedFileError, LinkError, UsageError
 from motionkit.training.device import resolve_device
 from motionkit.training.run import RunError, RunFolder, commit, copy_stage
@@ -72,6 +74,24 @@ def test_a_damaged_config_is_named_with_what_mends_it(tmp_path: Path) -> None:
     folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
     folder.config_path.write_text(folder.config_path.read_text().replace('"steps": 5', '"steps": 7'))
     with pytest.raises(DamagedFileError, match=r"config\.json is damaged .*train the stage again with --overwrite"):
+        _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc")
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"config": 7},
+        {"recipe": ["nano"]},
+        {"seed": "0"},
+        {"store_fingerprint": [1]},
+        {"builds_on": [1]},
+        {"builds_on": {"first": 7}},
+    ],
+)
+def test_a_config_that_was_signed_again_is_named(changed: dict[str, Any], tmp_path: Path) -> None:
+    folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
+    write_json(folder.config_path, folder.read_config() | changed)
+    with pytest.raises(DamagedFileError, match=rf"config\.json is damaged .*{min(changed)}"):
         _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc")
 
 
