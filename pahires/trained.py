@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 
-from motionkit.errors import UsageError
 from motionkit.skeleton import Feet, Skeleton
 from motionkit.training.config import ConfigLike, from_plain, to_plain
 from motionkit.training.device import resolve_device
@@ -18,7 +17,7 @@ from motionkit.training.precision import float32_products
 from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
-from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
+from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from pahires.corpus import open_takes
 from pahires.prediction import Predictor, predictor_of
 from pahires.scaling import Scaling
@@ -128,17 +127,13 @@ def load_network(
     if found != (FORMAT, FORMAT_VERSION, stage):
         raise CheckpointError(f"{folder.model_path} is {found}, expected {(FORMAT, FORMAT_VERSION, stage)}: {again}")
     where = resolve_device(device)
-    try:
+    with rebuilding(folder.model_path, stage, tensors):
         config = from_plain(config_type, description["config"])
         settings = settings_of(config)
         scaling = Scaling(tensors["scaling.mean"], tensors["scaling.scale"])
         network = make(config, len(scaling.mean))
         network.load_state_dict(unprefixed("network", tensors))
         skeleton = _restored(description["skeleton"], tensors["skeleton.offsets"].numpy())
-    except (KeyError, RuntimeError, TypeError, ValueError, UsageError) as error:
-        raise CheckpointError(
-            f"{folder.model_path}: not a {stage} of this version of motionkit ({one_line(error)}); {again}"
-        ) from None
     network = network.to(where).eval().requires_grad_(False)
     return TrainedNetwork(
         name=name or stage,

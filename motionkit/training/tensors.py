@@ -1,20 +1,27 @@
 """Tensors in files: safetensors with a JSON description in the header, written whole, with a checksum, no pickle."""
 
 import json
+import threading
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import safetensors
 import torch
 from safetensors.torch import save
+from torch.nn.modules.module import register_module_parameter_registration_hook
 
-from motionkit.errors import DamagedFileError, MotionkitError
+from motionkit.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 
 DESCRIPTION = "description"
 MEND = "train the stage again with --overwrite, or restore the file from a copy"
+
+# How many times as large as its file a network may get: it may replace a parameter while it is built, and where only
+# some tensors are missing, they are named.
+LARGER = 4
 
 
 class CheckpointError(MotionkitError):
@@ -47,8 +54,12 @@ def load_tensors(path: Path, mend: str = MEND) -> tuple[dict[str, torch.Tensor],
     metadata = checked_metadata(path, {DESCRIPTION}, mend)
     try:
         description = json.loads(metadata.get(DESCRIPTION, "{}"))
+        if not isinstance(description, dict):
+            raise ValueError("the description in its header is no JSON object")
         with safetensors.safe_open(path, framework="pt") as opened:
             return {name: opened.get_tensor(name) for name in opened.keys()}, description  # noqa: SIM118
+    except RecursionError:
+        raise DamagedFileError(path, "the description in its header is nested too deep", mend) from None
     except (safetensors.SafetensorError, ValueError) as error:
         raise DamagedFileError(path, one_line(error), mend) from None
 
@@ -57,6 +68,45 @@ def one_line(error: Exception, longest: int = 200) -> str:
     """What an error says, on one line and no longer than a person reads."""
     said = " ".join(str(error).split()) or type(error).__name__
     return said if len(said) <= longest else f"{said[:longest]} …"
+
+
+@contextmanager
+def rebuilding(path: Path, stage: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
+    """Build a stage's trained network in the block, from what `load_tensors` gave of the file `path`.
+
+    The settings in the file say how large the network is; one that is far larger than the tensors ends before its
+    memory is used. Raises `CheckpointError` for that, and for whatever else is missing or of another type.
+    """
+    try:
+        with _parameters_of(tensors):
+            yield
+    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError, UsageError) as error:
+        raise CheckpointError(
+            f"{path}: not a {stage} of this version of motionkit ({one_line(error)}); train it again "
+            f"(motionkit train --stage {stage} --overwrite)"
+        ) from None
+
+
+@contextmanager
+def _parameters_of(tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
+    """Raise `ValueError` in the block where modules get far more parameters, or larger ones, than there are tensors."""
+    thread, left = threading.get_ident(), LARGER * len(tensors)
+    numbers_left = LARGER * sum(tensor.numel() for tensor in tensors.values())
+
+    def check(module: torch.nn.Module, name: str, parameter: torch.nn.Parameter) -> None:
+        nonlocal left, numbers_left
+        if threading.get_ident() != thread:
+            return
+        left, numbers_left = left - 1, numbers_left - parameter.numel()
+        if left < 0 or numbers_left < 0:
+            place, shape = f"{type(module).__name__}.{name}", tuple(parameter.shape)
+            raise ValueError(f"its tensors are too few or too small for {place} of shape {shape}")
+
+    hook = register_module_parameter_registration_hook(check)
+    try:
+        yield
+    finally:
+        hook.remove()
 
 
 def prefixed(prefix: str, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -6,11 +6,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from motionkit.errors import UsageError
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.run import RunFolder
-from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
+from motionkit.training.tensors import load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from nerm.conditions.batch import ConditionLayout
 from nerm.denoiser.latent_space import LatentSpace
 from nerm.denoiser.network import Denoiser
@@ -48,13 +47,8 @@ def load_denoiser(run: RunFolder, device: torch.device | None = None) -> Trained
     folder = run.stage(STAGE_NAME)
     folder.read_summary()
     tensors, description = load_tensors(folder.model_path)
-    try:
+    with rebuilding(folder.model_path, STAGE_NAME, tensors):
         trained = _rebuild(tensors, description)
-    except (KeyError, RuntimeError, TypeError, ValueError, UsageError) as error:
-        raise CheckpointError(
-            f"{folder.model_path}: not a denoiser of this version of motionkit ({one_line(error)}); train it again "
-            f"(motionkit train --stage denoiser --overwrite)"
-        ) from None
     if device is not None:
         trained.denoiser.to(device)
     return trained

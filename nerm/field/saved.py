@@ -7,11 +7,10 @@ from typing import Any
 import torch
 
 from motionkit.clips.windows import Windows
-from motionkit.errors import UsageError
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.device import resolve_device
 from motionkit.training.run import RunFolder, StageFolder
-from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
+from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from nerm.field.network import FieldNetwork
 from nerm.field.trained import TrainedField
 from nerm.latents.linear_fit import PoseComponents
@@ -57,13 +56,8 @@ def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
             f"'nerm-field' version {FORMAT_VERSION}: train it again (motionkit train --stage field --overwrite)"
         )
     where = resolve_device(device)
-    try:
+    with rebuilding(folder.model_path, STAGE_NAME, tensors):
         return _rebuild(tensors, description, where)
-    except (KeyError, RuntimeError, TypeError, UsageError) as error:
-        raise CheckpointError(
-            f"{folder.model_path}: not a field of this version of motionkit ({one_line(error)}); train it again "
-            f"(motionkit train --stage field --overwrite)"
-        ) from None
 
 
 def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any], where: torch.device) -> TrainedField:

@@ -24,7 +24,7 @@ from eval.evaluators.native.network import TARGETS, NativeNetwork, TextProjectio
 from motionkit.errors import MotionkitError
 from motionkit.training.config import from_plain
 from motionkit.training.run import RunFolder
-from motionkit.training.tensors import CheckpointError, load_tensors, unprefixed
+from motionkit.training.tensors import CheckpointError, load_tensors, rebuilding, unprefixed
 from motionkit.training.text_encoders import TextEncoder, load_text_encoder
 
 VERSION = "native/2"
@@ -153,13 +153,14 @@ def load_native(run: Path) -> NativeEvaluator:
             f"{folder.model_path} is of version {description.get('version')!r}, expected {VERSION!r}: "
             f"train it again (motionkit train --stage {STAGE_NAME} --run {run.name} --overwrite)"
         )
-    config = from_plain(NativeConfig, description["config"])
-    network = NativeNetwork(config.network)
-    text = TextProjection(int(description["text_dimension"]), config.network)
-    network.load_state_dict(unprefixed("network", tensors))
-    text.load_state_dict(unprefixed("text", tensors))
-    mean, scale, whitening = (tensors[f"statistics.{name}"] for name in ("mean", "scale", "whitening"))
-    return NativeEvaluator(network.eval(), text.eval(), mean, scale, whitening, description)
+    with rebuilding(folder.model_path, STAGE_NAME, tensors):
+        config = from_plain(NativeConfig, description["config"])
+        network = NativeNetwork(config.network)
+        text = TextProjection(int(description["text_dimension"]), config.network)
+        network.load_state_dict(unprefixed("network", tensors))
+        text.load_state_dict(unprefixed("text", tensors))
+        mean, scale, whitening = (tensors[f"statistics.{name}"] for name in ("mean", "scale", "whitening"))
+        return NativeEvaluator(network.eval(), text.eval(), mean, scale, whitening, description)
 
 
 def describe_training(
