@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -11,9 +12,12 @@ from typing import Any, Literal, get_args
 
 from motionkit.core.sealed import read_json, write_json
 from motionkit.errors import MotionkitError
+from motionkit.plain_text import shown
 from motionkit.training.run import commit, versions
 
 FORMAT = "motionkit-result/1"
+# Of a result or its picture: no path.
+_FILE_NAME = re.compile(r"\w[\w.+-]*", re.ASCII)
 FORMAT_OF_ANY_VERSION = FORMAT.rpartition("/")[0] + "/"
 MEND = "run the evaluation again, or restore the file from a copy"
 Origin = Literal["ours", "reference", "paper"]
@@ -153,6 +157,9 @@ def _result(path: Path, document: dict[str, Any]) -> Result:
         result = Result(**document, blocks=blocks, notes=notes, missing=missing)
         _require(str, result.task, result.version, result.title, result.caption, result.figure)
         _require(dict, result.definition, result.provenance)
+        _require_file_name(result.task)
+        if result.figure:
+            _require_file_name(result.figure)
         return result
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ResultError(f"{path}: cannot be read as a result: {error!r}; run the evaluation again") from None
@@ -168,14 +175,21 @@ def _block(document: dict[str, Any]) -> Block:
 
 
 def _row(document: dict[str, Any]) -> Row:
-    row = Row(**{**document, "cells": {column: _cell(cell) for column, cell in document["cells"].items()}})
+    row = Row(**{**document, "cells": {column: parse_cell(cell) for column, cell in document["cells"].items()}})
     _require(str, row.name, row.note, row.origin)
     if row.origin not in get_args(Origin):
         raise ValueError(f"{row.origin[:40]!r}, expected one of {', '.join(get_args(Origin))}")
     return row
 
 
-def _cell(document: dict[str, Any]) -> Cell:
+def _require_file_name(name: str) -> None:
+    """Raise `ValueError` where what names a file beside the result would lead elsewhere."""
+    if not _FILE_NAME.fullmatch(name):
+        raise ValueError(f"{shown(name)} where a file's name was expected")
+
+
+def parse_cell(document: dict[str, Any]) -> Cell:
+    """A cell out of JSON; raises `TypeError`, `ValueError` or `AttributeError` for anything but finite numbers."""
     cell = Cell(**document)
     for value in (cell.value, *([] if cell.ci95 is None else [cell.ci95]), *cell.details.values()):
         if type(value) not in (int, float) or abs(value) > sys.float_info.max:

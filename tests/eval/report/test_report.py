@@ -12,6 +12,7 @@ import pytest
 from eval.commands.report import report
 from eval.report.render import format_cell, format_number, to_csv, to_html, to_latex, to_markdown
 from eval.report.results import Block, Cell, Result, ResultError, Row, find_results, read_result, write_result
+from motionkit.core.sealed import write_json
 from motionkit.errors import DamagedFileError
 
 
@@ -59,6 +60,17 @@ def test_files_that_are_no_results_are_refused(result: Result, tmp_path: Path) -
     del document["title"]
     path.write_text(json.dumps(document))
     with pytest.raises(ResultError, match="title"):
+        read_result(path)
+
+
+@pytest.mark.parametrize("name", ["../mine", "/tmp/mine", "a/b", "..", "", ".hidden", "\x1b[31m"])
+@pytest.mark.parametrize("key", ["task", "figure"])
+def test_no_name_in_a_result_leads_out_of_its_folder(key: str, name: str, result: Result, tmp_path: Path) -> None:
+    if (key, name) == ("figure", ""):
+        return  # there is none
+    path = write_result(result, tmp_path / "results")
+    write_json(path, json.loads(path.read_text()) | {key: name})
+    with pytest.raises(ResultError, match="where a file's name was expected"):
         read_result(path)
 
 
