@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from eval.report.results import Cell
+from eval.report.results import Cell, parse_cell
 from motionkit.core.files import require_no_link
 from motionkit.core.sealed import read_json, write_json
 from motionkit.core.warn import warn
@@ -47,7 +47,7 @@ def find_part(results: Path, name: str, terms: Mapping[str, Any]) -> Part | None
         return _part(document) if document["key"] == key else None
     except DamagedFileError as error:
         warn(str(error))
-    except (AttributeError, KeyError, TypeError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         warn(f"{path} is no part of a table ({error!r}): computing it anew")
     return None
 
@@ -60,8 +60,10 @@ def keep_part(results: Path, name: str, terms: Mapping[str, Any], part: Part) ->
 
 
 def _part(document: dict[str, Any]) -> Part:
-    rows = {row: {column: Cell(**cell) for column, cell in cells.items()} for row, cells in document["rows"].items()}
-    return Part(rows, tuple(document["missing"]))
+    rows = {
+        row: {column: parse_cell(cell) for column, cell in cells.items()} for row, cells in document["rows"].items()
+    }
+    return Part(rows, tuple(map(str, document["missing"])))
 
 
 def _place(results: Path, name: str, terms: Mapping[str, Any]) -> tuple[Path, Any]:

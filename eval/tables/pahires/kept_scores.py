@@ -1,6 +1,6 @@
 """Scores of one row on one data set, kept in RESULTS/parts for every table that has the row."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,19 +8,27 @@ from eval.completing.scores import Scores
 from eval.metrics.streaming import MeanSums
 from eval.report.results import Cell
 from eval.tables.parts import Part, find_part, keep_part
+from motionkit.core.warn import warn
 
 WEIGHT = "weight"
 
 
-def find_scores(results: Path, name: str, terms: Mapping[str, Any]) -> Scores | None:
-    """The scores that were kept for these terms; None where there are none."""
+def find_scores(
+    results: Path, name: str, terms: Mapping[str, Any], metrics: Collection[str], columns: Collection[str]
+) -> Scores | None:
+    """The scores of these metrics and columns that were kept for the terms; None where there are none."""
     part = find_part(results, _name(name), terms)
     if part is None:
         return None
-    return {
-        metric: {column: MeanSums().added(cell.value, cell.details[WEIGHT]) for column, cell in cells.items()}
-        for metric, cells in part.rows.items()
-    }
+    try:
+        return {metric: {column: _sums(part.rows[metric][column]) for column in columns} for metric in metrics}
+    except KeyError as error:
+        warn(f"a kept part of {name} lacks {error}: computing it anew")
+        return None
+
+
+def _sums(cell: Cell) -> MeanSums:
+    return MeanSums().added(cell.value, cell.details[WEIGHT])
 
 
 def keep_scores(results: Path, name: str, terms: Mapping[str, Any], scores: Scores) -> None:

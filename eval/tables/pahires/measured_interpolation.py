@@ -6,12 +6,12 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from eval.completing.encoders import Completer
-from eval.completing.interpolation import InterpolationTask, measure_interpolation, num_batches
+from eval.completing.interpolation import METRICS, InterpolationTask, measure_interpolation, num_batches
 from eval.completing.scale import measure_scale
 from eval.completing.scores import Scores
 from eval.completing.split_told import told_split
 from eval.completing.takes import DataSet, NoTakesError, TrueClips, open_clips
-from eval.protocols.interpolation import VERSION, InterpolationProtocol
+from eval.protocols.interpolation import VERSION, InterpolationProtocol, scale_label
 from eval.tables.pahires.blocks import Scope
 from eval.tables.pahires.kept_scores import find_scores, keep_scores
 from eval.tables.registry import TableRequest
@@ -66,7 +66,8 @@ def measure_data_set(
     }
     rows: dict[str, Scores] = {}
     for completer in completers:
-        kept = find_scores(request.results, "interpolation", {**terms, "encoder": completer.fingerprint})
+        of_row = {**terms, "encoder": completer.fingerprint}
+        kept = find_scores(request.results, "interpolation", of_row, METRICS, list(map(scale_label, scales)))
         if kept is not None:
             rows[completer.name] = kept
     wanted = [completer for completer in completers if completer.name not in rows]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from eval.completing.encoders import Completer, trained_completers
-from eval.completing.inbetweening import measure_windows, num_batches
+from eval.completing.inbetweening import METRICS, measure_windows, num_batches
 from eval.completing.scores import Scores
 from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
 from eval.completing.windows import FPS, PoseWindows, data_set_windows, lafan1_windows, num_lafan1_takes
@@ -117,12 +117,13 @@ def _rows(
         "split": request.split,
         "where": request.where,
     }
+    columns = [question.label for question in table.questions]
     rows: dict[str, Scores] = {}
     with task(request.on_progress, windows.name, num_batches(windows) * len(completers)) as work:
         for completer in completers:
             work.note(completer.name)
             of_row = {**terms, "encoder": completer.fingerprint}
-            scores = find_scores(request.results, table.name, of_row)
+            scores = find_scores(request.results, table.name, of_row, METRICS, columns)
             if scores is None:
                 try:
                     scores = measure_windows(windows, table.questions, completer, work.advance)

@@ -88,6 +88,7 @@ def test_plain_answers_stand_in_blocks_of_their_own() -> None:
 
 
 def test_kept_scores_come_back_with_their_weights(tmp_path: Path) -> None:
-    keep_scores(tmp_path, "interpolation", {"row": "a"}, scores(31.5, 7))
-    assert find_scores(tmp_path, "interpolation", {"row": "a"}) == scores(31.5, 7)
-    assert find_scores(tmp_path, "interpolation", {"row": "b"}) is None
+    kept = scores(31.5, 7)
+    keep_scores(tmp_path, "interpolation", {"row": "a"}, kept)
+    assert find_scores(tmp_path, "interpolation", {"row": "a"}, list(kept), list(kept["psnr"])) == kept
+    assert find_scores(tmp_path, "interpolation", {"row": "b"}, list(kept), list(kept["psnr"])) is None
