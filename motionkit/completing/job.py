@@ -12,7 +12,7 @@ from motionkit.completing.encoder_choice import ChosenEncoder
 from motionkit.completing.page import write_comparison
 from motionkit.completing.request import ClipRequest, CompletionRequest
 from motionkit.completion import Completion, begin_observed, begin_uneven
-from motionkit.core.files import whole_file
+from motionkit.core.files import require_no_link, whole_file
 from motionkit.errors import MotionkitError
 from motionkit.motionfield import MotionEncoder
 from motionkit.timegrid import format_fps
@@ -161,7 +161,10 @@ class OutputPath:
         self._taken: dict[Path, str] = {}
 
     def __call__(self, source: ClipSource, suffix: str, fps: str) -> Path:
-        """The file of a clip: `--out`, or in `--out`, or beside it with `.completed` before the suffix."""
+        """The file of a clip: `--out`, or in `--out`, or beside it with `.completed` before the suffix.
+
+        Raises `LinkError` where that would lie behind a link in a named folder.
+        """
         path = self._path(source, suffix, fps)
         other = self._taken.setdefault(path.absolute(), source.name)
         if other != source.name:
@@ -170,14 +173,18 @@ class OutputPath:
 
     def _path(self, source: ClipSource, suffix: str, fps: str) -> Path:
         stem = source.beside.name
+        named = next((folder for folder in self._folders if source.beside.is_relative_to(folder)), None)
         if self._out is None:
             # A motions.json beside arrays says their framerate, all of them: new ones need a folder of their own.
-            if suffix == ".npy":
-                return source.beside.parent / folder_of_made(fps) / f"{stem}.npy"
-            return source.beside.parent / f"{stem}.completed{suffix}"
+            beside = source.beside.parent
+            folder = beside / folder_of_made(fps) if suffix == ".npy" else beside
+            for each in (folder, *folder.parents):
+                if each == (named or beside):
+                    break
+                require_no_link(each, "name a folder with --out")
+            return folder / (f"{stem}.npy" if suffix == ".npy" else f"{stem}.completed{suffix}")
         if self._single and self._out.suffix.lower() == suffix and not self._out.is_dir():
             return self._out
         if self._single and self._out.suffix.lower() in CLIP_SUFFIXES and not self._out.is_dir():
             raise MotionkitError(f"its result is a {suffix} file, not {self._out}: --format says another form")
-        inside = next((folder for folder in self._folders if source.beside.is_relative_to(folder)), None)
-        return self._out / (source.beside.relative_to(inside).parent if inside else "") / f"{stem}{suffix}"
+        return self._out / (source.beside.relative_to(named).parent if named else "") / f"{stem}{suffix}"
