@@ -38,6 +38,6 @@ def _stated_path(key: str) -> Path | None:
         value = parse_toml(config.read_text(encoding="utf-8")).get(key)
     except ValueError as error:
         raise UsageError(f"{config}: {error}") from None
-    if value is not None and not isinstance(value, str):
+    if value is not None and (not isinstance(value, str) or "\0" in value):
         raise UsageError(f"{config}: {key} must be a path in quotes, not {shown(value)}")
     return None if value is None else Path(value)

@@ -38,6 +38,7 @@ def test_body_models_have_no_default(folder: Path, monkeypatch: pytest.MonkeyPat
     [
         (b"store = /data", r"motionkit\.toml: Invalid value"),
         (b"store = 7", "store must be a path in quotes, not 7"),
+        (b'store = "a\\u0000b"', "store must be a path in quotes, not 'a"),
         (b'store = "caf\xe9"', r"motionkit\.toml: 'utf-8' codec"),
     ],
 )
