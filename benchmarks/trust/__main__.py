@@ -1,6 +1,6 @@
 """Does motionkit lose anything, or let anybody in? One part of the drill, bounded in time and repeatable by its seed.
 
-    python -m benchmarks.trust crash|corruption|fuzz|load [--seed 0] [--seconds N] [--out FILE.json] [--json]
+    python -m benchmarks.trust crash|corruption|fuzz|hostile|load [--seed 0] [--seconds N] [--out FILE.json] [--json]
 
 Each part is a module with `DEFAULT_SECONDS` and `run(seed, seconds, folder) -> Report`. A table goes to stdout (JSON
 with --json); --out adds the report to a JSON file, in which the other parts stay. Exit code 1 where anything failed.
@@ -15,7 +15,7 @@ from pathlib import Path
 from benchmarks.trust.report import Report, print_report, store_report
 from motionkit.console import print_json
 
-PARTS = ("crash", "corruption", "fuzz", "load")
+PARTS = ("crash", "corruption", "fuzz", "hostile", "load")
 
 
 def run_part(part: str, seed: int, seconds: float | None, folder: Path) -> Report:

@@ -54,3 +54,28 @@ def read_and_lose(name: str) -> None:
     if letters != bytes(65 + number % 26 for number in range(200)):
         raise MotionkitError(f"{name} was damaged")
     Path(name).write_bytes(letters)
+
+
+def write_through(name: str) -> None:
+    """Write to a file, a link or not."""
+    Path(name).write_text("mine now")
+
+
+def write_beside(name: str) -> None:
+    """Write a file into the folder above."""
+    Path("..", name).write_text("mine now")
+
+
+def show(name: str) -> None:
+    """Print what a file holds, as it is."""
+    print(Path(name).read_text())
+
+
+def refuse(name: str) -> None:
+    """Say what is wrong."""
+    raise MotionkitError(f"{name} is damaged: write it again")
+
+
+def refuse_in_silence(name: str) -> None:
+    """Say nothing."""
+    raise SystemExit(1)

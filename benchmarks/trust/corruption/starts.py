@@ -5,7 +5,7 @@ from pathlib import Path
 from benchmarks.trust.corruption.kinds import CALL, EXPORT, STARTS_OF_STAGES
 from benchmarks.trust.faults import Fault
 from benchmarks.trust.process import Commands
-from benchmarks.trust.scenarios import EVAL, EVAL_PAHIRES, GENERATE, STARTS, STORE, Arguments, train
+from benchmarks.trust.scenarios import EVAL, EVAL_PAHIRES, GENERATE, STARTS, STORE, Arguments, takes, train
 from benchmarks.trust.trees import copy
 from benchmarks.trust.trials import Drill, require_success
 
@@ -19,6 +19,17 @@ MORE: dict[str, tuple[str, tuple[Arguments, ...]]] = {
     "generated": ("model", (GENERATE,)),
     "results": ("pahires", (EVAL_PAHIRES,)),
     "caches": ("", tuple((f"{CALL}{name}", "caches") for name in ("kinematic", "embeddings", "texts"))),
+    "everything": (
+        "model",
+        (
+            train("pahires"),
+            *(takes(name, 9 * number, 3) for number, name in enumerate(("one", "three"), start=1)),
+            ("ingest", "one", "--store", "other", "--workers", "1"),
+            GENERATE,
+            EVAL_PAHIRES,
+            (f"{CALL}samples", "samples"),
+        ),
+    ),
     "exported": (
         "store",
         (("export", "npz", *EXPORT[2:]), ("export", "rows", "--format", "parquet", *STORE)),

@@ -67,6 +67,16 @@ def motions(folder: str) -> None:
         _print(*(array for array in arrays if array is not None), text=repr((facts, motion.skeleton)))
 
 
+def samples(folder: str) -> None:
+    """Write a small folder of samples."""
+    path = Path(folder)
+    path.mkdir()
+    for number in range(2):
+        joints = np.cumsum(0.01 * np.random.default_rng(number).normal(size=(40, 22, 3)), axis=0)
+        np.save(path / f"sample{number}.npy", (joints + np.arange(22)[:, None] / 13).astype(np.float32))
+    (path / "samples.toml").write_text("fps = 20\n")
+
+
 class _Evaluator:
     name, fingerprint = "drill", "0" * 64
 

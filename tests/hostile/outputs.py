@@ -1,0 +1,171 @@
+"""Hostile results and generated folders: links where motionkit writes, tables that name foreign files."""
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from benchmarks.trust.scenarios import EVAL_PAHIRES, GENERATE, RUN
+from motionkit.core.sealed import checksum_of, sealed
+from tests.hostile.scene import EVIL, Scene, Spoil, edited, links, text
+
+MADE = ((*GENERATE, "--resume"), (*GENERATE, "--overwrite"), GENERATE)
+COMPLETE = ("complete", "long/take-0.bvh", "--fps", "90", "--overwrite", "--model", "pahires", *RUN)
+REPORTS = tuple(
+    ("report", "--results", "results", *rest)
+    for rest in ((), ("--format", "png"), ("--format", "markdown"), ("--format", "csv"), ("--json",))
+)
+
+
+def _row(**cells: str) -> Spoil:
+    """motions.csv with a first row of these cells, and the checksum that agrees with them."""
+
+    def spoil(inside: Path, outside: Path) -> None:
+        path = inside / "made/motions.csv"
+        rows = [dict(row) for row in csv.DictReader(path.read_text().splitlines())]
+        changed = {name: cell.replace("OUTSIDE", str(outside)) for name, cell in cells.items()}
+        first = {name: cell for name, cell in {**rows[0], **changed}.items() if name != "checksum"}
+        rows[0] = {**first, "checksum": checksum_of(first)}
+        table = io.StringIO(newline="")
+        writer = csv.DictWriter(table, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        path.write_text(table.getvalue())
+
+    return spoil
+
+
+def _generation(**changes: object) -> Spoil:
+    return edited("made/generation.json", lambda document: document.update(changes))
+
+
+def _part(edit: Callable[[dict[str, Any]], None]) -> Spoil:
+    """Every kept part of a table, signed again."""
+
+    def spoil(inside: Path, outside: Path) -> None:
+        for path in (inside / "results/parts").iterdir():
+            edited(path.relative_to(inside).as_posix(), edit)(inside, outside)
+
+    return spoil
+
+
+def _each_cell(document: dict[str, Any], **values: object) -> None:
+    for cells in document["rows"].values():
+        for cell in cells.values():
+            cell.update(values)
+
+
+def _result(name: str, value: object) -> Spoil:
+    def edit(document: dict[str, Any]) -> None:
+        row = document["blocks"][0]["rows"][0]
+        if name in document:
+            document[name] = value
+        elif name in row:
+            row[name] = value
+        else:
+            next(iter(row["cells"].values()))[name] = value
+
+    return edited("results/pahires-table2.json", edit)
+
+
+def _result_text(old: str, new: str) -> Spoil:
+    def spoil(inside: Path, outside: Path) -> None:
+        path = inside / "results/pahires-table2.json"
+        document = json.loads(path.read_bytes())
+        document.pop("checksum", None)
+        path.write_text(json.dumps(document).replace(old, new, 1))
+
+    return spoil
+
+
+HASH = "sha256:" + hashlib.sha256().hexdigest()
+GENERATED: dict[str, Spoil] = {
+    "motions.csv names files above": _row(file="../../outside/mine.npz"),
+    "motions.csv names an absolute file": _row(file="OUTSIDE/mine.npz"),
+    "motions.csv names a folder": _row(file=".."),
+    "motions.csv names a file of a zero byte": _row(file="a\0b.npz"),
+    "motions.csv names a file of escape sequences": _row(file=f"{EVIL}.npz"),
+    "motions.csv names a file of 100,000 letters": _row(file="x" * 100_000),
+    "motions.csv of wrong digests": _row(files_sha256=HASH),
+    "motions.csv of odd numbers": _row(fps="1e999", seconds="nan", num_frames="9" * 5000),
+    "captions of escape sequences": _row(captions=json.dumps([EVIL]), action=EVIL),
+    "captions nested without end": _row(captions="[" * 100_000),
+    "motions.csv is a link": links({"made/motions.csv": "made/motions.csv"}),
+    "motions are links": links({"made/0000-walk.npz": "mine.npz", "made/0001-jump.npz": "mine.npz"}),
+    "generation.json is a link": links({"made/generation.json": "made/generation.json"}),
+    "temporary files are links": links(
+        {"made/.generation.json.tmp.json": "mine.txt", "made/.0000-walk.npz.tmp.npz": "mine.npz"}
+    ),
+    "an odd format": text(
+        "made/generation.json", json.dumps(sealed({"format": "motionkit-generation", "file_format": EVIL}))
+    ),
+}
+GENERATIONS: dict[str, dict[str, object]] = {
+    "conditions above the folder": {"conditions": [{"seconds": 1, "text": "../../outside/mine", "action": None}]},
+    "conditions that are none": {"conditions": 7},
+    "conditions of escape sequences": {"conditions": [{"seconds": EVIL, "text": EVIL, "action": EVIL}]},
+    "a count without end": {"count": 10**30},
+    "a count that is a text": {"count": EVIL},
+    "another model": {"model": EVIL, "weights_sha256": [EVIL]},
+    "checksums that are a text": {"table_checksums": EVIL},
+}
+PARTS: dict[str, Spoil] = {
+    "values that are texts": _part(lambda document: _each_cell(document, value=EVIL, ci95=EVIL)),
+    "weights that are texts": _part(lambda document: _each_cell(document, details={"weight": EVIL})),
+    "weights of 400 digits": _part(lambda document: _each_cell(document, details={"weight": 10**400})),
+    "no weights": _part(lambda document: _each_cell(document, details=None)),
+    "rows that are none": _part(lambda document: document.update(rows=7)),
+    "no rows": _part(lambda document: document.update(rows={})),
+    "rows of escape sequences": _part(lambda document: document.update(rows={EVIL: {EVIL: {"value": 1}}})),
+    "what is missing is a number": _part(lambda document: document.update(missing=7)),
+    "what is missing of escape sequences": _part(lambda document: document.update(missing=[EVIL])),
+    "a key that is none": _part(lambda document: document.update(key=EVIL)),
+}
+RESULTS: dict[str, Spoil] = {
+    "a value of 1e999": _result_text('"value": ', '"value": 1e999, "x": '),
+    "a value that is a text": _result("value", EVIL),
+    "a value of 400 digits": _result("value", 10**400),
+    "an interval that is a list": _result("ci95", [1, 2]),
+    "a title of escape sequences": _result("title", EVIL),
+    "a name of script": _result("name", "<script>alert(1)</script>"),
+    "a figure above the folder": _result("figure", "../../outside/mine.png"),
+    "a task above the folder": _result("task", "../../outside/mine"),
+    "an absolute task": lambda inside, outside: _result("task", str(outside / "mine"))(inside, outside),
+    "a title that is a number": _result("title", 7),
+    "notes that are numbers": _result("notes", [7, None]),
+    "a name that is a list": _result("name", [EVIL]),
+    "an origin of escape sequences": _result("origin", EVIL),
+    "blocks that are none": _result("blocks", 7),
+    "nested without end": text("results/deep.json", "[" * 100_000),
+    "the page is a link": links({"results/report.html": "mine.txt"}),
+    "pictures are links": links({"results/pahires-table2.png": "mine.txt"}),
+    "the result is a link": links({"results/pahires-table2.json": "results/pahires-table2.json"}),
+    "parts are a link": links({"results/parts": "results/parts"}),
+    "a part is a link": links({"results/parts/*.json": "mine.txt"}),
+    "the table is a link": links({"results/pahires-table2.md": "mine.txt"}),
+}
+
+
+def scenes() -> Iterator[Scene]:
+    """All of them."""
+    for name, spoil in GENERATED.items():
+        yield Scene(
+            f"generated: {name}",
+            spoil,
+            (*MADE, ("ingest", "made", "--store", "new", "--workers", "1"), ("view", "made")),
+        )
+    for name, values in GENERATIONS.items():
+        yield Scene(f"generated: {name}", _generation(**values), MADE)
+    for name, spoil in PARTS.items():
+        yield Scene(f"parts of tables: {name}", spoil, (EVAL_PAHIRES,))
+    for name, spoil in RESULTS.items():
+        yield Scene(f"results: {name}", spoil, (*REPORTS, EVAL_PAHIRES))
+    yield Scene("completed: the output is a link", links({"long/take-0.completed.bvh": "mine.txt"}), (COMPLETE,))
+    yield Scene(
+        "page: the output is a link",
+        links({"take-0.view.html": "mine.txt"}),
+        (("view", "long/take-0.bvh", "--overwrite"),),
+    )
