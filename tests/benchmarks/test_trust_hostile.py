@@ -15,7 +15,7 @@ from tests.hostile.scene import EVIL, Scene, Spoil, links, text
 
 CALL = "call:tests.benchmarks.careless:"
 # A slice of `python -m benchmarks.trust hostile`: one command of some scenes of each kind.
-SLICE = SCENES[::12]
+SLICE = SCENES[::16]
 
 
 @pytest.fixture(scope="module")
