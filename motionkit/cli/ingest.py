@@ -1,6 +1,5 @@
 """`motionkit ingest`: sources into a store."""
 
-import gc
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -57,13 +56,11 @@ def ingest(
     if engine == LOCAL and workers is not None and workers > 1:
         start_server()
 
-    gc.disable()  # imports make no garbage, and to look for it takes a tenth of their time
     from motionkit.formats.framerate_rules import read_rules
     from motionkit.skeletons.families import read_skeleton_map
     from motionkit.store.ingest import Listener
     from motionkit.store.ingest import ingest as ingest_sources
 
-    gc.enable()
     options = read_options(format, fps, unit_metres, captions)
     options = replace(
         options,

@@ -1,6 +1,5 @@
 """What the script `motionkit` runs. It loads little of its own, for every process of workers loads it again."""
 
-import gc
 import sys
 
 from motionkit import interrupts
@@ -19,7 +18,3 @@ def main() -> None:
         sys.exit(130)
     finally:
         interrupts.stop_no_more()
-        # What is left goes with the process; to look through it once more takes a tenth of a second. duckdb's library
-        # would tell of leaks.
-        if "duckdb" not in sys.modules:
-            gc.freeze()

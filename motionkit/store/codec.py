@@ -9,7 +9,7 @@ from jaxtyping import Float32
 from motionkit.motion import Caption, Motion, Provenance
 from motionkit.quality import measure
 from motionkit.skeleton import Feet, Skeleton
-from motionkit.store.pages import num_segments
+from motionkit.store.schema import SEGMENT_FRAMES
 from motionkit.timegrid import TimeGrid
 
 Row = dict[str, Any]
@@ -66,7 +66,7 @@ def motion_row(motion: Motion) -> Row:
         "effective_fps": quality.effective_fps,
         "quality_flags": list(quality.flags),
         "operations": list(provenance.operations),
-        "num_segments": num_segments(motion.num_frames),
+        "num_segments": -(-motion.num_frames // SEGMENT_FRAMES),
     }
 
 

@@ -1,9 +1,11 @@
-"""Motion → what the store keeps of it, wherever its place will be: the work that ingest leaves to its workers."""
+"""Motion → what the store keeps of it, wherever its place will be: a row of the table, and segments of its frames."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+import pyarrow as pa
 from jaxtyping import Float32
 
 from motionkit.errors import StoreError
@@ -11,11 +13,13 @@ from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
 from motionkit.store import codec
 from motionkit.store.codec import Row
-from motionkit.store.pages import Run, float_runs
+from motionkit.store.columns import array_of
 from motionkit.store.resolution import rounded
-from motionkit.store.schema import RUN_SEGMENTS, SEGMENT_FRAMES
+from motionkit.store.schema import FLOAT_LIST, RUN_SEGMENTS, SEGMENT_FRAMES, SEGMENTS
 
 RUN_FRAMES = RUN_SEGMENTS * SEGMENT_FRAMES
+# Columns of a run of segments: the number of their sequence is not known yet.
+RUN = pa.schema([field for field in SEGMENTS if field.name != "sequence_index"])
 
 
 class RefusedMotion(StoreError):
@@ -31,15 +35,15 @@ class RefusedMotion(StoreError):
 
 @dataclass(frozen=True, eq=False)
 class EncodedMotion:
-    """A motion as the store keeps it, but for its place; picklable, and nothing of it is computed again.
+    """A motion as the store keeps it, but for its place.
 
-    `row` is its row in the table of sequences without the index and the place; `columns` are the columns of
-    floats, in the order of the schema, compressed.
+    `row` is its row in the table of sequences without the index and the place; `runs` are its segments, at most 16 in
+    each, with the columns of `RUN`. They may be computed as they are asked for, and then can be asked for once.
     """
 
     row: Row
     skeleton: Skeleton
-    columns: tuple[tuple[Run, ...], ...]
+    runs: Iterable[pa.RecordBatch]
 
     @property
     def sequence_id(self) -> str:
@@ -53,38 +57,44 @@ class EncodedMotion:
 
 
 def encode(motion: Motion) -> EncodedMotion:
-    """Check a motion, round it to 2^-22, describe it, and compress its frames in the order in which they are stored.
+    """Check a motion, round it to 2^-22 and describe it; its frames are brought into order run by run.
 
     Raises `RefusedMotion` for one that no store may hold.
     """
     _check(motion)
     motion = replace(motion, joint_positions=rounded(motion.joint_positions))  # what is stored is what is measured
-    row = codec.motion_row(motion)
-    arrays = (motion.joint_positions, motion.local_rotations, motion.root_translation)
-    return EncodedMotion(row, motion.skeleton, tuple(_runs(array, motion.num_frames) for array in arrays))
+    return EncodedMotion(codec.motion_row(motion), motion.skeleton, _runs(motion))
 
 
-def _runs(array: Float32[np.ndarray, "frames *channels"] | None, num_frames: int) -> tuple[Run, ...]:
+def _runs(motion: Motion) -> Iterator[pa.RecordBatch]:
     # Run by run, so that no other copy of a long take is made.
-    if array is None:
-        return float_runs(None, num_frames)
-    parts = (rounded(array[start : start + RUN_FRAMES]) for start in range(0, num_frames, RUN_FRAMES))
-    return tuple(run for part in parts for run in float_runs(_channel_major(part), len(part)))
+    for start in range(0, motion.num_frames, RUN_FRAMES):
+        starts = range(start, min(start + RUN_FRAMES, motion.num_frames), SEGMENT_FRAMES)
+        counts = [min(SEGMENT_FRAMES, motion.num_frames - first) for first in starts]
+        columns = [array_of(starts, pa.int32()), array_of(counts, pa.int16())]
+        for array, on_grid in (
+            (motion.joint_positions, True),
+            (motion.local_rotations, False),
+            (motion.root_translation, False),
+        ):
+            frames = None if array is None else array[start : start + RUN_FRAMES]
+            columns.append(_lists(frames if frames is None or on_grid else rounded(frames), counts))
+        yield pa.RecordBatch.from_arrays(columns, schema=RUN)
 
 
-def compressed(columns: Sequence[Float32[np.ndarray, "_"] | None], num_frames: int) -> tuple[tuple[Run, ...], ...]:
-    """The columns of floats; each array holds the segments one after the other, each channel-major."""
-    return tuple(float_runs(values, num_frames) for values in columns)
-
-
-def _channel_major(frames: Float32[np.ndarray, "frames *channels"]) -> Float32[np.ndarray, "values"]:
+def _lists(frames: Float32[np.ndarray, "frames *channels"] | None, counts: Sequence[int]) -> pa.Array:
+    """One list for each segment, which has `counts` frames: channel-major, null where there are no such numbers."""
+    if frames is None:
+        return pa.nulls(len(counts), FLOAT_LIST)
     table = frames.reshape(len(frames), -1)
     flat = np.empty(table.size, np.float32)
-    for start in range(0, len(table), SEGMENT_FRAMES):
-        segment = table[start : start + SEGMENT_FRAMES]
-        place = start * table.shape[1]
-        flat[place : place + segment.size].reshape(segment.shape[::-1])[...] = segment.T
-    return flat
+    bounds = np.cumsum([0, *counts])
+    for start, stop in pairwise(bounds):
+        segment = table[start:stop]
+        flat[start * table.shape[1] :][: segment.size].reshape(segment.shape[::-1])[...] = segment.T
+    values = pa.Array.from_buffers(pa.float32(), flat.size, [None, pa.py_buffer(flat)])
+    offsets = pa.py_buffer(bounds.astype(np.int64) * table.shape[1])
+    return pa.Array.from_buffers(FLOAT_LIST, len(counts), [None, offsets], children=[values])
 
 
 def _check(motion: Motion) -> None:

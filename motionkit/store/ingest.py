@@ -1,12 +1,12 @@
-"""Sources → store: scan, read by processes in order, store; what cannot be read is told and counted."""
+"""Sources → store: scan, read and write stretch by stretch, commit; what cannot be read is told and counted."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
-from itertools import zip_longest
+from itertools import count, islice
 from pathlib import Path
 from typing import Literal
 
@@ -20,22 +20,17 @@ from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.skeletons.families import parse_layout_map
 from motionkit.skeletons.mapping import SkeletonMapError, joint_map
 from motionkit.store.body_sizes import BodySizes
-from motionkit.store.encode import EncodedMotion, RefusedMotion
+from motionkit.store.codec import Row
+from motionkit.store.encode import RefusedMotion
 from motionkit.store.manifest import read_manifest
-from motionkit.store.read_batch import read_batch
 from motionkit.store.schema import MANIFEST_FILE
+from motionkit.store.stretches import NumberedItem, ReadSequence, ReadStretch, cut, read_stretch
 from motionkit.store.writer import StoreWriter
 from motionkit.workers.engines import LOCAL, check_engine, make_engine
 from motionkit.workers.parallel import Engine, WorkerDied, map_in_order
 from motionkit.workers.process_engine import usable_cores
 
 OnError = Literal["skip", "stop"]
-
-# One process reads this much in the time that it takes to start others.
-MUCH_BYTES = 20 * 2**20
-# A worker is handed this much at once, in files of any size.
-BATCH_BYTES = 2 * 2**20
-BATCH_ITEMS = 64
 
 
 @dataclass(frozen=True)
@@ -113,12 +108,12 @@ def ingest(
     """Read every sequence of the sources into a store, which is made, added to, or (`overwrite`) replaced.
 
     The store is the same, byte for byte, whatever the number of workers and whichever `engine` (`local`, `ray`,
-    `ray://HOST:PORT`) runs them; without a number given, all cores read, or one where the sources are so small that
-    starting processes would take longer. Under `skip` the good sequences are
-    stored; under `stop` the first problem ends the ingest and the store stays as it was. A sequence that the store
-    holds from an equal file is counted and left alone; one with the same id from another file is a problem. So is one
-    whose id an earlier sequence of the sources has, unless that one cannot be read: then it takes its place. Raises
-    `UsageError` for sources or options that make no sense and `StoreError` for a store that cannot be written.
+    `ray://HOST:PORT`) runs them; without a number given, all cores read, or as many as there are stretches of 32 MiB.
+    Under `skip` the good sequences are stored; under `stop` the first problem ends the ingest and the store stays as it
+    was. A sequence that the store holds from an equal file is counted and left alone; one with the same id from another
+    file is a problem. So is one whose id an earlier sequence of the sources has, unless that one cannot be read: then
+    it takes its place. Raises `UsageError` for sources or options that make no sense and `StoreError` for a store that
+    cannot be written.
     """
     check_engine(engine)
     run = _Run(store, options or ReadOptions(), on_error, engine, num_workers, listener or Listener())
@@ -200,24 +195,34 @@ class _Run:
         with ExitStack() as held:
             held.enter_context(writer)
             self._sizes = BodySizes(writer.skeletons)
+            self._numbers = count(writer.next_sequence_index)
             engine = held.enter_context(self._engine(found.items))
             self._read_all(writer, engine, found)
             if not self._num_stored:
                 raise _Stopped
 
     def _read_all(self, writer: StoreWriter, engine: Engine, found: ScanResult) -> None:
-        function = partial(read_batch, options=self._options)
+        function = partial(read_stretch, store=self._store.absolute(), options=self._options)
         items, spares, total = found.items, found.spares, 0
         while items:
             total += len(items)
             self._listener.on_start(total)
-            with closing(map_in_order(engine, function, batches(items))) as results:
-                for item, result in results:
-                    self._take(writer, item, result)
-                    self._listener.on_item()
+            with closing(map_in_order(engine, function, self._numbered(writer, items))) as results:
+                for stretch, result in results:
+                    self._take(writer, stretch, result)
             items, spares = self._wanted(spares)
         for spare in spares:
             self._fail(spare.problem)
+
+    def _numbered(self, writer: StoreWriter, items: Sequence[SourceItem]) -> Iterator[list[NumberedItem]]:
+        # An index is the place among the sequences that are new, whether or not those before it can be read: so a part
+        # has the same bytes whoever writes it, whenever.
+        for stretch in cut(items):
+            known = [writer.holds(item.sequence_id) for item in stretch]
+            yield [
+                NumberedItem(item, None if is_known else next(self._numbers))
+                for item, is_known in zip(stretch, known, strict=True)
+            ]
 
     def _wanted(self, spares: Sequence[Spare]) -> tuple[tuple[SourceItem, ...], tuple[Spare, ...]]:
         # For each id that has failed its first spare, which is to be read, and the other spares.
@@ -234,38 +239,44 @@ class _Run:
     def _engine(self, items: Sequence[SourceItem]) -> Engine:
         if self._engine_name != LOCAL:
             return make_engine(self._engine_name, self._num_workers)
-        num_workers = self._num_workers or (usable_cores() if _is_much(items) else 1)
-        return make_engine(LOCAL, min(num_workers, len(items)))
+        if self._num_workers is not None:
+            return make_engine(LOCAL, min(self._num_workers, len(items)))
+        return make_engine(LOCAL, sum(1 for _ in islice(cut(items), usable_cores())))
 
-    def _take(self, writer: StoreWriter, item: SourceItem, result: EncodedMotion | FormatError | WorkerDied) -> None:
-        match result:
-            case FormatError():
-                self._fail(result, item)
-            case WorkerDied():
-                message = "the process that read it ended without a word (killed, or out of memory?): --workers 1 shows"
-                self._fail(FormatError(f"{message} where", path=item.path, reason="worker-died"), item)
-            case EncodedMotion():
-                self._add(writer, item, result)
+    def _take(self, writer: StoreWriter, stretch: Sequence[NumberedItem], result: ReadStretch | WorkerDied) -> None:
+        if isinstance(result, WorkerDied):
+            (each,) = stretch
+            message = "the process that read it ended without a word (killed, or out of memory?): --workers 1 shows"
+            self._fail(FormatError(f"{message} where", path=each.item.path, reason="worker-died"), each.item)
+            self._listener.on_item()
+            return
+        place = {} if result.part is None else {"part": writer.add_part(result.part)}
+        for each, outcome in zip(stretch, result.outcomes, strict=True):
+            if isinstance(outcome, FormatError):
+                self._fail(outcome, each.item)
+            else:
+                self._add(writer, each.item, replace(outcome, row={**outcome.row, **place}))
+            self._listener.on_item()
 
-    def _add(self, writer: StoreWriter, item: SourceItem, motion: EncodedMotion) -> None:
-        self._check_rig(item, motion.skeleton)
-        if writer.holds_from(motion.sequence_id, motion.row["source_sha256"]):
+    def _add(self, writer: StoreWriter, item: SourceItem, read: ReadSequence) -> None:
+        self._check_rig(item, read.skeleton)
+        if writer.holds_from(item.sequence_id, read.row["source_sha256"]):
             self._num_already_stored += 1
             return
-        is_new_skeleton = not writer.knows_skeleton(motion.skeleton)
+        is_new_skeleton = not writer.knows_skeleton(read.skeleton)
         try:
-            writer.add_encoded(motion)
+            writer.add_row(read.row, read.skeleton)
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
-        size = self._sizes.doubt(motion.skeleton) if is_new_skeleton else ""
+        size = self._sizes.doubt(read.skeleton) if is_new_skeleton else ""
         if size:
             self._warn(FormatError(size, path=item.path, reason="body-size"))
-        for warning in doubts(item, motion):
+        for warning in doubts(item, read.row):
             self._warn(warning)
         self._num_stored += 1
-        self._num_frames += motion.num_frames
-        self._duration_seconds += motion.row["duration_seconds"]
+        self._num_frames += read.row["num_frames"]
+        self._duration_seconds += read.row["duration_seconds"]
 
     def _check_rig(self, item: SourceItem, skeleton: Skeleton) -> None:
         # Joints that no layout knows are told once, whatever the lengths of their bones; the motions are kept. Markers,
@@ -311,62 +322,26 @@ class _Run:
             raise _Stopped
 
 
-def doubts(item: SourceItem, motion: EncodedMotion) -> Iterator[FormatError]:
-    """Warnings about a motion that is kept.
+def doubts(item: SourceItem, row: Row) -> Iterator[FormatError]:
+    """Warnings about a motion that is kept; `row` is its row in the table of sequences.
 
     `neutral-body`: no model of the subject's gender; `shortened`, or `duration` of a whole file: a file is not as long
     as its index has it.
     """
-    substitute = substituted_body(motion.row["operations"])
+    substitute = substituted_body(row["operations"])
     if substitute:
         yield FormatError(substitute, path=item.path, reason="neutral-body")
     if item.cut is None:
         return
-    row = motion.row
     fps = Fraction(row["fps_numerator"], row["fps_denominator"])
     seconds = row["duration_seconds"]
-    missing = missing_seconds(item.cut, item.path, motion.num_frames, fps, row["stated_fps"])
+    missing = missing_seconds(item.cut, item.path, row["num_frames"], fps, row["stated_fps"])
     if missing > 0.0:
         message = f"ends {missing:.3g} s before {item.sequence_id} does; {seconds:.3g} s of it are kept"
         yield FormatError(message, path=item.path, reason="shortened")
-    elif unlike_stated_seconds(item.cut, motion.num_frames, fps):
+    elif unlike_stated_seconds(item.cut, row["num_frames"], fps):
         message = (
             f"lasts {seconds:.4g} s at {float(fps):g} fps, which is not what the index says of {item.sequence_id}; "
         )
         message += "its captions' seconds won't fit: is the framerate wrong (--fps-rules)?"
         yield FormatError(message, path=item.path, reason="duration")
-
-
-def batches(items: Sequence[SourceItem]) -> Iterator[list[SourceItem]]:
-    """The items in order, in batches of two megabytes or 64 items: a task for each small file costs more.
-
-    Stretches of one file come into one batch, so that one worker reads it once.
-    """
-    batch: list[SourceItem] = []
-    num_bytes = 0
-    for item, following in zip_longest(items, items[1:]):
-        if not batch or batch[-1].path != item.path:
-            num_bytes += _size(item)
-        batch.append(item)
-        file_goes_on = following is not None and following.path == item.path
-        if (num_bytes >= BATCH_BYTES and not file_goes_on) or len(batch) == BATCH_ITEMS:
-            yield batch
-            batch, num_bytes = [], 0
-    if batch:
-        yield batch
-
-
-def _is_much(items: Sequence[SourceItem]) -> bool:
-    num_bytes = 0
-    for item in items:
-        num_bytes += _size(item)
-        if num_bytes > MUCH_BYTES:
-            return True
-    return False
-
-
-def _size(item: SourceItem) -> int:
-    try:
-        return item.path.stat().st_size
-    except OSError:
-        return 0

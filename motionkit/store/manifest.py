@@ -38,7 +38,7 @@ _PART = re.compile(rf"{SEGMENTS_FOLDER}/part-[0-9]{{5,10}}\.parquet")
 class FileEntry:
     """One file of a store: its sha256, size in bytes and number of rows.
 
-    `footer_sha256` is that of a part's footer (motionkit.store.footer), empty for tables and for parts whose pages
+    `footer_sha256` is that of a part's footer, empty for tables and for parts whose pages
     carry no checksums, as earlier versions wrote them.
     """
 

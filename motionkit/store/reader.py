@@ -14,7 +14,7 @@ from motionkit.core.progress import OnProgress, ignore
 from motionkit.errors import StoreError, UsageError
 from motionkit.motion import Motion
 from motionkit.store import codec
-from motionkit.store.encode import EncodedMotion, compressed
+from motionkit.store.encode import EncodedMotion
 from motionkit.store.manifest import Manifest, read_manifest
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
@@ -168,7 +168,7 @@ class Store:
             yield self.read(sequence, rotations=rotations)
 
     def read_encoded(self, sequences: Int[np.ndarray, "chosen"]) -> Iterator[EncodedMotion]:
-        """Sequences by index as they are stored, to be copied: rows of the table and flat arrays, nothing measured."""
+        """Sequences by index as they are stored, to be copied: nothing is measured again."""
         rows = self.sequences_table.take(self.rows_of(sequences))
         for batch in rows.to_batches(max_chunksize=ROWS_AT_ONCE):
             for row in batch.to_pylist():
@@ -178,10 +178,8 @@ class Store:
                     widths["joint_rotations"] = 4 * skeleton.num_joints
                 if row["has_root_translation"]:
                     widths["root_translation"] = 3
-                flat = self._segments.read_flat(row, widths)
                 placeless = {name: value for name, value in row.items() if name not in PLACE_COLUMNS}
-                columns = [flat.get(name) for name in FLOAT_COLUMNS]
-                yield EncodedMotion(placeless, skeleton, compressed(columns, row["num_frames"]))
+                yield EncodedMotion(placeless, skeleton, self._segments.read_runs(row, widths))
 
     def query(self, sql: str) -> pa.Table:
         """Result of one SQL statement over `sequences`, `segments`, `skeletons`; raises `UsageError` for bad SQL."""

@@ -16,10 +16,12 @@ FORMAT_NAME = "motionkit-store"
 FORMAT_VERSION = 2
 
 SEGMENT_FRAMES = 256
-# So many segments of a sequence are compressed together, and lie in one row group.
+# So many segments of a sequence come together, and lie in one row group.
 RUN_SEGMENTS = 16
 ROW_GROUP_SEGMENTS = 16
 PART_BYTES = 128 * 2**20
+# More than a column of a row group has: one page for each.
+PAGE_BYTES = 8 * 2**20
 SEQUENCES_PER_ROW_GROUP = 4096
 
 SEQUENCES_FILE = "sequences.parquet"
@@ -161,6 +163,19 @@ def part_name(number: int) -> str:
 def part_number(name: str) -> int:
     """The number in a part's path."""
     return int(Path(name).stem.removeprefix("part-"))
+
+
+def part_writer_options() -> dict[str, Any]:
+    """Keyword arguments of `pyarrow.parquet.ParquetWriter` for parts: each page has a CRC-32."""
+    return {
+        "compression": "zstd",
+        "compression_level": 3,
+        "use_dictionary": False,
+        "use_byte_stream_split": [f"{name}.list.element" for name in FLOAT_COLUMNS],
+        "write_statistics": list(KEY_COLUMNS),
+        "data_page_size": PAGE_BYTES,
+        "write_page_checksum": True,
+    }
 
 
 def table_writer_options() -> dict[str, Any]:

@@ -18,8 +18,9 @@ from motionkit.checksums import sha256_of
 from motionkit.core.files import require_regular
 from motionkit.errors import StoreError
 from motionkit.store import codec
-from motionkit.store.footer import read_footer
+from motionkit.store.encode import RUN
 from motionkit.store.manifest import FileEntry, read_manifest
+from motionkit.store.parts import read_footer
 from motionkit.store.schema import FLOAT_COLUMNS, KEY_COLUMNS, SEGMENT_FRAMES, SEGMENTS, part_name
 
 # An open part is its footer: about 500 bytes for each row group. A decoded row group of long takes is 2 to 10 MB.
@@ -77,17 +78,16 @@ class SegmentReader:
                 _copy_segments(rows, out)
         return out
 
-    def read_flat(self, row: Mapping[str, Any], wanted: Mapping[str, int]) -> dict[str, Float32[np.ndarray, "values"]]:
-        """The wanted columns of one sequence as they are stored, segment after segment; `wanted` gives their widths."""
-        flat = {}
+    def read_runs(self, row: Mapping[str, Any], wanted: Mapping[str, int]) -> list[pa.RecordBatch]:
+        """The segments of one sequence as they are stored, without its number; `wanted` gives the columns' widths."""
+        runs = []
         with self._explained(row):
-            tables = list(self._rows(row, FLOAT_COLUMNS))
-            for name, width in wanted.items():
-                values = [_values(rows, name) for rows in tables]
-                flat[name] = np.concatenate([each[bounds[0] : bounds[-1]] for each, bounds in values])
-                if flat[name].size != width * row["num_frames"]:
-                    raise ValueError(f"{name} holds {flat[name].size} numbers")
-        return flat
+            for rows in self._rows(row, FLOAT_COLUMNS):
+                frames = rows["num_frames"].to_numpy().astype(np.int64)
+                for name in FLOAT_COLUMNS:
+                    _check_lengths(rows, name, frames * wanted[name] if name in wanted else None)
+                runs += rows.select(RUN.names).to_batches()
+        return runs
 
     def checked_part(self, name: str) -> Path:
         """Path of a part that is what the manifest says, as far as its pages do not say it of themselves.
@@ -178,6 +178,17 @@ def _check_keys(rows: pa.Table, row: Mapping[str, Any], first_segment: int, num_
     for name, expected in zip(KEY_COLUMNS, (np.full_like(start, row["sequence_index"]), start, count), strict=True):
         if not np.array_equal(rows[name].to_numpy(), expected):
             raise ValueError(f"{name} of its segments is not what the table of sequences says")
+
+
+def _check_lengths(rows: pa.Table, name: str, lengths: Int64[np.ndarray, "segments"] | None) -> None:
+    """Raise `ValueError` where a column's lists are not as long as they should be; None is null."""
+    column = rows[name].chunk(0)
+    if lengths is None:
+        wrong = column.null_count != len(column)
+    else:
+        wrong = column.null_count > 0 or not np.array_equal(np.diff(column.offsets.to_numpy()), lengths)
+    if wrong:
+        raise ValueError(f"{name} does not have the numbers that its frames need")
 
 
 def _values(rows: pa.Table, name: str) -> tuple[Float32[np.ndarray, "_"], Int64[np.ndarray, "_"]]:

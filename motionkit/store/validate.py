@@ -13,8 +13,8 @@ from motionkit.checksums import sha256_of
 from motionkit.errors import LinkError, StoreError
 from motionkit.skeleton import Skeleton
 from motionkit.store.cache import cache_faults
-from motionkit.store.footer import read_footer
 from motionkit.store.manifest import FileEntry, Manifest, read_manifest
+from motionkit.store.parts import read_footer
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
     KEY_COLUMNS,

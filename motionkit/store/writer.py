@@ -1,8 +1,8 @@
 """Writing a store: parts, and tables under pending names; when all are on the disk, the manifest, the commit."""
 
+import os
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motionkit.core import files
+from motionkit.errors import StoreError
 from motionkit.interrupts import held_back
 from motionkit.motion import Motion
 from motionkit.skeleton import Skeleton
@@ -26,8 +27,8 @@ from motionkit.store.commit import (
 )
 from motionkit.store.encode import EncodedMotion, RefusedMotion, encode
 from motionkit.store.known import KnownSequences
-from motionkit.store.manifest import Manifest
-from motionkit.store.parts import PartWriter
+from motionkit.store.manifest import FileEntry, Manifest
+from motionkit.store.parts import PartWriter, PendingPart
 from motionkit.store.schema import (
     PART_BYTES,
     SEQUENCES,
@@ -35,6 +36,7 @@ from motionkit.store.schema import (
     SEQUENCES_PER_ROW_GROUP,
     SKELETONS,
     SKELETONS_FILE,
+    part_name,
     table_writer_options,
 )
 from motionkit.store.table_checks import CHECKED_COLUMNS, require_sound
@@ -86,7 +88,9 @@ class StoreWriter:
     def _open(self) -> None:
         if self._base is not EMPTY:
             self._read_base()
-        self._parts = PartWriter(self.path, self._previous.next_part, self._part_bytes)
+        self._part: PartWriter | None = None
+        self._parts: dict[str, FileEntry] = {}
+        self._next_part = self._previous.next_part
         self._rows: list[codec.Row] = []
         self._table: pq.ParquetWriter | None = None
         self._num_sequences = self._base.num_sequences
@@ -121,6 +125,11 @@ class StoreWriter:
         """Whether the store will hold a skeleton that is equal but for its name."""
         return skeleton.fingerprint in self._skeletons
 
+    @property
+    def next_sequence_index(self) -> int:
+        """A number that no sequence of the store has or had, and no greater one either."""
+        return self._next_sequence_index
+
     def holds(self, sequence_id: str) -> bool:
         """Whether the store will hold a sequence with this id."""
         return sequence_id in self._known
@@ -134,29 +143,55 @@ class StoreWriter:
         return self.add_encoded(encode(motion))
 
     def add_encoded(self, motion: EncodedMotion) -> int:
-        """Add a motion that another process may have encoded; otherwise as `add`. Its arrays are copied."""
-        if self.holds(motion.sequence_id):
-            raise RefusedMotion(
-                f"the store already holds a sequence with the id {motion.sequence_id!r}: ids must differ",
-                reason="duplicate-id",
-            )
+        """Add a motion that is as the store keeps it; otherwise as `add`."""
+        self._require_new(motion.sequence_id)
         sequence_index = self._next_sequence_index
-        part, first_row = self._parts.position
-        self._parts.add_sequence(sequence_index, motion)
-        self._rows.append(
-            {**motion.row, "sequence_index": sequence_index, "part": part, "first_row": first_row},
-        )
-        self._known.add(motion.sequence_id, motion.row["source_sha256"])
-        skeleton = motion.skeleton
-        if not self.knows_skeleton(skeleton):
-            self._skeletons[skeleton.fingerprint] = replace(skeleton, offsets=skeleton.offsets.copy())
+        if self._part is None:
+            self._part = PartWriter(pending(self.path, part_name(self._next_part)))
+        first_row = self._part.add(sequence_index, motion.runs)
+        place = {"sequence_index": sequence_index, "part": self._next_part, "first_row": first_row}
+        self.add_row({**motion.row, **place}, motion.skeleton)
+        if self._part.reaches(self._part_bytes):
+            self._finish_part()
+        return sequence_index
+
+    def add_part(self, part: PendingPart) -> int:
+        """Take a part that is complete and lies among the store's; its number. Its sequences come by `add_row`."""
+        number, name = self._next_part, part_name(self._next_part)
+        if os.path.lexists(self.path / name):
+            raise StoreError(
+                f"{self.path / name} is there already, and is not written over: 'motionkit validate' says more"
+            )
+        files.replace(part.path, self.path / name)
+        self._parts[name] = part.entry
+        self._next_part += 1
+        return number
+
+    def add_row(self, row: codec.Row, skeleton: Skeleton) -> None:
+        """Add a sequence whose segments are written: its row of the table, whole, with an index above all others."""
+        self._require_new(row["sequence_id"])
+        self._rows.append(row)
+        self._known.add(row["sequence_id"], row["source_sha256"])
+        self._skeletons.setdefault(skeleton.fingerprint, skeleton)
         self._num_sequences += 1
-        self._next_sequence_index += 1
-        self._num_segments += motion.row["num_segments"]
-        self._num_frames += motion.num_frames
+        self._next_sequence_index = row["sequence_index"] + 1
+        self._num_segments += row["num_segments"]
+        self._num_frames += row["num_frames"]
         if len(self._rows) == SEQUENCES_PER_ROW_GROUP:
             self._flush_rows()
-        return sequence_index
+
+    def _require_new(self, sequence_id: str) -> None:
+        if self.holds(sequence_id):
+            raise RefusedMotion(
+                f"the store already holds a sequence with the id {sequence_id!r}: ids must differ",
+                reason="duplicate-id",
+            )
+
+    def _finish_part(self) -> None:
+        part = self._part.finish() if self._part is not None else None
+        if part is not None:
+            self.add_part(part)
+        self._part = None
 
     def __exit__(
         self,
@@ -179,9 +214,8 @@ class StoreWriter:
 
     def _commit(self) -> None:
         try:
-            self._parts.finish()
+            self._finish_part()
             self._flush_rows()
-            self._parts.settle()
             publish(self.path, self._write_tables())
         finally:
             self._close()
@@ -191,7 +225,7 @@ class StoreWriter:
         skeletons = table_of([codec.skeleton_row(each) for each in self._skeletons.values()], SKELETONS)
         write_pending(self.path, SKELETONS_FILE, skeletons)
         num_rows = {SEQUENCES_FILE: self._num_sequences, SKELETONS_FILE: len(self._skeletons)}
-        parts = {name: self._base.files[name] for name in self._base.parts} | self._parts.finished
+        parts = {name: self._base.files[name] for name in self._base.parts} | self._parts
         return Manifest(
             num_sequences=self._num_sequences,
             num_segments=self._num_segments,
@@ -199,7 +233,7 @@ class StoreWriter:
             num_skeletons=len(self._skeletons),
             files=parts | describe_pending(self.path, num_rows),
             next_sequence_index=self._next_sequence_index,
-            next_part=self._parts.position[0],
+            next_part=self._next_part,
         )
 
     def _flush_rows(self) -> None:
@@ -222,7 +256,6 @@ class StoreWriter:
                 table.close()
 
     def _close(self) -> None:
-        try:
-            self._parts.close()
-        finally:
-            self._close_table()
+        if self._part is not None:
+            self._part.abandon()
+        self._close_table()

@@ -1,4 +1,4 @@
-"""A map over many inputs by workers: results in order, bounded memory, and the input that a worker dies of is named."""
+"""A map over many inputs by workers: results in order, and the input that a worker dies of is named."""
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -9,7 +9,7 @@ from motionkit.errors import MotionkitError
 Input = TypeVar("Input")
 Output = TypeVar("Output")
 
-BATCHES_IN_FLIGHT_PER_WORKER = 6
+BATCHES_IN_FLIGHT_PER_WORKER = 3
 # So many workers in a row that end before one has done anything: it is not the inputs that they die of.
 DEATHS_AT_START = 3
 
@@ -23,7 +23,7 @@ class Engine(Protocol):
     """Workers that compute batches; a context manager that starts and ends them.
 
     `submit` hands a batch over without waiting, `result` waits for it and raises `WorkerDied` where its worker ended; a
-    batch may be submitted again after that. `release` says that its outputs are no longer needed.
+    batch may be submitted again after that.
     """
 
     num_workers: int
@@ -32,28 +32,23 @@ class Engine(Protocol):
 
     def __exit__(self, *exception: object) -> None: ...
 
-    def submit(self, function: Callable[[Sequence[Any]], Sequence[Any]], batch: Sequence[Any]) -> object:
+    def submit(self, function: Callable[[Sequence[Any]], Any], batch: Sequence[Any]) -> object:
         """Start computing a batch; the ticket is what `result` takes."""
         ...
 
-    def result(self, ticket: Any) -> Sequence[Any]:
-        """The outputs of a batch, one for each of its inputs; their arrays are good until the ticket is released."""
-        ...
-
-    def release(self, ticket: Any) -> None:
-        """Let the memory of a batch's outputs be used again."""
+    def result(self, ticket: Any) -> Any:
+        """What the function returned for a batch; raises what it raised."""
         ...
 
 
 def map_in_order(
-    engine: Engine, function: Callable[[Sequence[Input]], Sequence[Output]], batches: Iterable[Sequence[Input]]
-) -> Generator[tuple[Input, Output | WorkerDied]]:
-    """Pairs (input, output) in the order of the inputs; `function` gives one output for each input of its batch.
+    engine: Engine, function: Callable[[Sequence[Input]], Output], batches: Iterable[Sequence[Input]]
+) -> Generator[tuple[Sequence[Input], Output | WorkerDied]]:
+    """Pairs (batch, output) in the order of the batches.
 
-    An output's arrays may lie in memory that is used again: they are good until the next pair is asked for. At most
-    six batches per worker are in flight, so memory does not grow with the number of inputs. The inputs of a batch
-    whose worker ended are computed again, each alone; that which ends its worker again has `WorkerDied` for its output.
-    Raises `MotionkitError` where workers end before any of them has done anything.
+    At most three batches per worker are in flight. A batch whose worker ended is computed again while nothing else is;
+    where that ends a worker too, its halves are, and so on: an input that ends its worker alone has `WorkerDied` for
+    its output. Raises `MotionkitError` where workers end before any of them has done anything.
     """
     yield from _Map(engine, function).run(batches)
 
@@ -61,13 +56,13 @@ def map_in_order(
 class _Map(Generic[Input, Output]):
     """Owns the batches in flight, oldest first."""
 
-    def __init__(self, engine: Engine, function: Callable[[Sequence[Input]], Sequence[Output]]) -> None:
+    def __init__(self, engine: Engine, function: Callable[[Sequence[Input]], Output]) -> None:
         self._engine = engine
         self._function = function
         self._in_flight: deque[tuple[Sequence[Input], object]] = deque()
         self._deaths_at_start: int | None = 0
 
-    def run(self, batches: Iterable[Sequence[Input]]) -> Iterator[tuple[Input, Output | WorkerDied]]:
+    def run(self, batches: Iterable[Sequence[Input]]) -> Iterator[tuple[Sequence[Input], Output | WorkerDied]]:
         """Keep the engine's workers busy and hand out what they computed, in order."""
         for batch in batches:
             self._in_flight.append((batch, self._engine.submit(self._function, batch)))
@@ -76,35 +71,35 @@ class _Map(Generic[Input, Output]):
         while self._in_flight:
             yield from self._oldest()
 
-    def _oldest(self) -> Iterator[tuple[Input, Output | WorkerDied]]:
+    def _oldest(self) -> Iterator[tuple[Sequence[Input], Output | WorkerDied]]:
         batch, ticket = self._in_flight.popleft()
         try:
-            outputs = self._engine.result(ticket)
+            output = self._engine.result(ticket)
         except WorkerDied:
-            for each in batch:
-                yield from self._alone(each)
+            yield from self._again(batch)
             # Others may have gone with it, and nothing new may run beside an input that is under suspicion.
             while self._in_flight:
                 yield from self._oldest()
             return
         self._deaths_at_start = None
-        yield from zip(batch, outputs, strict=True)
-        self._engine.release(ticket)
+        yield batch, output
 
-    def _alone(self, each: Input) -> Iterator[tuple[Input, Output | WorkerDied]]:
-        ticket = self._engine.submit(self._function, [each])
+    def _again(self, batch: Sequence[Input]) -> Iterator[tuple[Sequence[Input], Output | WorkerDied]]:
         try:
-            outputs = self._engine.result(ticket)
+            output = self._engine.result(self._engine.submit(self._function, batch))
         except WorkerDied as died:
+            if len(batch) > 1:
+                for half in (batch[: len(batch) // 2], batch[len(batch) // 2 :]):
+                    yield from self._again(half)
+                return
             if self._deaths_at_start is not None:
                 self._deaths_at_start += 1
                 if self._deaths_at_start == DEATHS_AT_START:
                     raise MotionkitError(
-                        f"{DEATHS_AT_START} workers ended before they had done anything (the last one at {each}): "
+                        f"{DEATHS_AT_START} workers ended before they had done anything (the last one at {batch[0]}): "
                         "killed, or out of memory? --workers 1 shows where"
                     ) from None
-            yield each, died
+            yield batch, died
             return
         self._deaths_at_start = None
-        yield each, outputs[0]
-        self._engine.release(ticket)
+        yield batch, output

@@ -1,7 +1,5 @@
 """Workers of this machine: this process itself, or others that it starts."""
 
-import ctypes
-import gc
 import multiprocessing
 import os
 import signal
@@ -14,26 +12,16 @@ from dataclasses import dataclass
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
-from multiprocessing.heap import BufferWrapper
 from typing import Any
 
 from motionkit.errors import MotionkitError
 from motionkit.interrupts import held_back
-from motionkit.workers.parallel import BATCHES_IN_FLIGHT_PER_WORKER, WorkerDied
-from motionkit.workers.parcel import Parcel, pack, unpack
+from motionkit.workers.parallel import WorkerDied
 
 # One server serves all workers of a process, whatever they compute: what they compute with, and how they are talked to.
-PRELOADED = ("motionkit.store.read_batch", "motionkit.workers.process_engine")
+PRELOADED = ("motionkit.store.stretches", "motionkit.workers.process_engine")
 
-# Two megabytes of text become a third of that, other sources at most themselves; one file alone may be larger.
-SLOT_BYTES = 2 * 2**20
-
-# glibc's mallopt parameters, and what a worker sets them to. By default the top of the heap goes back to the system as
-# soon as a file's arrays are freed, and comes anew, page by page, with the next file's: half of all page faults.
-MALLOC_TRIM_THRESHOLD, MALLOC_MMAP_THRESHOLD = -1, -3
-KEPT_BYTES = 32 * 2**20
-
-Function = Callable[[Sequence[Any]], Sequence[Any]]
+Function = Callable[[Sequence[Any]], Any]
 
 
 def usable_cores() -> int:
@@ -83,29 +71,23 @@ class ThisProcess:
         """Remember what to compute."""
         return function, batch
 
-    def result(self, ticket: tuple[Function, Sequence[Any]]) -> Sequence[Any]:
+    def result(self, ticket: tuple[Function, Sequence[Any]]) -> Any:
         """Compute it."""
         function, batch = ticket
         return function(batch)
-
-    def release(self, ticket: tuple[Function, Sequence[Any]]) -> None:
-        """Outputs are nobody else's: nothing to do."""
 
 
 @dataclass(frozen=True)
 class _Ticket:
     pool: ProcessPoolExecutor
-    future: Future[Parcel]
-    slot: int | None
+    future: Future[Any]
 
 
 class Processes:
     """Processes of this machine; they end with this one, however it ends.
 
     They are forked from a small server (`start_server`), not from this process, where Arrow has threads. A pool of
-    which one process died is of no more use: the next batch starts another. Arrays come back in memory that is shared
-    with the workers, one slot for each batch until it is released; without a free slot, or too large for one, by the
-    pipe.
+    which one process died is of no more use: the next batch starts another.
     """
 
     def __init__(self, num_workers: int) -> None:
@@ -113,9 +95,6 @@ class Processes:
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> "Processes":
-        num_slots = self.num_workers * BATCHES_IN_FLIGHT_PER_WORKER
-        self._shared = BufferWrapper(num_slots * SLOT_BYTES)  # of RawArray every page would be written to first
-        self._free_slots = list(range(num_slots))
         self._at_work, self._stop = multiprocessing.Pipe(duplex=False)
         return self
 
@@ -126,11 +105,9 @@ class Processes:
                 self._pool.shutdown(cancel_futures=True)
                 self._pool = None
             self._at_work.close()
-            del self._shared
 
     def submit(self, function: Function, batch: Sequence[Any]) -> _Ticket:
         """Hand a batch to the pool, which is started where there is none."""
-        slot = self._free_slots.pop() if self._free_slots else None
         # A worker that is just being started when this process gives up would look for semaphores that are gone.
         with held_back():
             if self._pool is None:
@@ -138,49 +115,27 @@ class Processes:
                     self.num_workers,
                     mp_context=start_server(),
                     initializer=_start_worker,
-                    initargs=(self._shared, self._at_work),
+                    initargs=(self._at_work,),
                 )
             try:
-                future = self._pool.submit(_compute, function, batch, slot)
+                future = self._pool.submit(function, batch)
             except BrokenProcessPool as broken:
                 future = Future()
                 future.set_exception(broken)
-        return _Ticket(self._pool, future, slot)
+        return _Ticket(self._pool, future)
 
-    def result(self, ticket: _Ticket) -> Sequence[Any]:
+    def result(self, ticket: _Ticket) -> Any:
         """Wait for a batch; raises `WorkerDied` where the pool broke before it was computed."""
         try:
-            outputs: Sequence[Any] = unpack(ticket.future.result(), _memory_of(self._shared, ticket.slot))
+            return ticket.future.result()
         except BrokenProcessPool:
             if self._pool is not None and ticket.pool is self._pool:
                 self._pool.shutdown(cancel_futures=True)
                 self._pool = None
-            self.release(ticket)  # nobody writes there any more: its pool has ended
             raise WorkerDied from None
-        return outputs
-
-    def release(self, ticket: _Ticket) -> None:
-        """Let another batch have the memory in which the outputs of this one are."""
-        if ticket.slot is not None:
-            self._free_slots.append(ticket.slot)
 
 
-def _memory_of(shared: BufferWrapper, slot: int | None) -> memoryview | None:
-    return None if slot is None else shared.create_memoryview()[slot * SLOT_BYTES : (slot + 1) * SLOT_BYTES]
-
-
-# In a worker, the memory that it shares with the process that started it: only its start can bring it there.
-_shared_with_parent: list[BufferWrapper] = []
-
-
-def _compute(function: Function, batch: Sequence[Any], slot: int | None) -> Parcel:
-    return pack(function(batch), _memory_of(_shared_with_parent[0], slot))
-
-
-def _start_worker(shared: BufferWrapper, at_work: Connection) -> None:
-    _shared_with_parent.append(shared)
-    _keep_freed_memory()
-    gc.freeze()  # what was imported stays: no collection need look at it
+def _start_worker(at_work: Connection) -> None:
     threading.Thread(target=_end_with_parent, args=(at_work,), daemon=True).start()
 
 
@@ -190,11 +145,3 @@ def _end_with_parent(at_work: Connection) -> None:
     if parent is not None:
         wait([parent.sentinel, at_work])
         os._exit(1)
-
-
-def _keep_freed_memory() -> None:
-    # Only what a worker's next file needs as well; larger arrays are mapped, and given back, one by one.
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(MALLOC_MMAP_THRESHOLD, KEPT_BYTES)
-        mallopt(MALLOC_TRIM_THRESHOLD, 2 * KEPT_BYTES)

@@ -11,7 +11,7 @@ from motionkit.errors import MissingExtraError, MotionkitError
 from motionkit.workers.parallel import WorkerDied, map_in_order
 from motionkit.workers.process_engine import usable_cores
 
-Function = Callable[[Sequence[Any]], Sequence[Any]]
+Function = Callable[[Sequence[Any]], Any]
 
 
 class RayEngine:
@@ -83,27 +83,26 @@ class RayEngine:
         ticket: object = self._remote.remote(function, batch)
         return ticket
 
-    def result(self, ticket: object) -> Sequence[Any]:
+    def result(self, ticket: object) -> Any:
         """Wait for a batch; raises `WorkerDied` where its worker, its node or its result is gone."""
         faults = self._faults
         try:
-            outputs: Sequence[Any] = self._get(ticket)
+            return self._get(ticket)
         except (faults.WorkerCrashedError, faults.OutOfMemoryError, faults.NodeDiedError, faults.ObjectLostError):
             raise WorkerDied from None
         except faults.RayError as error:
+            cause = getattr(error, "cause", None)
+            if isinstance(cause, (MotionkitError, OSError)):
+                raise cause from None
             reason = str(error).strip().splitlines()[-1]
             raise MotionkitError(
                 f"a worker of Ray failed ({reason}): motionkit {__version__} must be installed where it runs"
             ) from None
-        return outputs
-
-    def release(self, ticket: object) -> None:
-        """Ray counts references itself: nothing to do."""
 
 
-def _compute(function: Function, batch: Sequence[Any]) -> Sequence[Any]:
+def _compute(function: Function, batch: Sequence[Any]) -> Any:
     return function(batch)
 
 
-def _version(_: Sequence[None]) -> list[str]:
-    return [__version__]
+def _version(_: Sequence[None]) -> str:
+    return __version__

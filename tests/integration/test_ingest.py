@@ -17,7 +17,7 @@ from small_bvh import bvh_text
 
 from motionkit.core import files
 from motionkit.motion import Motion
-from motionkit.store import Store, StoreWriter, read_batch
+from motionkit.store import Store, StoreWriter, stretches
 
 
 def ids(store: Path) -> list[str]:
@@ -243,8 +243,8 @@ def test_a_reader_that_fails_in_a_way_that_nobody_foresaw(motionkit, takes, tmp_
             raise ZeroDivisionError("division by zero")
         return original(item, options)
 
-    original = read_batch.read
-    monkeypatch.setattr(read_batch, "read", read)
+    original = stretches.read
+    monkeypatch.setattr(stretches, "read", read)
     outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--workers", 1)
     assert outcome.error_lines == [f"{takes}/beta.bvh: the bvh reader failed: ZeroDivisionError: division by zero"]
     assert ids(tmp_path / "store") == ["takes/alpha", "takes/gamma"]
@@ -292,12 +292,12 @@ DEADLY_INGEST = textwrap.dedent(
     """
     import os, sys
     from motionkit.cli.app import main
-    from motionkit.store import read_batch
+    from motionkit.store import stretches
 
-    read = read_batch.read
+    read = stretches.read
     def deadly(item, options):
         return os._exit(9) if item.path.stem == "beta" else read(item, options)
-    read_batch.read = deadly  # also in the workers, which import this file
+    stretches.read = deadly  # also in the workers, which import this file
     if __name__ == "__main__":
         sys.argv = ["motionkit", *sys.argv[1:]]
         main()
@@ -325,15 +325,14 @@ SLOW_INGEST = textwrap.dedent(
     from motionkit.cli.app import main
     from motionkit.store import writer
 
-    add = writer.StoreWriter.add_encoded
-    def slow(self, motion):
-        index = add(self, motion)
-        print("stored", index, flush=True)
-        if index > 270:
+    add = writer.StoreWriter.add_row
+    def slow(self, row, skeleton):
+        add(self, row, skeleton)
+        print("stored", row["sequence_index"], flush=True)
+        if row["sequence_index"] > 270:
             time.sleep(60)
-        return index
     if __name__ == "__main__":
-        writer.StoreWriter.add_encoded = slow
+        writer.StoreWriter.add_row = slow
         sys.argv = ["motionkit", *sys.argv[1:]]
         main()
     """

@@ -55,7 +55,6 @@ def test_an_interrupted_command_says_so(
 
 def test_so_does_one_that_is_being_loaded(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(app, "build_app", interrupted)
-    monkeypatch.setattr("gc.freeze", lambda: None)
     with pytest.raises(SystemExit) as ended:
         start.main()
     assert ended.value.code == 130 and capsys.readouterr().err == STOPPED
@@ -73,7 +72,7 @@ def test_the_server_of_workers_never_sees_ctrl_c() -> None:
         "with Processes(1) as engine: print(list(map_in_order(engine, sorted, [[3]])))"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert (ran.stdout, ran.stderr) == ("[(3, 3)]\n", "")
+    assert (ran.stdout, ran.stderr) == ("[([3], [3])]\n", "")
 
 
 @pytest.fixture(scope="module")

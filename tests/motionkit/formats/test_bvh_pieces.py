@@ -178,15 +178,15 @@ import sys, tracemalloc
 from pathlib import Path
 from motionkit.formats.registry import scan
 from motionkit.formats.items import ReadOptions
-from motionkit.store.read_batch import read_batch
-from motionkit.store.encode import EncodedMotion
+from motionkit.store.stretches import NumberedItem, read_stretch
 
-for path in map(Path, sys.argv[1:]):
+for number, path in enumerate(map(Path, sys.argv[1:])):
+    (path.parent / "segments").mkdir(exist_ok=True)
     tracemalloc.start()
-    (encoded,) = read_batch(scan([path]).items, ReadOptions())
-    assert isinstance(encoded, EncodedMotion)
-    print(encoded.num_frames * encoded.skeleton.num_joints, tracemalloc.get_traced_memory()[1])
-    del encoded
+    (item,) = scan([path]).items
+    (read,) = read_stretch([NumberedItem(item, number)], path.parent, ReadOptions()).outcomes
+    print(read.row["num_frames"] * read.skeleton.num_joints, tracemalloc.get_traced_memory()[1])
+    del read
     tracemalloc.stop()
 """
 

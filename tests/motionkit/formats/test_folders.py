@@ -8,7 +8,7 @@ import pytest
 from motionkit.errors import FormatError, UsageError
 from motionkit.formats.items import ReadOptions
 from motionkit.formats.registry import read, scan
-from motionkit.store.read_batch import read_or_fault
+from motionkit.store.stretches import read_or_fault
 from tests.motionkit.formats.samples import bvh_text
 
 

@@ -17,10 +17,8 @@ import pytest
 from motionkit.core import files
 from motionkit.errors import StoreError
 from motionkit.store import Store, StoreWriter
-from motionkit.store.encode import encode
 from motionkit.store.lock import LOCK_FILE
 from motionkit.store.manifest import read_manifest
-from motionkit.store.parts import PartWriter
 from motionkit.store.removal import remove
 from motionkit.store.rewrite import compact, migrate
 from motionkit.store.splits import split
@@ -482,15 +480,16 @@ def test_a_manifest_with_wild_numbers_and_names(small_store, edit, says):
         assert "\n" not in str(caught.value)
 
 
-def test_a_part_that_is_there_is_not_written_over(small_store, make_motion):
+def test_a_part_that_is_there_is_not_written_over(small_store, make_motion, monkeypatch):
     """`next.part` of a manifest without a checksum, with one bit flipped, used to be believed."""
     part = small_store / PART
     before = part.read_bytes()
-    writer = PartWriter(small_store, 0)
-    writer.add_sequence(0, encode(make_motion("later")))
-    with pytest.raises(StoreError, match=r"part-00000\.parquet is there already"):
-        writer.finish()
-    writer.close()
+    with (
+        pytest.raises(StoreError, match=r"part-00000\.parquet is there already"),
+        StoreWriter.append(small_store) as writer,
+    ):
+        monkeypatch.setattr(writer, "_next_part", 0)
+        writer.add(make_motion("later"))
     assert part.read_bytes() == before
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 import motionkit
-from motionkit.errors import MissingExtraError, MotionkitError, UsageError
+from motionkit.errors import MissingExtraError, MotionkitError, StoreError, UsageError
+from motionkit.store import Store, stretches
 from motionkit.store.ingest import ingest
 from motionkit.workers import ray_engine
 from motionkit.workers.engines import check_engine
@@ -60,12 +61,26 @@ def test_results_come_in_order_and_the_input_that_a_worker_dies_of_is_named(ray:
         return os._exit(1) if 5 in numbers else [10 * number for number in numbers]
 
     batches = [[0], [1, 2], [3, 4, 5, 6], *([number] for number in range(7, 20))]
-    results = dict(map_in_order(ray, ten_times_but_die_of_five, batches))
-    assert isinstance(results.pop(5), WorkerDied)
-    assert list(results.items()) == [(n, 10 * n) for n in range(20) if n != 5]
+    results = list(map_in_order(ray, ten_times_but_die_of_five, batches))
+    assert [batch for batch, _ in results] == [[0], [1, 2], [3, 4], [5], [6], *batches[3:]]
+    for batch, output in results:
+        assert isinstance(output, WorkerDied) if batch == [5] else output == [10 * number for number in batch]
 
 
-def test_the_store_does_not_depend_on_the_engine(ray: RayEngine, takes: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device", "part.new"), StoreError("no store here")])
+def test_what_a_worker_raises_is_raised(ray: RayEngine, error: Exception) -> None:
+    def refuse(numbers: Sequence[int]) -> list[int]:
+        raise error
+
+    with pytest.raises(type(error)) as caught:
+        list(map_in_order(ray, refuse, [[0]]))
+    assert str(caught.value) == str(error)
+
+
+def test_the_store_does_not_depend_on_the_engine(
+    ray: RayEngine, takes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 2**16)
     reports = {
         name: ingest([takes], tmp_path / name, engine=engine, num_workers=workers)
         for name, engine, workers in (("alone", "local", 1), ("local", "local", 2), ("ray", "ray", None))
@@ -75,18 +90,19 @@ def test_the_store_does_not_depend_on_the_engine(ray: RayEngine, takes: Path, tm
         tuple(map(str, reports["alone"].problems))
     }
     assert len({(tmp_path / name / "manifest.json").read_bytes() for name in reports}) == 1
+    assert len(Store.open(tmp_path / "ray").manifest.parts) > 3
 
 
 @pytest.mark.parametrize("deaths", [1, 2])
 def test_a_worker_that_dies_at_the_start(
     ray: RayEngine, deaths: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def version_after_deaths(_: Sequence[None]) -> list[str]:
+    def version_after_deaths(_: Sequence[None]) -> str:
         before = len(list(tmp_path.iterdir()))
         if before < deaths:
             (tmp_path / str(before)).touch()
             os._exit(1)
-        return [motionkit.__version__]
+        return motionkit.__version__
 
     monkeypatch.setattr(ray_engine, "_version", version_after_deaths)
     if deaths == 1:

@@ -4,14 +4,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from motionkit.errors import FormatError, MotionkitError
-from motionkit.formats.items import ReadOptions, SourceItem
-from motionkit.store.read_batch import read_batch
+from motionkit.errors import MotionkitError
 from motionkit.workers.parallel import BATCHES_IN_FLIGHT_PER_WORKER, WorkerDied, map_in_order
 from motionkit.workers.process_engine import Processes, ThisProcess
 
@@ -36,14 +34,30 @@ BATCHES = [[0], [1, 2], [3, 4, 5, 6], *([number] for number in range(7, 40))]
 @pytest.mark.parametrize("engine", [ThisProcess(), Processes(2)])
 def test_results_come_in_order(engine: ThisProcess | Processes) -> None:
     with engine:
-        assert list(map_in_order(engine, ten_times, BATCHES)) == [(n, 10 * n) for n in range(40)]
+        assert list(map_in_order(engine, ten_times, BATCHES)) == [(batch, ten_times(batch)) for batch in BATCHES]
 
 
 def test_the_input_that_a_worker_dies_of_is_named_and_the_others_are_computed() -> None:
     with Processes(2) as engine:
-        results = dict(map_in_order(engine, ten_times_but_die_of_five, BATCHES))
-    assert isinstance(results.pop(5), WorkerDied)
-    assert results == {n: 10 * n for n in range(40) if n != 5}
+        results = list(map_in_order(engine, ten_times_but_die_of_five, BATCHES))
+    (died,) = (output for batch, output in results if batch == [5])
+    assert isinstance(died, WorkerDied)
+    # Its batch in halves, and those in halves again, until it is alone.
+    assert [batch for batch, _ in results] == [[0], [1, 2], [3, 4], [5], [6], *BATCHES[3:]]
+    assert all(output == ten_times(batch) for batch, output in results if batch != [5])
+
+
+def die_once(marker: str, numbers: Sequence[int]) -> list[int]:
+    if 5 in numbers and not Path(marker).exists():
+        Path(marker).touch()
+        os._exit(1)
+    return ten_times(numbers)
+
+
+def test_a_batch_whose_worker_was_killed_from_outside_stays_whole(tmp_path: Path) -> None:
+    with Processes(2) as engine:
+        results = list(map_in_order(engine, partial(die_once, str(tmp_path / "marker")), BATCHES))
+    assert results == [(batch, ten_times(batch)) for batch in BATCHES]
 
 
 def test_workers_that_die_before_anything_is_done_end_the_map() -> None:
@@ -51,21 +65,14 @@ def test_workers_that_die_before_anything_is_done_end_the_map() -> None:
         list(map_in_order(engine, die, BATCHES))
 
 
-def noise(numbers: Sequence[int]) -> list[np.ndarray]:
-    return [np.random.default_rng(number).random(number) for number in numbers]
+def refuse(numbers: Sequence[int]) -> list[int]:
+    raise OSError(28, "No space left on device", "part.new")
 
 
-def test_arrays_of_any_size_come_back_while_others_are_on_their_way() -> None:
-    # From nothing to more than a slot of the shared memory holds; each is there until the next one is asked for.
-    sizes = [0, 1, 700_000, 3, *range(1000, 30_000, 1000), 600_000, 5]
-    with Processes(2) as engine:
-        batches = [sizes[:3], *([size] for size in sizes[3:])]
-        same = [
-            (size, np.array_equal(array, *noise([size])))
-            for size, array in map_in_order(engine, noise, batches)
-            if isinstance(array, np.ndarray)
-        ]
-    assert same == [(size, True) for size in sizes]
+@pytest.mark.parametrize("engine", [ThisProcess(), Processes(1)])
+def test_what_the_function_raises_is_raised(engine: ThisProcess | Processes) -> None:
+    with engine, pytest.raises(OSError, match=r"No space left .*part\.new"):
+        list(map_in_order(engine, refuse, BATCHES))
 
 
 STUCK = """
@@ -108,11 +115,3 @@ def test_few_inputs_are_in_flight() -> None:
         for _ in range(10):
             next(results)
     assert len(taken) <= 10 + BATCHES_IN_FLIGHT_PER_WORKER * 2
-
-
-def test_a_file_that_a_worker_does_not_see(tmp_path: Path) -> None:
-    gone = SourceItem(format="bvh", path=tmp_path / "gone.bvh", root=tmp_path, sequence_id="takes/gone")
-    (problem,) = read_batch([gone], ReadOptions())
-    assert isinstance(problem, FormatError)
-    assert problem.reason == "not-visible"
-    assert "there is no such file on" in str(problem)

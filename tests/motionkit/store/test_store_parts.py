@@ -1,4 +1,4 @@
-"""Parts as this program writes them, byte by byte, are Parquet as other programs read it."""
+"""Parts: what is written is read by other programs, and damage to it is noticed."""
 
 import hashlib
 import tempfile
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import duckdb
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -16,48 +15,24 @@ from hypothesis import strategies as st
 from motionkit.checksums import sha256_of
 from motionkit.errors import StoreError
 from motionkit.motion import Motion
-from motionkit.store import Store, StoreWriter, segment_reader, thrift
-from motionkit.store import pages as pages_module
+from motionkit.store import Store, StoreWriter, segment_reader
+from motionkit.store import encode as encode_module
 from motionkit.store import parts as parts_module
-from motionkit.store.footer import read_footer
+from motionkit.store.encode import encode
 from motionkit.store.manifest import read_manifest
-from motionkit.store.pages import float_page, float_runs, integer_page
+from motionkit.store.parts import read_footer
 from motionkit.store.schema import KEY_COLUMNS, SEGMENTS
 from motionkit.store.summary import summarise
-from motionkit.store.thrift import Value
 from tests.motionkit.store.signed_again import describe
 
 PART = "segments/part-00000.parquet"
-
-
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [
-        (thrift.i32(0), (5, "00")),
-        (thrift.i32(-1), (5, "01")),
-        (thrift.i32(1), (5, "02")),
-        (thrift.i64(150), (6, "ac02")),
-        (thrift.i64(-(2**63)), (6, "ff" * 9 + "01")),
-        (thrift.i8(-3), (3, "fd")),
-        (thrift.binary(b"ab"), (8, "026162")),
-        (thrift.list_of([thrift.i32(1), thrift.i32(2)]), (9, "250204")),
-        (thrift.list_of([thrift.binary(b"")] * 15), (9, "f80f" + "00" * 15)),
-        (thrift.struct({1: thrift.i32(1), 4: thrift.boolean(True), 5: thrift.boolean(False)}), (12, "15023112" + "00")),
-    ],
-)
-def test_thrift_as_its_specification_has_it(value: Value, expected: tuple[int, str]) -> None:
-    assert (value.kind, value.content.hex()) == expected
-
-
-def column(num_frames: int, channels: int, seed: int) -> np.ndarray:
-    return np.random.default_rng(seed).standard_normal(num_frames * channels, np.float32)
 
 
 @settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(takes=st.lists(st.tuples(st.sampled_from([1, 2, 255, 256, 257, 600]), st.booleans()), min_size=1, max_size=6))
 def test_pyarrow_and_duckdb_read_what_was_written(takes, make_motion, monkeypatch) -> None:
     """Rows, nulls, keys and their statistics, whatever the lengths and wherever rotations are missing."""
-    monkeypatch.setattr(pages_module, "RUN_SEGMENTS", 2)
+    monkeypatch.setattr(encode_module, "RUN_FRAMES", 2 * 256)
     monkeypatch.setattr(parts_module, "ROW_GROUP_SEGMENTS", 3)
     motions = [make_motion(f"m{i}", count, rotations=rotations) for i, (count, rotations) in enumerate(takes)]
     with tempfile.TemporaryDirectory() as folder:
@@ -103,61 +78,48 @@ def check_row_groups(metadata: pq.FileMetaData, rows: list[dict[str, object]]) -
         first += group.num_rows
 
 
-def test_the_schema_is_that_which_pyarrow_writes(small_store, tmp_path) -> None:
+def test_the_schema_is_the_stores(small_store) -> None:
     part = pq.ParquetFile(small_store / PART)
-    pq.write_table(SEGMENTS.empty_table(), tmp_path / "pyarrows.parquet")
-    assert part.schema.equals(pq.ParquetFile(tmp_path / "pyarrows.parquet").schema)
     assert part.schema_arrow.equals(SEGMENTS, check_metadata=True)
+    group = part.metadata.row_group(0)
+    encodings = {(group.column(i).compression, "BYTE_STREAM_SPLIT" in group.column(i).encodings) for i in range(6)}
+    assert encodings == {("ZSTD", True), ("ZSTD", False)}
 
 
-def test_every_byte_of_a_part_is_accounted_for(small_store) -> None:
+def test_a_column_of_a_row_group_is_one_page_with_a_checksum(small_store) -> None:
+    content = (small_store / PART).read_bytes()
     metadata = pq.ParquetFile(small_store / PART).metadata
-    place = 4
-    for number in range(metadata.num_row_groups):
-        group = metadata.row_group(number)
-        chunks = [group.column(i) for i in range(group.num_columns)]
-        for chunk in chunks:
-            assert chunk.data_page_offset == place
-            place += chunk.total_compressed_size
-        assert group.total_byte_size == sum(chunk.total_uncompressed_size for chunk in chunks)
-    assert place + metadata.serialized_size + 8 == (small_store / PART).stat().st_size
+    chunks = [metadata.row_group(0).column(number) for number in range(metadata.num_columns)]
+    for chunk in chunks:
+        body = content[chunk.data_page_offset : chunk.data_page_offset + chunk.total_compressed_size]
+        sizes = [size for size in range(len(body) - 60, len(body)) if checksum_field(body[-size:]) in body[:-size]]
+        assert len(sizes) == 1, chunk.path_in_schema
 
 
-def test_what_is_compressed_does_not_depend_on_what_lies_beside_it(tmp_path, make_motion) -> None:
-    with StoreWriter.create(tmp_path / "store") as writer:
-        for number in range(5):
-            writer.add(make_motion(f"m{number}", 300, rotations=True))
-    content = (tmp_path / "store" / PART).read_bytes()
-    for number in range(5):
-        flat = make_motion(f"m{number}", 300, rotations=True).root_translation
-        (run,) = float_runs(np.concatenate([flat[:256].T.ravel(), flat[256:].T.ravel()]), 300)
-        start = 0
-        for size in run.frame_sizes:
-            assert content.count(run.frames[start : start + size].tobytes()) == 1
-            start += size
+def checksum_field(body: bytes) -> bytes:
+    """A page's CRC-32 as Parquet's header has it: field 4, a signed integer in zigzag and seven bits a byte."""
+    crc = zlib.crc32(body)
+    number = (crc << 1) if crc < 2**31 else ((2**32 - crc) << 1) - 1
+    encoded = bytearray([0x15])
+    while number > 0x7F:
+        encoded.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*encoded, number])
 
 
-def test_runs_are_short_and_pages_know_their_sizes() -> None:
-    long = float_runs(column(256 * 40 + 1, 3, seed=1), 256 * 40 + 1)
-    assert [run.num_rows for run in long] == [16, 16, 9]
-    nulls = float_runs(None, 256 * 17)
-    assert [(run.num_rows, run.frames.size) for run in nulls] == [(16, 0), (1, 0)]
-    page = float_page([*long, *nulls], nullable=True)
-    assert page.num_values == 3 * (256 * 40 + 1) + 17
-    assert page.num_bytes_plain > 4 * 3 * (256 * 40 + 1)
-    assert integer_page(np.arange(5, dtype=np.int32)).num_values == 5
-
-
-def test_a_sequences_page_takes_no_more_room_than_arrows() -> None:
-    """A page of one sequence, its byte planes apart, against Arrow's own of the same values."""
-    steps = np.random.default_rng(3).standard_normal((66, 200)) * 0.01
-    walk = (np.rint(np.cumsum(steps, axis=1) * 2**22) / 2**22).astype(np.float32).ravel()
-    page = float_page(float_runs(walk, 200), nullable=False)
-    sink = pa.BufferOutputStream()
-    options = {"compression": "zstd", "use_dictionary": False, "use_byte_stream_split": True}
-    pq.write_table(pa.table({"values": walk}), sink, write_statistics=False, **options)
-    arrows = pq.ParquetFile(pa.BufferReader(sink.getvalue())).metadata.row_group(0).column(0).total_compressed_size
-    assert len(page.header) + len(page.body) < arrows
+def test_what_is_copied_has_the_bytes_of_what_was_written(tmp_path, make_motion) -> None:
+    takes = [make_motion(f"m{i}", count, rotations=i % 2 == 0) for i, count in enumerate((300, 5000, 40, 9000, 256))]
+    runs = [list(encode(take).runs) for take in takes]
+    stores = [tmp_path / "written", tmp_path / "copied"]
+    with StoreWriter.create(stores[0]) as writer:
+        for take in takes:
+            writer.add(take)
+    with StoreWriter.create(stores[1]) as writer:
+        for number, motion in enumerate(Store.open(stores[0]).read_encoded(np.arange(5))):
+            assert list(motion.runs) == runs[number]
+            writer.add_encoded(motion)
+    assert [[run.num_rows for run in each] for each in runs] == [[2], [16, 4], [1], [16, 16, 4], [1]]
+    assert (stores[0] / PART).read_bytes() == (stores[1] / PART).read_bytes()
 
 
 def write(path: Path, make_motion) -> dict[int, Motion]:
@@ -197,7 +159,7 @@ def test_a_flipped_byte_of_a_page_is_not_read(tmp_path, make_motion, place, old)
         store.query("SELECT sum(list_sum(joint_positions)), count(joint_rotations), sum(num_frames) FROM segments")
 
 
-def test_pages_have_checksums_and_the_manifest_that_of_the_footer(tmp_path, make_motion):
+def test_the_manifest_has_the_checksum_of_the_footer(tmp_path, make_motion):
     write(tmp_path / "store", make_motion)
     path = tmp_path / "store" / PART
     entry = read_manifest(tmp_path / "store").files[PART]
@@ -205,8 +167,6 @@ def test_pages_have_checksums_and_the_manifest_that_of_the_footer(tmp_path, make
     length = int.from_bytes(content[-8:-4], "little") + 8
     assert entry.footer_sha256 == hashlib.sha256(content[-length:]).hexdigest()
     assert read_footer(path) == content[-length:]
-    page = integer_page(np.arange(5, dtype=np.int32))
-    assert thrift.i32(zlib.crc32(page.body) - (zlib.crc32(page.body) >> 31 << 32)).content in page.header
 
 
 @pytest.mark.parametrize("place", range(1, 60, 7))

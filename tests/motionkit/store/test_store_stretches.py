@@ -1,0 +1,143 @@
+"""Stretches of the sources: how they are cut, and what a worker makes of one."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from motionkit.errors import FormatError, StoreError
+from motionkit.formats.items import ReadOptions, SourceItem
+from motionkit.store import Store, stretches
+from motionkit.store.ingest import ingest
+from motionkit.store.stretches import NumberedItem, ReadSequence, cut, read_stretch
+
+BVH = """HIERARCHY
+ROOT Hips
+{{
+  OFFSET 0 90 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT Head
+  {{
+    OFFSET 0 70 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {{
+      OFFSET 0 10 0
+    }}
+  }}
+}}
+MOTION
+Frames: {count}
+Frame Time: 0.01
+"""
+
+
+def bvh(count: int) -> str:
+    return BVH.format(count=count) + "".join(
+        f"{frame} 90 0 0 0 {frame / 7:.6f} 0 {frame} 0\n" for frame in range(count)
+    )
+
+
+def items_of(folder: Path, sizes: list[int | tuple[int, int]]) -> list[SourceItem]:
+    """Items of files with so many bytes; for a pair, as many items of one file as its second number says."""
+    items = []
+    for number, size in enumerate(sizes):
+        num_bytes, num_items = size if isinstance(size, tuple) else (size, 1)
+        path = folder / f"{number}.bvh"
+        path.write_bytes(bytes(num_bytes))
+        items += [SourceItem("bvh", path, folder, f"take-{number}-{i}") for i in range(num_items)]
+    return items
+
+
+@pytest.mark.parametrize(
+    ("sizes", "expected"),
+    [
+        ([40, 40, 20, 1], [3, 1]),
+        ([40, 150, 40], [1, 1, 1]),
+        ([(90, 3), (20, 2), 80], [3, 3]),
+        ([(10, 7), 95], [5, 2, 1]),
+        ([0] * 12, [5, 5, 2]),
+        ([], []),
+    ],
+)
+def test_a_stretch_has_so_many_bytes(tmp_path, monkeypatch, sizes, expected):
+    """A file that is larger is one of its own; one of many sequences stays together up to their greatest number."""
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 100)
+    monkeypatch.setattr(stretches, "STRETCH_ITEMS", 5)
+    items = items_of(tmp_path, sizes)
+    found = list(cut(items))
+    assert [item for stretch in found for item in stretch] == items
+    assert [len(stretch) for stretch in found] == expected
+
+
+def folder_of(tmp_path: Path, lengths: list[int]) -> Path:
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    for number, length in enumerate(lengths):
+        (folder / f"{number}.bvh").write_text(bvh(length))
+    return folder
+
+
+def test_a_worker_writes_what_has_an_index_and_says_what_it_read(tmp_path):
+    folder = folder_of(tmp_path, [300, 5, 7])
+    (folder / "1.bvh").write_text("HIERARCHY\n")
+    (tmp_path / "segments").mkdir()
+    items = [SourceItem("bvh", folder / f"{number}.bvh", folder, f"takes/{number}") for number in (0, 1, 2, 2)]
+    numbered = [NumberedItem(item, index) for item, index in zip(items, (4, 5, None, 6), strict=True)]
+    stale = tmp_path / "segments" / "part-00004.parquet.new"
+    stale.write_text("of a worker that died")
+    read = read_stretch(numbered, tmp_path, ReadOptions())
+    assert read.part is not None and read.part.path == stale and read.part.entry.num_rows == 3
+    first, broken, known, last = read.outcomes
+    assert isinstance(broken, FormatError)
+    assert isinstance(first, ReadSequence) and isinstance(known, ReadSequence) and isinstance(last, ReadSequence)
+    assert [(each.row["sequence_index"], each.row["first_row"]) for each in (first, last)] == [(4, 0), (6, 2)]
+    assert "first_row" not in known.row and known.row["sequence_id"] == "takes/2"
+    assert first.skeleton is last.skeleton is known.skeleton
+
+
+def test_what_is_only_read_leaves_no_file(tmp_path):
+    folder = folder_of(tmp_path, [3])
+    (tmp_path / "segments").mkdir()
+    item = SourceItem("bvh", folder / "0.bvh", folder, "takes/0")
+    assert read_stretch([NumberedItem(item, None)], tmp_path, ReadOptions()).part is None
+    assert list((tmp_path / "segments").iterdir()) == []
+
+
+def test_a_file_that_a_worker_does_not_see(tmp_path):
+    (tmp_path / "segments").mkdir()
+    gone = SourceItem(format="bvh", path=tmp_path / "gone.bvh", root=tmp_path, sequence_id="takes/gone")
+    (problem,) = read_stretch([NumberedItem(gone, 0)], tmp_path, ReadOptions()).outcomes
+    assert isinstance(problem, FormatError)
+    assert problem.reason == "not-visible"
+    assert "there is no such file on" in str(problem)
+
+
+def test_a_store_that_a_worker_does_not_see(tmp_path):
+    with pytest.raises(StoreError, match=rf"there is no store {re.escape(str(tmp_path))}/away on .* all machines"):
+        read_stretch([], tmp_path / "away", ReadOptions())
+    assert not (tmp_path / "away").exists()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_index_is_the_place_among_what_is_new(tmp_path, monkeypatch, workers):
+    """Whatever failed and whatever is there already: so a part's bytes do not depend on other parts."""
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 2000)
+    folder = folder_of(tmp_path, [20, 30, 40, 50, 60])
+    broken = folder / "2.bvh"
+    good = broken.read_text()
+    broken.write_text("HIERARCHY\n")
+    first = ingest([folder], tmp_path / "store", num_workers=workers)
+    assert (first.num_stored, len(first.problems)) == (4, 1)
+    store = Store.open(tmp_path / "store")
+    assert store.sequences["sequence_index"].tolist() == [0, 1, 3, 4]
+    assert [store.read(index).num_frames for index in (0, 1, 3, 4)] == [20, 30, 50, 60]
+    broken.write_text(good)
+    (folder / "5.bvh").write_text(bvh(70))
+    second = ingest([folder], tmp_path / "store", num_workers=workers)
+    assert (second.num_stored, second.num_already_stored) == (2, 4)
+    store = Store.open(tmp_path / "store")
+    assert store.sequences["sequence_index"].tolist() == [0, 1, 3, 4, 5, 6]
+    assert [store.read(index).num_frames for index in (5, 6)] == [40, 70]
+    names = sorted(f"segments/{path.name}" for path in (store.path / "segments").iterdir())
+    assert names == list(store.manifest.parts)
