@@ -3,14 +3,14 @@
     python -m benchmarks.store.checks STORE [--sources FOLDER …] [--repeats 5] [--json]
 
 Each piece of work is done with its check and without it, in turn, in one process; processor time of one thread, the
-least of the repeats, files in the operating system's cache. With --sources, they are ingested too, once, by one worker.
+least of the repeats, files in the operating system's cache. With --sources, they are ingested too, once each, by one
+worker.
 """
 
 import argparse
 import json
 import tempfile
 import time
-import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -28,6 +28,7 @@ from motionkit.store import Store, codec, digests
 from motionkit.store.cache import open_cache
 from motionkit.store.ingest import ingest
 from motionkit.store.manifest import FileEntry, Manifest
+from motionkit.store.schema import part_writer_options
 from motionkit.store.segment_reader import SegmentReader
 
 Patch = Callable[[], Any]
@@ -98,19 +99,17 @@ def measure(path: Path, sources: list[Path], repeats: int) -> dict[str, dict[str
 
 
 def ingest_figures(sources: list[Path]) -> dict[str, float]:
-    """An ingest without the time that its pages' checksums take: it varies by more than that from run to run."""
-    spent = 0.0
-
-    def timed(content: bytes) -> int:
-        nonlocal spent
-        begun = time.thread_time()
-        checksum = zlib.crc32(content)
-        spent += time.thread_time() - begun
-        return checksum
-
-    with tempfile.TemporaryDirectory() as folder, mock.patch("motionkit.store.pages.crc32", timed):
-        total = seconds(lambda: ingest(sources, Path(folder) / "store", num_workers=1))
-    return {"checked": total, "unchecked": total - spent}
+    """An ingest whose pages have checksums, and one whose pages have none."""
+    figures = {}
+    for name, checksums in (("checked", True), ("unchecked", False)):
+        options = part_writer_options() | {"write_page_checksum": checksums}
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            mock.patch("motionkit.store.parts.part_writer_options", lambda chosen=options: chosen),
+        ):
+            store = Path(folder) / "store"
+            figures[name] = seconds(lambda path=store: ingest(sources, path, num_workers=1))
+    return figures
 
 
 def main() -> None:

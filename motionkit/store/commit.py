@@ -2,6 +2,7 @@
 
 import os
 import re
+import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,7 +31,9 @@ from motionkit.store.schema import (
     table_writer_options,
 )
 
-_PART = re.compile(rf"part-[0-9]{{5,10}}\.parquet({re.escape(PENDING_SUFFIX)})?")
+_PART = re.compile(
+    rf"part-[0-9]{{5,10}}(\.parquet|\.parquet{re.escape(PENDING_SUFFIX)}|-[0-9a-f]{{8}}\.parquet{re.escape(PENDING_SUFFIX)})"
+)
 EMPTY = Manifest(
     num_sequences=0, num_segments=0, num_frames=0, num_skeletons=0, next_sequence_index=0, next_part=0, files={}
 )
@@ -78,6 +81,11 @@ def require_present_version(store: Path, manifest: Manifest) -> None:
 def pending(store: Path, name: str) -> Path:
     """Where a table is written before it is committed."""
     return store / (name + PENDING_SUFFIX)
+
+
+def unique_pending_part(store: Path, number: int) -> Path:
+    """Where a part is written that others may be writing too, of whom one will be believed."""
+    return store / SEGMENTS_FOLDER / f"part-{number:05d}-{secrets.token_hex(4)}.parquet{PENDING_SUFFIX}"
 
 
 def write_pending(store: Path, name: str, table: pa.Table) -> None:

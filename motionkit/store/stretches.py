@@ -12,10 +12,10 @@ from motionkit.formats.items import ReadOptions, SourceItem
 from motionkit.formats.registry import read
 from motionkit.skeleton import Skeleton
 from motionkit.store.codec import Row
-from motionkit.store.commit import pending
+from motionkit.store.commit import unique_pending_part
 from motionkit.store.encode import EncodedMotion, RefusedMotion, encode
 from motionkit.store.parts import PartWriter, PendingPart
-from motionkit.store.schema import SEGMENTS_FOLDER, part_name
+from motionkit.store.schema import SEGMENTS_FOLDER
 
 # A second of reading, and a part of about 10 MB.
 STRETCH_BYTES = 32 * 2**20
@@ -80,11 +80,7 @@ def read_stretch(items: Sequence[NumberedItem], store: Path, options: ReadOption
     """
     if not (store / SEGMENTS_FOLDER).is_dir():
         raise StoreError(f"there is no store {store} on {socket.gethostname()}: it must be where all machines see it")
-    numbers = [each.sequence_index for each in items if each.sequence_index is not None]
-    path = pending(store, part_name(numbers[0] if numbers else 0))
-    if numbers:
-        path.unlink(missing_ok=True)  # of a worker that died of this stretch, or beside it
-    part = PartWriter(path)
+    part = PartWriter(unique_pending_part(store, items[0].sequence_index or 0))
     skeletons: dict[str, Skeleton] = {}
     outcomes: list[ReadSequence | FormatError] = []
     try:

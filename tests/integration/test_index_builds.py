@@ -5,7 +5,6 @@ which frames of its file it is.
 """
 
 import json
-import os
 import shutil
 from itertools import pairwise
 from pathlib import Path
@@ -13,11 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.formats.items import SourceItem
 from motionkit.skeleton import SMPL22
 from motionkit.skeletons.mapping import rest_positions
-from motionkit.store import Store
-from motionkit.store.ingest import BATCH_BYTES, batches
+from motionkit.store import Store, stretches
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 TEXT = "a person stands#a/DET person/NOUN stand/VERB#0.0#0.0\nthen rises#then/ADV rise/VERB#0.5#1.0\n"
@@ -376,19 +373,8 @@ def test_an_index_that_is_none(motionkit, amass, tmp_path):
     assert "expected an index: HumanML3D's index.csv" in outcome.stderr
 
 
-def test_stretches_of_one_file_are_one_workers(tmp_path):
-    items = []
-    half, whole = BATCH_BYTES // 2, BATCH_BYTES
-    for name, num_bytes, count in (("a", half, 3), ("b", whole, 4), ("c", whole, 1), ("d", 1, 130)):
-        path = tmp_path / name
-        path.touch()
-        os.truncate(path, num_bytes)
-        items += [SourceItem("amass", path, tmp_path, f"{name}{number}") for number in range(count)]
-    sizes = [[item.sequence_id[0] for item in batch] for batch in batches(items)]
-    assert sizes == [["a"] * 3 + ["b"] * 4, ["c"], ["d"] * 64, ["d"] * 64, ["d"] * 2]
-
-
-def test_workers_make_the_same_store(motionkit, amass, humanml3d, tmp_path):
+def test_workers_make_the_same_store(motionkit, amass, humanml3d, tmp_path, monkeypatch):
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 1)  # each file for itself
     contents = []
     for workers in (1, 2):
         store = tmp_path / f"s{workers}"
@@ -397,6 +383,7 @@ def test_workers_make_the_same_store(motionkit, amass, humanml3d, tmp_path):
         )
         contents.append({path.name: path.read_bytes() for path in sorted(store.rglob("*.parquet"))})
     assert contents[0] == contents[1]
+    assert len(contents[0]) > 4
 
 
 def test_the_published_index_on_real_takes_of_the_cmu_database(motionkit, captures, tmp_path):

@@ -72,6 +72,7 @@ def test_parts_behind_a_link_are_not_touched(small_store, other, make_motion, ch
         *("sequences.parquet", "skeletons.parquet", "manifest.json", PART),
         *("sequences.parquet.new", "skeletons.parquet.new", "manifest.json.new"),
         *("segments/part-00001.parquet", "segments/part-00001.parquet.new"),
+        "segments/part-00001-0123abcd.parquet.new",
     ],
 )
 @pytest.mark.parametrize("change", [name for name in CHANGES if name != "migrate"])
@@ -116,12 +117,14 @@ def test_a_store_may_be_reached_through_a_link(small_store, other, make_motion, 
 
 
 def test_files_of_a_users_own_among_the_parts_stay(small_store, make_motion):
-    for name in ("part-00000.parquet.bak", "part-0.parquet", "part-00007.parquet.new.txt", "notes.txt"):
+    own = {"part-00000.parquet.bak", "part-0.parquet", "part-00007.parquet.new.txt", "notes.txt"}
+    own |= {"part-00001-my-copy.parquet.new", "part-00001-0123abcd.parquet"}
+    for name in own:
         (small_store / "segments" / name).write_text("dear")
     append(small_store, make_motion)
     compact(small_store)
     left = {path.name for path in (small_store / "segments").iterdir()}
-    assert left >= {"part-00000.parquet.bak", "part-0.parquet", "part-00007.parquet.new.txt", "notes.txt"}
+    assert left >= own
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "sequences.parquet", "skeletons.parquet", PART])
