@@ -22,6 +22,7 @@ from benchmarks.trust.scenarios import SCENARIOS, Scenario
 from benchmarks.trust.trials import DISK_FAULTS, Attempt, Drill, Expected, UndisturbedError
 from eval.report.results import environment
 from motionkit.console import progress
+from motionkit.core.progress import Progress
 
 DEFAULT_SECONDS = 300.0
 # How many of each kind a whole drill tries; of file operations it tries all.
@@ -57,8 +58,8 @@ def run(
     """
     started = time.perf_counter()
     with ExitStack() as held:
-        commands, display = held.enter_context(Commands()), held.enter_context(progress())
-        task = display.add_task("crash", total=None if math.isinf(seconds) else seconds, note="")
+        commands, on_progress = held.enter_context(Commands()), held.enter_context(progress())
+        total = None if math.isinf(seconds) else int(seconds)
         try:
             disk, no_disk = held.enter_context(SmallDisk(folder / "disk")), ()
         except NoDiskError as error:
@@ -71,7 +72,7 @@ def run(
             (passed := time.perf_counter() - started) < seconds
         ):
             following = min(waiting, key=lambda each: each.seconds)
-            display.update(task, completed=passed, note=following.name)
+            on_progress(Progress("crash", int(passed), total, following.name))
             following.go_on()
     cases = (*(each.case() for each in trials), *no_disk)
     return Report("crash", seed, time.perf_counter() - started, cases, environment())
