@@ -1,6 +1,8 @@
 """Stretches of the sources: how they are cut, and what a worker makes of one."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -140,3 +142,78 @@ def test_an_index_is_the_place_among_what_is_new(tmp_path, monkeypatch, workers)
     assert [store.read(index).num_frames for index in (5, 6)] == [40, 70]
     names = sorted(f"segments/{path.name}" for path in (store.path / "segments").iterdir())
     assert names == list(store.manifest.parts)
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from motionkit.store import stretches
+from motionkit.store.ingest import ingest
+
+folder, store, when = map(Path, sys.argv[1:])
+marker, finish, read = folder.parent / "died", stretches.PartWriter.finish, stretches.read
+stretches.STRETCH_BYTES = 12000
+
+def die_once():
+    if not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+
+def deadly(item, options):
+    if when.name == "reading" and item.path.stem == "1":
+        die_once()
+    return read(item, options)
+
+def finish_or_die(part):
+    written = finish(part)
+    if when.name == "written" and part.num_rows > 2:
+        die_once()
+    return written
+
+stretches.read, stretches.PartWriter.finish = deadly, finish_or_die
+if __name__ == "__main__":
+    report = ingest([folder], store, num_workers=2)
+    assert (report.num_stored, report.problems) == (6, ()), report
+"""
+
+
+@pytest.mark.parametrize("when", ["reading", "written"])
+def test_a_worker_that_is_killed_from_outside_changes_nothing(tmp_path, monkeypatch, when):
+    """Its stretch is done again, whole; what it wrote is deleted."""
+    folder = folder_of(tmp_path, [20, 40, 300, 30, 600, 50])
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 12000)
+    ingest([folder], tmp_path / "undisturbed", num_workers=1)
+    program = tmp_path / "program.py"
+    program.write_text(KILLED)
+    subprocess.run([sys.executable, program, folder, tmp_path / "store", when], check=True)
+    assert (tmp_path / "died").exists()
+    stores = [Store.open(tmp_path / name) for name in ("undisturbed", "store")]
+    assert len(stores[0].manifest.parts) == 4
+    assert stores[0].fingerprint == stores[1].fingerprint
+    names = [sorted(path.name for path in (store.path / "segments").iterdir()) for store in stores]
+    assert names[0] == names[1]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_problem_under_stop_leaves_no_part_of_other_stretches(tmp_path, monkeypatch, workers):
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 1)
+    folder = folder_of(tmp_path, [20, 30, 40, 50, 60])
+    (folder / "3.bvh").write_text("HIERARCHY\n")
+    report = ingest([folder], tmp_path / "store", num_workers=workers, on_error="stop")
+    assert (report.committed, len(report.problems)) == (False, 1)
+    assert list((tmp_path / "store" / "segments").iterdir()) == []
+
+
+def test_a_part_that_a_store_cannot_take_names_the_file(tmp_path, monkeypatch):
+    """As where the disk is full: a worker's fault is not its file's."""
+
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    folder = folder_of(tmp_path, [20])
+    monkeypatch.setattr("pyarrow.parquet.ParquetWriter.write_table", full)
+    with pytest.raises(
+        StoreError, match=r"cannot be written .*No space left .*part-00000-.{8}\.parquet\.new.*as it was"
+    ):
+        ingest([folder], tmp_path / "store", num_workers=1)
+    assert list((tmp_path / "store" / "segments").iterdir()) == []
