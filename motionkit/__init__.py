@@ -11,24 +11,23 @@ imported from deeper modules is for those who extend motionkit (docs/extending.m
 
 from typing import TYPE_CHECKING
 
-from motionkit.core.late_functions import provide
-from motionkit.core.public_names import give_names
+from motionkit.core.public_names import give_names, provide
 from motionkit.core.version import __version__
 
 if TYPE_CHECKING:
-    from motionkit.completing.motion import complete
-    from motionkit.errors import FormatError, MotionkitError, UsageError
+    from motionkit.complete.motion import complete
+    from motionkit.core.errors import FormatError, MotionkitError, UsageError
+    from motionkit.core.motion import Caption, Motion
+    from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
+    from motionkit.core.timegrid import TimeGrid
+    from motionkit.fields.resample import resample
     from motionkit.formats.writing import write
+    from motionkit.generate.models import SamplingOptions
     from motionkit.generate.motion_model import MotionModel, generate, load_model
-    from motionkit.generation import SamplingOptions
-    from motionkit.motion import Caption, Motion
-    from motionkit.named_motions.reading import read, read_all
-    from motionkit.resample import resample
-    from motionkit.skeleton import KIT21, SMPL22, Skeleton
+    from motionkit.store.named_motions.reading import read, read_all
     from motionkit.store.reader import Store
     from motionkit.store.writer import StoreWriter
-    from motionkit.timegrid import TimeGrid
-    from motionkit.viewing.motions import view
+    from motionkit.view.motions import view
 
 __all__ = [
     "KIT21",
@@ -58,31 +57,31 @@ __all__ = [
 give_names(
     __name__,
     {
-        "Caption": "motionkit.motion",
-        "FormatError": "motionkit.errors",
-        "KIT21": "motionkit.skeleton",
-        "Motion": "motionkit.motion",
+        "Caption": "motionkit.core.motion",
+        "FormatError": "motionkit.core.errors",
+        "KIT21": "motionkit.core.skeleton",
+        "Motion": "motionkit.core.motion",
         "MotionModel": "motionkit.generate.motion_model",
-        "MotionkitError": "motionkit.errors",
-        "SMPL22": "motionkit.skeleton",
-        "SamplingOptions": "motionkit.generation",
-        "Skeleton": "motionkit.skeleton",
+        "MotionkitError": "motionkit.core.errors",
+        "SMPL22": "motionkit.core.skeleton",
+        "SamplingOptions": "motionkit.generate.models",
+        "Skeleton": "motionkit.core.skeleton",
         "Store": "motionkit.store.reader",
         "StoreWriter": "motionkit.store.writer",
-        "TimeGrid": "motionkit.timegrid",
-        "UsageError": "motionkit.errors",
-        "complete": "motionkit.completing.motion",
+        "TimeGrid": "motionkit.core.timegrid",
+        "UsageError": "motionkit.core.errors",
+        "complete": "motionkit.complete.motion",
         "generate": "motionkit.generate.motion_model",
         "load_model": "motionkit.generate.motion_model",
-        "read": "motionkit.named_motions.reading",
-        "read_all": "motionkit.named_motions.reading",
-        "resample": "motionkit.resample",
-        "view": "motionkit.viewing.motions",
+        "read": "motionkit.store.named_motions.reading",
+        "read_all": "motionkit.store.named_motions.reading",
+        "resample": "motionkit.fields.resample",
+        "view": "motionkit.view.motions",
         "write": "motionkit.formats.writing",
     },
 )
 provide(
-    resample="motionkit.resample:resample",
+    resample="motionkit.fields.resample:resample",
     save="motionkit.formats.writing:write",
-    notebook_view="motionkit.viewing.notebook:notebook_view",
+    notebook_view="motionkit.view.notebook:notebook_view",
 )

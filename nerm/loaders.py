@@ -6,8 +6,8 @@ Nothing heavy is imported before something is loaded.
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionkit.encoders import EncoderLoader
-from motionkit.generation import ModelLoader
+from motionkit.complete.encoders import EncoderLoader
+from motionkit.generate.models import ModelLoader
 
 if TYPE_CHECKING:
     from nerm.field.motion_encoder import NermEncoder

@@ -11,19 +11,18 @@ import numpy as np
 import torch
 from jaxtyping import Float32
 
-from motionkit.checksums import sha256_of
-from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest, SamplingOptions
-from motionkit.motionfield import MotionField
-from motionkit.skeleton import Skeleton
-from motionkit.training.device import resolve_device
+from motionkit.core.checksums import sha256_of
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.motion_field import MotionField
+from motionkit.generate.models import GenerationRequest, SamplingOptions
+from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.text_encoders import TextEncoder, load_text_encoder
-from nerm.conditions.batch import Conditions, unit_rows
-from nerm.denoiser.saved import load_denoiser
-from nerm.denoiser.trained import TrainedDenoiser
-from nerm.field.saved import load_field
-from nerm.generation.framerate_shift import framerate_shift
+from nerm.conditions import Conditions, unit_rows
+from nerm.denoiser.trained import TrainedDenoiser, load_denoiser
+from nerm.field.trained import load_field
+from nerm.framerate_shift import framerate_shift
 
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
 
@@ -54,7 +53,7 @@ class LatentField(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class NermModel:
-    """A `motionkit.generation.GenerativeModel`: a trained field and a denoiser of its latents."""
+    """A `motionkit.generate.models.GenerativeModel`: a trained field and a denoiser of its latents."""
 
     field: LatentField
     denoiser: TrainedDenoiser

@@ -6,9 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from nerm.settings.codebook import CodebookConfig
-from nerm.settings.denoiser import DenoiserConfig, DiffusionConfig, TransformerConfig
-from nerm.settings.field import FieldConfig
+from nerm.settings import CodebookConfig, DenoiserConfig, DiffusionConfig, FieldConfig, TransformerConfig
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from itertools import pairwise
 import torch
 from jaxtyping import Float, Int64
 
+from motionkit.clips.temporal.base_curves import located, seconds_beyond
+from motionkit.clips.temporal.network import ObservedWindow
 from pahires.activation import FourierActivation, linear
-from pahires.base_curves import located, seconds_beyond
-from pahires.network import ObservedWindow
-from pahires.network_settings import NetworkSettings
+from pahires.settings import NetworkSettings
 
 # Signed times enter as asinh(Δt · 30 / s): in frames near by, in octaves far away.
 _FRAME_SECONDS = 1 / 30
@@ -21,7 +21,7 @@ _TINY = 1e-3
 
 
 class PaHiRes(torch.nn.Module):
-    """The network of Eq. 2 to 7: a `pahires.network.TemporalNetwork`; `num_answers` numbers a query, or a row's."""
+    """The network of Eq. 2 to 7: a `TemporalNetwork`; `num_answers` numbers a query, or a row's."""
 
     time_frequencies: torch.Tensor
 

@@ -4,8 +4,8 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from pahires.network_settings import NetworkSettings
-from pahires.settings import TemporalSettings, base_training, nano_training
+from motionkit.clips.temporal.settings import TemporalSettings, base_training, nano_training
+from pahires.settings import NetworkSettings
 
 
 @dataclass(frozen=True)

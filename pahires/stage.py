@@ -7,7 +7,7 @@ from motionkit.training.stage import Stage, StageContext
 from pahires.recipes import RECIPES, PaHiResConfig
 
 if TYPE_CHECKING:
-    from pahires.encoder import NetworkEncoder
+    from motionkit.clips.temporal.encoder import NetworkEncoder
     from pahires.model import PaHiRes
 
 STAGE_NAME = "pahires"
@@ -15,28 +15,28 @@ NAME = "PA-HiRes"
 
 
 def _train(context: StageContext, config: PaHiResConfig) -> None:
-    from pahires.trained import train_network
+    from motionkit.clips.temporal.trained import train_network
 
     train_network(context, STAGE_NAME, config, config.training, lambda num_numbers: _network(config, num_numbers))
 
 
 def _check(context: StageContext, config: PaHiResConfig) -> None:
-    from pahires.trained import check_corpus
+    from motionkit.clips.temporal.trained import check_corpus
 
     check_corpus(context, config.training)
 
 
 def _network(config: PaHiResConfig, num_numbers: int) -> "PaHiRes":
+    from motionkit.clips.temporal.prediction import num_answers
     from pahires.model import PaHiRes
-    from pahires.prediction import num_answers
 
     return PaHiRes(config.network, num_numbers, num_answers(config.training, num_numbers))
 
 
 def load(run: Path) -> "NetworkEncoder":
     """A run's trained PA-HiRes; raises `RunError` or `CheckpointError` where there is none."""
-    from pahires.encoder import NetworkEncoder
-    from pahires.trained import load_network
+    from motionkit.clips.temporal.encoder import NetworkEncoder
+    from motionkit.clips.temporal.trained import load_network
 
     trained = load_network(
         run,

@@ -8,7 +8,7 @@ from rich.text import Text
 from typer.testing import CliRunner
 
 from motionkit.cli.app import build_app
-from motionkit.errors import StoreError
+from motionkit.core.errors import StoreError
 
 
 def test_no_help_text_is_read_as_markup() -> None:

@@ -8,9 +8,12 @@ from pathlib import Path
 
 import pytest
 
-REPOSITORY = Path(__file__).parents[1]
-PACKAGES = ("motionkit", "nerm", "pahires", "eval")
+from tests.helpers.repository import REPOSITORY
+
+PACKAGES = ("motionkit", "nerm", "pahires", "peers", "eval")
 LINT = "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports(no_cache=True, no_logo=True))"
+
+ABOVE = "models and the evaluation stand above motionkit, and know nothing of each other"
 
 
 def lint(folder: Path) -> subprocess.CompletedProcess[str]:
@@ -39,36 +42,32 @@ def test_imports_run_one_way() -> None:
 @pytest.mark.parametrize(
     ("module", "line", "contract"),
     [
-        ("motionkit/motion.py", "import motionkit.kinematics", "data flows one way"),
+        ("motionkit/core/motion.py", "import motionkit.fields.resample", "data flows one way in motionkit"),
+        ("motionkit/fields/motion_field.py", "import motionkit.formats.catalogue", "data flows one way in motionkit"),
+        ("motionkit/formats/catalogue.py", "import motionkit.store.reader", "data flows one way in motionkit"),
+        ("motionkit/store/reader.py", "import motionkit.training.loop", "data flows one way in motionkit"),
+        ("motionkit/training/loop.py", "import motionkit.generate.plan", "data flows one way in motionkit"),
+        ("motionkit/generate/plan.py", "import motionkit.cli.app", "data flows one way in motionkit"),
+        ("motionkit/core/timegrid.py", "from motionkit import Store", "data flows one way in motionkit"),
         ("nerm/latents/knots.py", "import nerm.field.network", "data flows one way in nerm"),
-        ("eval/samples/sets.py", "import eval.tables.registry", "data flows one way in eval"),
-        ("motionkit/timegrid.py", "import nerm", "the ground floor knows nobody above it"),
-        ("eval/metrics/frechet.py", "import torch", "the corpus and the metrics never import torch"),
-        ("pahires/network.py", "import nerm", "data flows one way"),
-        ("eval/tables/nerm/table4.py", "import nerm.field.saved", "evaluation knows no model"),
-        ("eval/tables/nerm/table4.py", "def f():\n    import pahires.stage", "evaluation knows no model"),
-        (
-            "nerm/generation/plan.py",
-            "import nerm.settings",
-            "generating knows no model",
-        ),
-        ("pahires/training.py", "import pahires.model", "PA-HiRes and its peers share no network"),
-        ("eval/baselines/peers/liif.py", "import pahires.recipes", "PA-HiRes and its peers share no network"),
-        ("motionkit/timegrid.py", "from motionkit import Store", "data flows one way"),
-        ("eval/metrics/frechet.py", "from eval import clip_fid", "data flows one way in eval"),
+        ("pahires/activation.py", "import pahires.model", "data flows one way in pahires"),
+        ("peers/layers.py", "import peers.liif", "data flows one way in peers"),
+        ("eval/sets/sets.py", "import eval.tables.registry", "data flows one way in eval"),
+        ("eval/metrics/gaussian.py", "from eval import clip_fid", "data flows one way in eval"),
+        ("motionkit/core/timegrid.py", "import nerm", ABOVE),
+        ("motionkit/clips/temporal/training.py", "import pahires.model", ABOVE),
+        ("eval/tables/registry.py", "import nerm.model", ABOVE),
+        ("peers/liif.py", "import pahires.recipes", ABOVE),
+        ("pahires/model.py", "import nerm.latents.knots", ABOVE),
+        ("motionkit/engines/parallel.py", "import motionkit.core.motion", "engines compute, whatever it is"),
+        ("eval/metrics/gaussian.py", "import torch", "the corpus and the metrics never import torch"),
         (
             "nerm/denoiser/diffusion.py",
             "import motionkit.cli.app",
-            "models and evaluation do not know the command line",
+            "models and the evaluation do not know the command line",
         ),
-        ("motionkit/store/cache.py", "import motionkit.console", "data flows one way"),
-        (
-            "eval/tables/nerm/table2.py",
-            "from motionkit.console import progress",
-            "models and evaluation do not know the command line",
-        ),
-        ("eval/tables/nerm/table2.py", "from rich.progress import Progress", "nothing below the command line prints"),
-        ("motionkit/training/loop.py", "def f():\n    import rich", "nothing below the command line prints"),
+        ("eval/tables/registry.py", "import rich.progress", "nothing below the command line prints"),
+        ("motionkit/store/reader.py", "import typer", "nothing below the command line prints"),
     ],
 )
 def test_an_import_against_the_order_is_found(copy: Path, module: str, line: str, contract: str) -> None:
@@ -77,3 +76,11 @@ def test_an_import_against_the_order_is_found(copy: Path, module: str, line: str
     result = lint(copy)
     assert result.returncode != 0
     assert f"{contract} BROKEN" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_module_on_no_floor_is_found(copy: Path, package: str) -> None:
+    (copy / package / "attic.py").write_text('"""A module."""\n', encoding="utf-8")
+    result = lint(copy)
+    assert result.returncode != 0
+    assert f"- {package}.attic" in result.stdout

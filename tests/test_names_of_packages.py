@@ -3,14 +3,15 @@
 import ast
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-REPOSITORY = Path(__file__).parents[1]
+from tests.helpers.repository import REPOSITORY
+
 # In eval a paper and its page in docs may be named, but no module of a model.
 FORBIDDEN = {
     "motionkit": re.compile(r"\b(nerm|pahires|peers|eval)\b"),
+    "peers": re.compile(r"\b(nerm|pahires|eval)\.(?!md\b)[a-z]"),
     "eval": re.compile(r"\b(nerm|pahires|peers)\.(?!md\b)[a-z]|^(nerm|pahires|peers):"),
 }
 
@@ -42,7 +43,7 @@ def test_no_string_names_a_package_above(package: str) -> None:
         ("motionkit", '"""A module for nerm."""'),
         ("motionkit", 'load_model("nerm", run)'),
         ("motionkit", 'print(f"motionkit train --stage pahires --run {run}")'),
-        ("eval", 'import_module("nerm.field.saved")'),
+        ("eval", 'import_module("nerm.field.trained")'),
         ("eval", 'def f():\n    """A docstring."""\n    return "pahires.stage:load"'),
     ],
 )

@@ -20,14 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.completion import complete
-from motionkit.errors import FormatError
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.fields.completion import complete
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Settling
+from motionkit.fields.motion_field import MotionEncoder
+from motionkit.fields.resample import downsample
 from motionkit.formats.bvh.motion import read_bvh
-from motionkit.interpolation.fields import INTERPOLATORS
-from motionkit.interpolation.settling import Settling
-from motionkit.motion import Motion
-from motionkit.motionfield import MotionEncoder
-from motionkit.resample import downsample
 
 BETWEEN = ("hold", "linear", "slerp", "rotation-catmull-rom", "squad", "rotation-cubic")
 GAPS, REACHES = (2, 4, 8, 15, 30), (3, 8, 15, 30)

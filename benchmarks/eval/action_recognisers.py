@@ -20,11 +20,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from eval.evaluators.actions.gru import GruRecogniser, load_gru
-from eval.evaluators.actions.gru_kinds import CMU_MOCAP, HUMANACT12
-from eval.metrics.accuracy import accuracy
-from eval.samples.real import RealMotion, real_motion
-from eval.samples.sets import SampleSet, sample_set
+from eval.actions.gru import CMU_MOCAP, HUMANACT12, GruRecogniser, load_gru
+from eval.metrics.actions import accuracy
+from eval.sets.real import RealMotion, real_motion
+from eval.sets.sets import SampleSet, sample_set
 from motionkit.store import Store
 
 DESCRIBED = {

@@ -19,12 +19,11 @@ from fractions import Fraction
 import numpy as np
 import scipy.linalg
 
-from eval.clip_fid.feature_sources import fit_on, kinematic_source
+from eval.clip_fid.features import fit_on, kinematic_source
 from eval.clip_fid.score import Protocol, describe_clips, draw_clips, place_clips, score_rows
-from eval.metrics.frechet import fid, fid_infinity
-from eval.metrics.kernel import kid
-from eval.metrics.manifold import prdc
-from eval.samples.sets import SampleSet, sample_set
+from eval.metrics.gaussian import fid, fid_infinity, kid
+from eval.metrics.neighbours import prdc
+from eval.sets.sets import SampleSet, sample_set
 
 
 def smooth_motion(fps: Fraction, num_sequences: int = 60, seconds: float = 10.0) -> SampleSet:

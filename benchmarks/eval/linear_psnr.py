@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.completing.scale import ClipFrames, measure_scale
-from eval.completing.takes import DataSet, NoTakesError, TrueClips, data_sets_of, open_clips
-from eval.protocols.interpolation import INTEGER_SCALES, InterpolationProtocol, scale_label
+from eval.completion.protocol import INTEGER_SCALES, InterpolationProtocol, scale_label
+from eval.completion.scores import ClipFrames, measure_scale
+from eval.completion.takes import DataSet, NoTakesError, TrueClips, data_sets_of, open_clips
 from motionkit.features.rotation_rows import two_columns
 from motionkit.store.reader import Store
 

@@ -24,13 +24,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from eval.evaluators.guo.evaluator import MAX_FRAMES, GuoEvaluator, load_guo
-from eval.evaluators.guo.files import GuoFiles
-from eval.evaluators.guo.kind import KINDS
-from eval.evaluators.guo.networks import GuoNetworks
-from eval.evaluators.guo.words import read_word_vectors
+from eval.text_motion.guo.evaluator import MAX_FRAMES, GuoEvaluator, load_guo
+from eval.text_motion.guo.kind import KINDS, GuoFiles
+from eval.text_motion.guo.networks import GuoNetworks
+from eval.text_motion.guo.words import read_word_vectors
+from motionkit.core.motion import Caption
 from motionkit.features.statistics import Statistics
-from motionkit.motion import Caption
 
 WORDS = ("a/DET", "person/NOUN", "walk/VERB", "and/CCONJ", "turn/VERB", "left/ADV", "slowly/ADV", "zebra/NOUN")
 KIND = KINDS[259]

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.evaluators.native.evaluator import NativeEvaluator, load_native
-from eval.metrics.interval import estimate
+from eval.metrics.checks import estimate
 from eval.metrics.r_precision import REFERENCE_POOL, r_precision
-from motionkit.resample import resample_positions
+from eval.native_evaluator.evaluator import NativeEvaluator, load_native
+from motionkit.core.timegrid import parse_fps
+from motionkit.fields.resample import resample_positions
 from motionkit.store import Store
-from motionkit.store.cache import open_cache
-from motionkit.timegrid import parse_fps
+from motionkit.store.cache.positions import open_cache
 
 REPLICATIONS = 20
 

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.baselines.upsampled import each_upsampled, upsampled_positions
 from eval.sample_folder import SampleOptions, read_sample_folder
-from motionkit.motionfield import to_motion
+from eval.sets.upsampled import each_upsampled, upsampled_positions
+from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import ACTIONS, draw_body, perform
 
 FPS, FAST = Fraction(20), Fraction(60)

@@ -17,9 +17,9 @@ from collections.abc import Callable
 import numpy as np
 import scipy.linalg
 
-from eval.metrics.frechet import fid
-from eval.protocols.text_motion import TextMotionProtocol, find_text_motion_protocol
-from eval.scoring.text_motion import TextMotionPairs, score_text_motion
+from eval.metrics.gaussian import fid
+from eval.text_motion.protocol import TextMotionProtocol, find_text_motion_protocol
+from eval.text_motion.scores import TextMotionPairs, score_text_motion
 
 FEATURES = 512
 FID_SAMPLES = 10_000

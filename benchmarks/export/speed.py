@@ -19,11 +19,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion
 from motionkit.export.catalogue import EXPORTS
 from motionkit.export.run import export
 from motionkit.export.selection import Outcome, Selection
-from motionkit.motion import Motion
 from motionkit.store import Store
 
 PAGE_BYTES = 4096
@@ -91,7 +91,7 @@ def main() -> None:
         try:
             results.append(measure(name, store, arguments.where, num_frames, results[0]["raw"]))
         except UsageError as error:
-            Console(stderr=True).print(f"{name}: {error}", markup=False)
+            Console(stderr=True).print(f"{name}: {error}")
     table = Table("format", "CPU s", "frames/s", "MB", "of raw", "MB resident after a tenth", "at the end")
     for row in results:
         table.add_row(

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.features import humanml3d, humanml3d_processing
+from motionkit.core.skeleton import SMPL22
+from motionkit.features import humanml3d
 from motionkit.features.layout import SMPL22_LAYOUT
-from motionkit.skeleton import SMPL22
 
 WORK = (
     "raw joints → pose vectors on one core, CPU time. ours: humanml3d_processing.process, then humanml3d.vectors. "
@@ -45,7 +45,7 @@ def wandering_body(num_frames: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def ours(raw: np.ndarray) -> np.ndarray:
-    return humanml3d.vectors(humanml3d_processing.process(raw, "smpl22"), "smpl22")
+    return humanml3d.vectors(humanml3d.process(raw, "smpl22"), "smpl22")
 
 
 def peer_pipeline(clone: Path) -> Pipeline:
@@ -63,7 +63,7 @@ def peer_pipeline(clone: Path) -> Pipeline:
         if cell["cell_type"] == "code" and ("import" in source.split("\n")[0] or source.lstrip().startswith("def ")):
             exec(source.replace("from tqdm import tqdm", ""), names)
     body = SMPL22_LAYOUT
-    lengths = humanml3d_processing.standard_bone_lengths("smpl22")
+    lengths = humanml3d.standard_bone_lengths("smpl22")
     directions = np.array(body.bone_directions, dtype=np.float32)
     names |= {
         "l_idx1": 5,

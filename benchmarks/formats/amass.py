@@ -18,9 +18,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from motionkit.formats.items import ReadOptions, SourceItem
+from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.smpl.amass import read_amass
-from motionkit.formats.smpl.layouts import LAYOUTS
+from motionkit.formats.smpl.body import LAYOUTS
 
 NUM_VERTICES = {"smplh": 6890, "smplx": 10475}
 

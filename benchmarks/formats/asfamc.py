@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from motionkit.formats.acclaim.asfamc import parse_amc, read_asfamc
-from motionkit.formats.items import ReadOptions
+from motionkit.formats.scan.items import ReadOptions
 
 
 def plain(data: bytes) -> list[dict[str, list[float]]]:

@@ -28,7 +28,7 @@ from pymotion.io.bvh import BVH
 from rich.console import Console
 from rich.table import Table
 
-from motionkit.formats.bvh import hierarchy as bvh_hierarchy
+from motionkit.formats.bvh import text
 from motionkit.formats.bvh.motion import read_bvh
 
 pa.set_cpu_count(1)
@@ -73,7 +73,7 @@ def measure(files: list[Path], repeats: int) -> dict[str, Any]:
     ours(files[0]), peer(files[0]), arrow(blocks[0])
     best = [dict.fromkeys(seconds, float("inf")) for _ in files]
     for _ in range(repeats):
-        bvh_hierarchy.parsed.cache_clear()
+        text.parsed.cache_clear()
         for name, work, arguments in (
             ("motionkit", ours, files),
             ("pymotion", peer, files),

@@ -21,11 +21,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from motionkit.formats.cuts import StepCut
 from motionkit.formats.indexes.catalogue import read_index
 from motionkit.formats.indexes.entries import Entry
-from motionkit.formats.items import IndexOptions, ReadOptions, SourceItem
-from motionkit.formats.registry import read, scan
+from motionkit.formats.scan.cuts import StepCut
+from motionkit.formats.scan.items import IndexOptions, ReadOptions, SourceItem
+from motionkit.formats.scan.scanner import read, scan
 
 FPS = 120
 RENAMED = {

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import torch
 
 from nerm.field.network import EncodedCoordinates, FieldNetwork
-from nerm.settings.field import FieldConfig
+from nerm.settings import FieldConfig
 
 RATES = (20.0, 30.0, 60.0, 120.0)
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nerm.field.saved import load_field
-from nerm.generation.framerate_shift import RATES, FramerateShift, framerate_shift
+from nerm.field.trained import load_field
+from nerm.framerate_shift import RATES, FramerateShift, framerate_shift
 
 
 def measure(run: Path, num_windows: int) -> FramerateShift:

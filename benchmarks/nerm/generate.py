@@ -26,17 +26,17 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from motionkit.clips.windows import Windows
-from motionkit.generation import GenerationRequest
-from nerm.conditions.batch import ConditionLayout
+from motionkit.generate.models import GenerationRequest
+from nerm.conditions import ConditionLayout
 from nerm.denoiser.latent_space import LatentSpace
 from nerm.denoiser.network import Denoiser
 from nerm.denoiser.trained import TrainedDenoiser
 from nerm.field.network import FieldNetwork
 from nerm.field.trained import TrainedField
 from nerm.latents.local import local_latents
-from nerm.latents.reach import first_read
+from nerm.latents.posterior import first_read
 from nerm.model import NermModel, load
-from nerm.pose_vectors.scaling import VectorScaling
+from nerm.pose_vectors.convention import VectorScaling
 from nerm.recipes import RECIPES
 
 SECONDS = 9.8

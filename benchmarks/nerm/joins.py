@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from motionkit.assembly import AssembledField
-from motionkit.generation import GenerationRequest
-from motionkit.long_motions import generate_joined
+from motionkit.fields.assembly import AssembledField
+from motionkit.generate.long_motions import generate_joined
+from motionkit.generate.models import GenerationRequest
 from nerm.model import load
 
 TEXTS = (

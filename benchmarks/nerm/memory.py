@@ -28,8 +28,8 @@ MEGABYTE = 1_000_000
 
 def write_corpus(path: Path, fps: int, minutes: float) -> None:
     """A store of analytic motions, the same ones at every framerate."""
-    from motionkit.motion import Motion
-    from motionkit.motionfield import to_motion
+    from motionkit.core.motion import Motion
+    from motionkit.fields.motion_field import to_motion
     from motionkit.store.writer import StoreWriter
     from motionkit.synthetic import make_body, perform
 

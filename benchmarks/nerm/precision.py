@@ -16,15 +16,14 @@ from pathlib import Path
 import torch
 
 from motionkit.clips.poses import WindowPoses
-from motionkit.skeleton import SMPL22
-from motionkit.store.cache import open_cache
+from motionkit.core.skeleton import SMPL22
+from motionkit.store.cache.positions import open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import Precision
-from motionkit.training.randomness import step_generator
-from nerm.field.training import FieldTraining
-from nerm.field.windows import training_windows
+from motionkit.training.schedule import step_generator
+from nerm.field.training import FieldTraining, training_windows
 from nerm.recipes import RECIPES
-from nerm.settings.field import FieldConfig
+from nerm.settings import FieldConfig
 
 WARMING = 3
 PRECISIONS: tuple[Precision, ...] = ("float32", "bfloat16")

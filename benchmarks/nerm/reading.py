@@ -19,10 +19,10 @@ import torch
 
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import PositionSource, Windows
-from motionkit.skeleton import SMPL22
+from motionkit.core.skeleton import SMPL22
 from motionkit.store import Store
-from motionkit.store.cache import PositionCache, open_cache
-from nerm.field.windows import training_windows
+from motionkit.store.cache.positions import PositionCache, open_cache
+from nerm.field.training import training_windows
 from nerm.recipes import nano
 
 MEGABYTE = 1_000_000

@@ -23,15 +23,14 @@ from eval.metrics.reconstruction import mpjpe_root_aligned
 from eval.report.results import environment
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.reconstruction import comparable, reconstructions, separate_windows
-from motionkit.skeleton import SMPL22
-from motionkit.store.cache import open_cache
+from motionkit.core.skeleton import SMPL22
+from motionkit.store.cache.positions import open_cache
 from motionkit.store.reader import Store
-from motionkit.training.randomness import step_generator
+from motionkit.training.schedule import step_generator
 from nerm.field.trained import TrainedField
-from nerm.field.training import FieldTraining
-from nerm.field.windows import training_windows
+from nerm.field.training import FieldTraining, training_windows
 from nerm.recipes import nano, paper
-from nerm.settings.field import FieldConfig
+from nerm.settings import FieldConfig
 
 TARGET_MM = 25.0
 FPS = Fraction(20)

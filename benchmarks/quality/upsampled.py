@@ -22,13 +22,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from motionkit.errors import FormatError
-from motionkit.formats.registry import ReadOptions, read, scan
-from motionkit.interpolation.fields import interpolate
-from motionkit.motion import Motion
-from motionkit.motionfield import to_motion
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.interpolation.interpolators import interpolate
+from motionkit.fields.motion_field import to_motion
+from motionkit.formats.scan.scanner import ReadOptions, read, scan
 from motionkit.quality import measure
-from motionkit.timegrid import TimeGrid
 
 # Captured → stated fps: factors 2, 3, 4, 5, 6, then others, pulldown from film last.
 PAIRS = (

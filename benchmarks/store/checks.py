@@ -22,11 +22,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.table import Table
 
-from motionkit.console import stdout
-from motionkit.skeleton import Skeleton
+from motionkit.cli.console import stdout
+from motionkit.core.skeleton import Skeleton
 from motionkit.store import Store, codec, digests
-from motionkit.store.cache import open_cache
-from motionkit.store.ingest import ingest
+from motionkit.store.cache.positions import open_cache
+from motionkit.store.ingest.ingest import ingest
 from motionkit.store.manifest import FileEntry, Manifest
 from motionkit.store.schema import part_writer_options
 from motionkit.store.segment_reader import SegmentReader
@@ -79,7 +79,7 @@ def measure(path: Path, sources: list[Path], repeats: int) -> dict[str, dict[str
     entries = store.manifest.files
     of_before = {name: replace(entry, footer_sha256="") for name, entry in entries.items()}
     patch = partial(partial, mock.patch)
-    unchecked_cache = patch("motionkit.store.cache.file_fault", lambda *arguments, **options: "")
+    unchecked_cache = patch("motionkit.store.cache.positions.file_fault", lambda *arguments, **options: "")
     unchecked_pages = patch(
         "motionkit.store.segment_reader.pq.ParquetFile", lambda source, **options: parquet_file(source)
     )

@@ -20,12 +20,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.table import Table
 
-from motionkit.console import stdout
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
+from motionkit.cli.console import stdout
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.store.cache import PositionCache, open_cache
-from motionkit.timegrid import TimeGrid
+from motionkit.store.cache.positions import PositionCache, open_cache
 
 Gather = Callable[[np.ndarray, np.ndarray], np.ndarray]
 BATCH = 256

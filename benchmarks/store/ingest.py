@@ -31,7 +31,7 @@ import numpy as np
 import pyarrow as pa
 from rich.table import Table
 
-from motionkit.console import stderr
+from motionkit.cli.console import stderr
 from motionkit.store import Store
 
 

@@ -21,9 +21,9 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 from rich.table import Table
 
-from motionkit.console import stdout
+from motionkit.cli.console import stdout
 from motionkit.store import Store
-from motionkit.store.rewrite import merge
+from motionkit.store.life.rewrite import merge
 from motionkit.store.schema import FLOAT_COLUMNS
 
 Fetch = Callable[[int], np.ndarray]

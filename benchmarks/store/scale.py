@@ -25,13 +25,13 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.store.clips import BATCH, copy_rate, frames_in_pandas, parquet_by_frame, rate
-from motionkit.console import stderr
-from motionkit.motion import Caption, Motion, Provenance
-from motionkit.skeleton import SMPL22
+from motionkit.cli.console import stderr
+from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.store.cache import open_cache
+from motionkit.store.cache.positions import open_cache
 from motionkit.store.schema import SEQUENCES_FILE
-from motionkit.timegrid import TimeGrid
 
 CLIP_FRAMES = 32
 FRAMERATES = (Fraction(20), Fraction(30), Fraction(60), Fraction(100), Fraction(120))

@@ -19,8 +19,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.table import Table
 
-from motionkit.console import stdout
-from motionkit.formats.registry import ReadOptions, read, scan
+from motionkit.cli.console import stdout
+from motionkit.formats.scan.scanner import ReadOptions, read, scan
 from motionkit.store.schema import FLOAT_LIST, ROW_GROUP_SEGMENTS, SEGMENT_FRAMES
 
 # One segment of one column, channels by frames.

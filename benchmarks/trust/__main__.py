@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.trust.report import Report, print_report, store_report
-from motionkit.console import print_json
+from motionkit.cli.console import print_json
 
 PARTS = ("crash", "corruption", "fuzz", "hostile", "load")
 

@@ -11,14 +11,14 @@ import numpy as np
 
 ACTIONS = ("walk", "jump", "squat", "bow")
 FRAMERATES = (30, 60)
-OLD_STORE = Path(__file__).parents[2] / "tests" / "motionkit" / "store" / "stores" / "v1"
+OLD_STORE = Path(__file__).parents[2] / "tests" / "motionkit" / "store" / "life" / "stores" / "v1"
 COLUMNS = ("file", "fps", "action", "subject", "caption", "split")
 
 
 def write_takes(folder: str, first: str, count: str, seconds: str) -> None:
     """Write takes FIRST … FIRST + COUNT − 1 of so many seconds as BVH files, with a table of captions and splits."""
+    from motionkit.fields.motion_field import to_motion
     from motionkit.formats.bvh.motion import write_bvh
-    from motionkit.motionfield import to_motion
     from motionkit.synthetic import make_body, perform
 
     path, body = Path(folder), make_body("drill")
@@ -44,7 +44,7 @@ def copy_old_store(store: str) -> None:
 def build_cache(store: str) -> None:
     """Make the training cache of a store, and the numbers that are kept beside it."""
     from motionkit.store import Store
-    from motionkit.store.cache import open_cache
+    from motionkit.store.cache.positions import open_cache
 
     cache = open_cache(Store.open(store))
     print(len(cache.positions))
@@ -53,7 +53,7 @@ def build_cache(store: str) -> None:
 def read_without(store: str, name: str) -> None:
     """Open a store and its cache, remove a file, and read every frame of both."""
     from motionkit.store import Store
-    from motionkit.store.cache import open_cache
+    from motionkit.store.cache.positions import open_cache
 
     opened = Store.open(store)
     cache = open_cache(opened, where="split = 'train'")

@@ -21,7 +21,7 @@ from benchmarks.trust.report import Case, Report
 from benchmarks.trust.scenarios import SCENARIOS, Scenario
 from benchmarks.trust.trials import DISK_FAULTS, Attempt, Drill, Expected, UndisturbedError
 from eval.report.results import environment
-from motionkit.console import progress
+from motionkit.cli.console import progress
 from motionkit.core.progress import Progress
 
 DEFAULT_SECONDS = 300.0

@@ -9,7 +9,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from motionkit.console import stdout
+from motionkit.cli.console import stdout
 
 SHOWN_FAILURES = 20
 
@@ -66,9 +66,9 @@ def print_report(report: Report) -> None:
     table.add_row("all", f"{report.tried:,}", f"{len(report.failures):,}", "")
     stdout.print(table)
     for failure in report.failures[:SHOWN_FAILURES]:
-        stdout.print(failure, markup=False)
+        stdout.print(failure)
     if len(report.failures) > SHOWN_FAILURES:
-        stdout.print(f"… and {len(report.failures) - SHOWN_FAILURES:,} more: --json names them all", markup=False)
+        stdout.print(f"… and {len(report.failures) - SHOWN_FAILURES:,} more: --json names them all")
 
 
 def store_report(report: Report, path: Path) -> None:

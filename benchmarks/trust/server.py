@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.trust.faults import SIGNALS, UNDISTURBED, Fault, install
-from motionkit.errors import MotionkitError
+from motionkit.core.errors import MotionkitError
 
 CALL = "call:"
 PATIENCE_SECONDS = 10.0

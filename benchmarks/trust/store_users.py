@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.errors import StoreError
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.errors import StoreError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.store.removal import remove
-from motionkit.store.rewrite import compact
+from motionkit.store.life.removal import remove
+from motionkit.store.life.rewrite import compact
 from motionkit.store.validate import faults
-from motionkit.timegrid import TimeGrid
 
 BUSY = "another process is writing to the store"
 WRITTEN_ANEW = ("was written anew after it was opened", "was written to while it was checked")

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from eval.evaluators.actions.linear import fit_linear
-from eval.evaluators.actions.recogniser import ActionRecogniser
-from eval.samples.sets import SampleSet
-from motionkit.errors import UsageError
+from eval.actions.linear import fit_linear
+from eval.actions.recogniser import ActionRecogniser
+from eval.sets.sets import SampleSet
+from motionkit.core.errors import UsageError
 
 LINEAR_FPS = Fraction(20)
 
@@ -39,9 +39,8 @@ def find_recogniser(name: str) -> RecogniserSource:
 
 
 def _sources() -> Mapping[str, RecogniserSource]:
-    from eval.evaluators.actions.gru import load_gru
-    from eval.evaluators.actions.gru_kinds import CMU_MOCAP, HUMANACT12
-    from eval.evaluators.actions.uestc import TITLE, load_uestc
+    from eval.actions.gru import CMU_MOCAP, HUMANACT12, load_gru
+    from eval.actions.uestc import TITLE, load_uestc
     from motionkit.formats.smpl import uestc
 
     sources = (

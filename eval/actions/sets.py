@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from eval.evaluators.actions.recogniser import ActionRecogniser
-from eval.samples.sets import SampleSet, sample_set
-from eval.scoring.actions import LabelledRecognition
-from motionkit.errors import MotionkitError
-from motionkit.formats.smpl.layouts import SMPL
-from motionkit.generation import GenerationRequest, GenerativeModel
-from motionkit.motion import Motion
-from motionkit.motionfield import to_motion
-from motionkit.resample import resample
-from motionkit.skeleton import SMPL22
+from eval.actions.recogniser import ActionRecogniser
+from eval.actions.scores import LabelledRecognition
+from eval.sets.sets import SampleSet, sample_set
+from motionkit.core.errors import MotionkitError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.fields.motion_field import to_motion
+from motionkit.fields.resample import resample
+from motionkit.formats.smpl.body import SMPL
+from motionkit.generate.models import GenerationRequest, GenerativeModel
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -9,11 +9,11 @@ from fractions import Fraction
 
 import numpy as np
 
+from eval.clip_fid.feature_set import FeatureSet
 from eval.clip_fid.score import Protocol, score_disjoint_halves, score_rows
-from eval.corruptions import Family, families, shift_between_frames, translate, turn
-from eval.evaluators.feature_set import FeatureSet
-from eval.metrics.interval import Estimate
-from eval.samples.sets import SampleSet
+from eval.metrics.checks import Estimate
+from eval.sets.corruptions import Family, families, shift_between_frames, translate, turn
+from eval.sets.sets import SampleSet
 
 TASK = "calibration"
 VERSION = "calibration/2"

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from eval.clip_fid.feature_sources import kinematic_source, native_source
+from eval.clip_fid.features import kinematic_source, native_source
 from eval.clip_fid.score import ClipError, Protocol, score_rows
-from eval.metrics.interval import Estimate
-from eval.samples.sets import SampleSet, sample_set
-from motionkit.errors import UsageError
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
-from motionkit.skeletons.mapping import map_joints
-from motionkit.timegrid import Framerate, format_fps, parse_fps
+from eval.metrics.checks import Estimate
+from eval.sets.sets import SampleSet, sample_set
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import map_joints
+from motionkit.core.timegrid import Framerate, format_fps, parse_fps
 
 Motions = Sequence[Motion] | Sequence[Float[np.ndarray, "_frames 22 3"]]
 

@@ -17,14 +17,12 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float32, Float64, Int64
 
-from eval.evaluators.feature_set import FeatureSet
-from eval.metrics.frechet import fid_infinity, frechet_distance
-from eval.metrics.gaussian import fit_gaussian
-from eval.metrics.interval import Estimate, estimate
-from eval.metrics.kernel import kid
-from eval.metrics.manifold import prdc
-from eval.samples.sets import SampleSet
-from motionkit.errors import MotionkitError
+from eval.clip_fid.feature_set import FeatureSet
+from eval.metrics.checks import Estimate, estimate
+from eval.metrics.gaussian import fid_infinity, fit_gaussian, frechet_distance, kid
+from eval.metrics.neighbours import prdc
+from eval.sets.sets import SampleSet
+from motionkit.core.errors import MotionkitError
 
 VERSION = "clip-fid/1"
 PART = "part "

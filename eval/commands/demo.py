@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.console import print_json, stderr, stdout
+from motionkit.cli.console import print_json, stderr, stdout
 
 if TYPE_CHECKING:
     from eval.commands.demo_steps import DemoOutcome
@@ -50,9 +50,9 @@ def _places(outcome: "DemoOutcome") -> dict[str, str]:
 
 def _print_places(outcome: "DemoOutcome") -> None:
     steps = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in outcome.seconds.items())
-    stderr.print(f"demo: {steps}", markup=False)
+    stderr.print(f"demo: {steps}")
     for name, place in _places(outcome).items():
-        stdout.print(f"{name + ':':9} {place}", markup=False)
+        stdout.print(f"{name + ':':9} {place}")
 
 
 def _print_json(outcome: "DemoOutcome") -> None:

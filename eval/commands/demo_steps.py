@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eval.commands.eval import evaluate
+from eval.report.curves import panels_of
 from eval.report.figures import Strip, curves_and_strips_figure, save, strip_of
 from eval.report.results import read_result
-from eval.report.table_curves import panels_of
+from motionkit.cli.console import stderr
+from motionkit.cli.generate import generate
 from motionkit.cli.ingest import ingest
 from motionkit.cli.train import train
-from motionkit.console import stderr
+from motionkit.core.errors import UsageError
 from motionkit.core.files import remove_folder, require_no_link, temporary_name, write_whole
-from motionkit.demo_corpus import write_demo_corpus
-from motionkit.errors import UsageError
+from motionkit.core.motion import Motion
 from motionkit.formats.bvh.motion import read_bvh
-from motionkit.formats.items import ReadOptions
-from motionkit.motion import Motion
+from motionkit.formats.scan.items import ReadOptions
 from motionkit.store.reader import Store
-from nerm.commands.generate import generate
+from motionkit.synthetic.demo_corpus import write_demo_corpus
 
 RECIPE = "demo"
 STAGES = ("codebook", "field", "denoiser")
@@ -193,7 +193,7 @@ def _prepare(folder: DemoFolder) -> None:
 
 @contextmanager
 def _step(name: str, seconds: dict[str, float]) -> Iterator[None]:
-    stderr.print(f"demo: {name} …", markup=False)
+    stderr.print(f"demo: {name} …")
     started = time.monotonic()
     yield
     seconds[name] = round(time.monotonic() - started, 1)

@@ -4,54 +4,54 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eval.commands import eval_options as options
-from motionkit.console import print_json, print_text, progress, stderr
+from eval.commands import eval_options
+from motionkit.cli.console import print_json, print_text, progress, stderr
+from motionkit.core.errors import UsageError
 from motionkit.core.files import write_whole
-from motionkit.errors import UsageError
-from motionkit.settings import default_path
+from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from fractions import Fraction
 
     from eval.clip_fid.score import PoseRange, SecondsRange
-    from eval.evaluators.guo.files import GuoFiles
     from eval.report.results import Result
     from eval.tables.registry import TableRequest
+    from eval.text_motion.guo.kind import GuoFiles
 
 DEFAULT_RUN = "nano"
 SHOWN_PROBLEMS = 10
 
 
 def evaluate(
-    table: options.TableNumber = None,
-    figure: options.FigureNumber = None,
-    calibrate: options.Calibrate = False,
-    paper: options.Paper = "nerm",
-    store: options.StorePath = None,
-    runs: options.RunsFolder = None,
-    run: options.RunName = DEFAULT_RUN,
-    results: options.ResultsFolder = None,
-    split: options.Split = "test",
-    where: options.Where = None,
-    fps: options.Framerates = None,
-    clips: options.NumClips = 4096,
-    replications: options.Replications = 20,
-    sizes: options.ClipSizes = "16:64",
-    samples: options.SampleFolders = None,
-    samples_fps: options.SamplesFps = None,
-    allow_broken: options.AllowBroken = False,
-    encoder: options.Encoders = None,
-    low_pass: options.LowPass = None,
-    evaluator: options.Evaluators = None,
-    weights: options.Weights = None,
-    glove: options.Glove = None,
-    statistics: options.StatisticsFolder = None,
-    motions: options.MostMotions = 1024,
-    protocol: options.ProtocolName = "native",
-    compat: options.Compat = None,
-    draws: options.Draws = 1,
-    seed: options.Seed = 0,
-    as_json: options.AsJson = False,
+    table: eval_options.TableNumber = None,
+    figure: eval_options.FigureNumber = None,
+    calibrate: eval_options.Calibrate = False,
+    paper: eval_options.Paper = "nerm",
+    store: eval_options.StorePath = None,
+    runs: eval_options.RunsFolder = None,
+    run: eval_options.RunName = DEFAULT_RUN,
+    results: eval_options.ResultsFolder = None,
+    split: eval_options.Split = "test",
+    where: eval_options.Where = None,
+    fps: eval_options.Framerates = None,
+    clips: eval_options.NumClips = 4096,
+    replications: eval_options.Replications = 20,
+    sizes: eval_options.ClipSizes = "16:64",
+    samples: eval_options.SampleFolders = None,
+    samples_fps: eval_options.SamplesFps = None,
+    allow_broken: eval_options.AllowBroken = False,
+    encoder: eval_options.Encoders = None,
+    low_pass: eval_options.LowPass = None,
+    evaluator: eval_options.Evaluators = None,
+    weights: eval_options.Weights = None,
+    glove: eval_options.Glove = None,
+    statistics: eval_options.StatisticsFolder = None,
+    motions: eval_options.MostMotions = 1024,
+    protocol: eval_options.ProtocolName = "native",
+    compat: eval_options.Compat = None,
+    draws: eval_options.Draws = 1,
+    seed: eval_options.Seed = 0,
+    as_json: eval_options.AsJson = False,
 ) -> None:
     """Build one of the papers' tables or figures, or calibrate the features that clip-FID is computed on."""
     from eval.clip_fid.score import Protocol
@@ -94,7 +94,7 @@ def evaluate(
 def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
     """End with exit code 1 where samples that were given have no row in the table, with the reason."""
     from eval.sample_folder import SampleFolderError
-    from eval.tables.nerm.nearest_training import TITLE as COPIES
+    from eval.tables.nerm.clip_fid_column import TITLE as COPIES
 
     scored = [block for block in result.blocks if block.title != COPIES]
     shown = {row.name for block in scored for row in block.rows if row.cells}
@@ -139,7 +139,7 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
         result = found.build(request)
     path = write_result(result, request.results)
     if result.figure:
-        from eval.report.calibration_figure import calibration_figure
+        from eval.report.curves import calibration_figure
         from eval.report.figures import save
 
         save(calibration_figure(result), request.results / result.figure)
@@ -155,7 +155,7 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
 
 
 def _guo_files(weights: Path | None, glove: Path | None, statistics: Path | None) -> "GuoFiles | None":
-    from eval.evaluators.guo.files import GuoFiles
+    from eval.text_motion.guo.kind import GuoFiles
 
     if weights is None:
         unused = next((name for name, path in (("--glove", glove), ("--statistics", statistics)) if path), None)
@@ -166,7 +166,7 @@ def _guo_files(weights: Path | None, glove: Path | None, statistics: Path | None
 
 
 def _framerate(text: str | None) -> "Fraction | None":
-    from motionkit.timegrid import parse_fps
+    from motionkit.core.timegrid import parse_fps
 
     try:
         return None if text is None else parse_fps(text)
@@ -175,7 +175,7 @@ def _framerate(text: str | None) -> "Fraction | None":
 
 
 def _framerates(text: str | None) -> "tuple[Fraction, ...] | None":
-    from motionkit.timegrid import parse_fps
+    from motionkit.core.timegrid import parse_fps
 
     if text is None:
         return None
@@ -220,7 +220,7 @@ def _encoders(pairs: list[str], runs: Path) -> tuple[tuple[str, Path], ...]:
 def _samples(pairs: list[str]) -> dict[str, Path]:
     if not pairs:
         return {}
-    from motionkit.generation import installed_models
+    from motionkit.generate.models import installed_models
 
     own = ("real,", "real (", *(loader.title for loader in installed_models().values()))
     named: dict[str, Path] = {}

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.console import print_json, print_text, stderr
+from motionkit.cli.console import print_json, print_text, stderr
+from motionkit.core.errors import UsageError
 from motionkit.core.files import write_whole
-from motionkit.errors import UsageError
-from motionkit.settings import default_path
+from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from eval.report.results import Result
@@ -64,10 +64,8 @@ def report(
 def _pictures(results: "list[Result]", folder: Path) -> list[Path]:
     """Draw the calibration and every result with columns of framerates, or of seconds and a quality; what was drawn."""
     from eval.clip_fid.calibration import TASK
-    from eval.report.calibration_figure import calibration_figure
-    from eval.report.cost_curves import cost_curve_of, cost_figure
+    from eval.report.curves import calibration_figure, cost_curve_of, cost_figure, panels_of
     from eval.report.figures import curves_figure, save
-    from eval.report.table_curves import panels_of
 
     drawn = []
     for result in results:

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.core.errors import UsageError
 from motionkit.core.files import write_whole
 from motionkit.core.progress import task
-from motionkit.errors import UsageError
 
 STATISTICS_FILES = {"mean": "mean.npy", "std": "std.npy"}
 
@@ -34,7 +34,7 @@ def samples(
 
     from eval.sample_folder import SampleFolderError, SampleOptions, read_sample_folder
     from eval.sample_folder.findings import lines, summarise
-    from motionkit.timegrid import parse_fps
+    from motionkit.core.timegrid import parse_fps
 
     try:
         framerate = None if fps is None else parse_fps(fps)
@@ -53,7 +53,7 @@ def samples(
         print_json(asdict(found))
     else:
         for name, text in lines(found):
-            stdout.print(f"{name:12}{text}", markup=False)
+            stdout.print(f"{name:12}{text}")
     if found.left_out:
         raise SampleFolderError(f"{len(found.left_out):,} motions of {str(folder)!r} are left out of every table")
 
@@ -80,4 +80,4 @@ def _write_manifest(folder: Path, stated: dict[str, object]) -> None:
                 write_whole(folder / name, source.read_bytes())
             stated[key] = name
     write_whole(path, manifest_text(stated))
-    stderr.print(f"written: {path}", markup=False)
+    stderr.print(f"written: {path}")

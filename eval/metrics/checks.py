@@ -1,5 +1,8 @@
 """What every metric refuses: too few samples, NaN, infinity, shapes that do not agree."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float, Float64
 
@@ -46,3 +49,58 @@ def checked_fps(fps: float) -> float:
     if not 0 < fps < np.inf:
         raise ValueError(f"fps must be positive and finite, not {fps}")
     return float(fps)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean over replications; `ci95` is half the width of its 95 % interval, 0 for a single replication."""
+
+    mean: float
+    ci95: float
+    replications: int
+
+    def __str__(self) -> str:
+        return f"{self.mean:.4g} ± {self.ci95:.2g}"
+
+
+def estimate(values: Sequence[float]) -> Estimate:
+    """Mean ± 1.96·std(ddof 0)/√R over R replications (text-to-motion final_evaluations.py)."""
+    if not len(values):
+        raise ValueError("there are no replications to average")
+    array = np.asarray(values, dtype=np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError(f"a replication is not finite: {array.tolist()}")
+    return Estimate(float(array.mean()), float(1.96 * array.std() / np.sqrt(array.size)), array.size)
+
+
+def variance_spread(values: Sequence[float]) -> float:
+    """1.96 · variance (ddof 0) over replications: what ACTOR prints after "±". It is no interval of anything."""
+    return float(1.96 * np.var(np.asarray(values, dtype=np.float64)))
+
+
+@dataclass(frozen=True)
+class MeanSums:
+    """Σ weight·value and Σ weight of the batches so far; without arguments, of none.
+
+    A weight is the number of things that a batch's value is a mean over (`Metric.weight` gives it).
+    """
+
+    total: float = 0.0
+    weight: float = 0.0
+
+    def added(self, value: float, weight: float) -> "MeanSums":
+        """With one more batch. Raises `ValueError` for NaN or a weight that is not positive and finite."""
+        if value != value or not 0 < weight < float("inf"):
+            raise ValueError(f"a batch of value {value} and weight {weight} cannot be averaged")
+        return MeanSums(self.total + weight * value, self.weight + weight)
+
+    def merged(self, other: "MeanSums") -> "MeanSums":
+        """With the batches of another rank."""
+        return MeanSums(self.total + other.total, self.weight + other.weight)
+
+    @property
+    def mean(self) -> float:
+        """The mean over all batches. Raises `ValueError` where there are none."""
+        if not self.weight:
+            raise ValueError("there is nothing to average: no batch was added")
+        return self.total / self.weight

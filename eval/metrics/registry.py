@@ -8,23 +8,16 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.metrics import (
-    accuracy,
-    bone_lengths,
-    contact,
-    derivatives,
-    diversity,
-    foot_skating,
-    frechet,
+    actions,
+    feet,
+    gaussian,
     inbetweening,
-    kernel,
-    manifold,
-    multimodality,
-    npss,
+    neighbours,
     r_precision,
     reconstruction,
     signal,
 )
-from eval.metrics.streaming import MeanSums
+from eval.metrics.checks import MeanSums
 
 Array = npt.NDArray[np.generic]
 Arguments = Literal["real, generated", "predicted, target", "queries, candidates", "scores, labels", "one set"]
@@ -107,11 +100,11 @@ def _numbers(first: Array, *_: Array) -> float:
 
 
 def _true_power(_: Array, target: npt.NDArray[np.floating]) -> float:
-    return npss.npss_weight(target)
+    return inbetweening.npss_weight(target)
 
 
 METRICS: tuple[Metric, ...] = (
-    Metric("fid", "FID", "", False, 1, "Heusel et al. 2017", "real, generated", frechet.fid),
+    Metric("fid", "FID", "", False, 1, "Heusel et al. 2017", "real, generated", gaussian.fid),
     *(
         Metric(
             f"fid_{name}",
@@ -121,16 +114,16 @@ METRICS: tuple[Metric, ...] = (
             1,
             "ACTOR (Petrovich et al. 2021)",
             "real, generated",
-            frechet.fid,
+            gaussian.fid,
         )
         for name, title in (("train", "training set"), ("test", "test set"))
     ),
-    Metric("fid_infinity", "FID∞", "", False, 1, "Chong & Forsyth 2020", "real, generated", frechet.fid_infinity),
-    Metric("kid", "KID", "", False, 1, "Bińkowski et al. 2018", "real, generated", kernel.kid),
-    Metric("precision", "Precision", "", True, 1, "Kynkäänniemi et al. 2019", "real, generated", manifold.prdc),
-    Metric("recall", "Recall", "", True, 1, "Kynkäänniemi et al. 2019", "real, generated", manifold.prdc),
-    Metric("density", "Density", "", True, 1, "Naeem et al. 2020", "real, generated", manifold.prdc),
-    Metric("coverage", "Coverage", "", True, 1, "Naeem et al. 2020", "real, generated", manifold.prdc),
+    Metric("fid_infinity", "FID∞", "", False, 1, "Chong & Forsyth 2020", "real, generated", gaussian.fid_infinity),
+    Metric("kid", "KID", "", False, 1, "Bińkowski et al. 2018", "real, generated", gaussian.kid),
+    Metric("precision", "Precision", "", True, 1, "Kynkäänniemi et al. 2019", "real, generated", neighbours.prdc),
+    Metric("recall", "Recall", "", True, 1, "Kynkäänniemi et al. 2019", "real, generated", neighbours.prdc),
+    Metric("density", "Density", "", True, 1, "Naeem et al. 2020", "real, generated", neighbours.prdc),
+    Metric("coverage", "Coverage", "", True, 1, "Naeem et al. 2020", "real, generated", neighbours.prdc),
     *(
         Metric(
             f"r_precision_top{rank}{direction}",
@@ -158,7 +151,7 @@ METRICS: tuple[Metric, ...] = (
         "queries, candidates",
         r_precision.r_precision,
     ),
-    Metric("diversity", "Diversity", "", None, 1, "text-to-motion; NeRM Eq. 7", "one set", diversity.diversity),
+    Metric("diversity", "Diversity", "", None, 1, "text-to-motion; NeRM Eq. 7", "one set", actions.diversity),
     Metric(
         "diversity_with_replacement",
         "Diversity (with replacement)",
@@ -167,7 +160,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "action-to-motion (Guo et al. 2020)",
         "one set",
-        diversity.diversity_with_replacement,
+        actions.diversity_with_replacement,
     ),
     Metric(
         "multimodality",
@@ -177,7 +170,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "NeRM Eq. 8",
         "one set",
-        multimodality.multimodality,
+        actions.multimodality,
         _frames,
     ),
     Metric(
@@ -188,7 +181,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "text-to-motion (Guo et al. 2022)",
         "one set",
-        multimodality.multimodality_shared_pairs,
+        actions.multimodality_shared_pairs,
     ),
     *(
         Metric(name, title, "", None, 1, source, "one set", function)
@@ -197,13 +190,13 @@ METRICS: tuple[Metric, ...] = (
                 "multimodality_by_class",
                 "MultiModality (by action)",
                 "motionkit: pairs of two different motions",
-                multimodality.multimodality_by_class,
+                actions.multimodality_by_class,
             ),
             (
                 "multimodality_by_class_with_replacement",
                 "MultiModality (by action, with replacement)",
                 "action-to-motion (Guo et al. 2020)",
-                multimodality.multimodality_by_class_with_replacement,
+                actions.multimodality_by_class_with_replacement,
             ),
         )
     ),
@@ -215,7 +208,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "action-to-motion (Guo et al. 2020)",
         "scores, labels",
-        accuracy.accuracy,
+        actions.accuracy,
         _frames,
     ),
     Metric(
@@ -293,7 +286,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "mean joint distance of differences",
         "predicted, target",
-        derivatives.velocity_error,
+        reconstruction.velocity_error,
         _clip_steps(1),
     ),
     Metric(
@@ -304,7 +297,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "Kanazawa et al. 2019",
         "predicted, target",
-        derivatives.acceleration_error,
+        reconstruction.acceleration_error,
         _clip_steps(2),
     ),
     Metric(
@@ -315,7 +308,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "mean joint distance of third differences",
         "predicted, target",
-        derivatives.jerk_error,
+        reconstruction.jerk_error,
         _clip_steps(3),
     ),
     Metric(
@@ -326,7 +319,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "Zhang et al. 2018; NeMF",
         "one set",
-        foot_skating.skating_speed,
+        feet.skating_speed,
         _steps(1),
     ),
     Metric(
@@ -337,7 +330,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "GMD; CondMDI",
         "one set",
-        foot_skating.skating_ratio,
+        feet.skating_ratio,
         _steps(1),
     ),
     Metric(
@@ -348,7 +341,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "motionkit",
         "one set",
-        contact.contact_consistency,
+        feet.contact_consistency,
         _steps(1),
     ),
     Metric(
@@ -359,7 +352,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "motionkit",
         "one set",
-        bone_lengths.bone_length_variation,
+        reconstruction.bone_length_variation,
         _frames,
     ),
     Metric(
@@ -370,7 +363,7 @@ METRICS: tuple[Metric, ...] = (
         1,
         "motionkit",
         "predicted, target",
-        bone_lengths.bone_length_error,
+        reconstruction.bone_length_error,
         _frames,
     ),
     Metric("psnr", "PSNR", "dB", True, 1, "motionkit", "predicted, target", signal.psnr, _clips),
@@ -392,7 +385,9 @@ METRICS: tuple[Metric, ...] = (
         inbetweening.l2q_as_signed,
         _clips_times_frames,
     ),
-    Metric("npss", "NPSS", "", False, 1, "Gopalakrishnan et al. 2019", "predicted, target", npss.npss, _true_power),
+    Metric(
+        "npss", "NPSS", "", False, 1, "Gopalakrishnan et al. 2019", "predicted, target", inbetweening.npss, _true_power
+    ),
 )
 
 

@@ -11,9 +11,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from motionkit.core.files import whole_file
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeletons.mapping import map_joints
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeletons.mapping import map_joints
 
 # Okabe and Ito's palette: distinguishable with any colour vision.
 BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (

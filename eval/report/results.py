@@ -10,9 +10,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from motionkit.core.sealed import read_json, write_json
-from motionkit.errors import MotionkitError
-from motionkit.plain_text import shown
+from motionkit.core.checksums import read_json, write_json
+from motionkit.core.errors import MotionkitError
+from motionkit.core.plain_text import shown
 from motionkit.training.run import commit, versions
 
 FORMAT = "motionkit-result/1"

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.core.errors import FormatError
+from motionkit.core.plain_text import shown
+from motionkit.core.timegrid import parse_fps
 from motionkit.formats.arrays import npy, npz_archive
 from motionkit.formats.arrays.pickled_data import is_pickled, read_pickled_dict
-from motionkit.plain_text import shown
-from motionkit.timegrid import parse_fps
+from motionkit.formats.source import source_file
 
 JOINTS = frozenset({21, 22, 24})
 WIDTHS = frozenset({251, 263})
@@ -60,7 +60,7 @@ def read_stored(path: Path) -> list[StoredMotion]:
         return _of_dictionary(_archive(path), path)
     if is_pickled(path):
         return _of_dictionary(read_pickled_dict(path), path)
-    motions, batched = split_motions(npy.parse_npy(path, sourcefile.read_bytes(path), None), path)
+    motions, batched = split_motions(npy.parse_npy(path, source_file.read_bytes(path), None), path)
     return [StoredMotion(numbers, index if batched else None) for index, numbers in enumerate(motions)]
 
 
@@ -101,7 +101,7 @@ def _motions(array: np.ndarray) -> list[np.ndarray] | None:
 
 def _archive(path: Path) -> dict[str, Any]:
     """The members of an .npz file that are of use here: arrays as they are, texts as lists."""
-    archive = npz_archive.open_archive(path, sourcefile.read_bytes(path))
+    archive = npz_archive.open_archive(path, source_file.read_bytes(path))
     found: dict[str, Any] = {}
     for key in archive.members:
         if key in (*TEXT_KEYS, *ACTION_KEYS):

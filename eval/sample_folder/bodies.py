@@ -5,9 +5,9 @@ from jaxtyping import Float, Float32, Int64
 
 from eval.sample_folder.folder import SampleFolder, SampleFolderError
 from eval.sample_folder.manifest import MANIFEST
-from motionkit.formats.body_frame import PLAUSIBLE_FACTOR, TRUNK_AND_LEGS, TYPICAL_HEIGHT_METRES, UNITS
+from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.formats.pose_folders import kit
-from motionkit.skeleton import KIT21, SMPL22, Skeleton
+from motionkit.formats.source.body_frame import PLAUSIBLE_FACTOR, TRUNK_AND_LEGS, TYPICAL_HEIGHT_METRES, UNITS
 
 KIT_TRUNK_AND_LEGS = (
     *(("LA", "LK"), ("LK", "LH"), ("root", "BP"), ("BP", "BT"), ("BT", "BLN"), ("BLN", "BUN")),

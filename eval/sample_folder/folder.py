@@ -11,11 +11,11 @@ from itertools import groupby
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from eval.baselines.upsampled import each_upsampled
-from eval.samples.sets import SampleSet
-from motionkit.errors import FormatError, MotionkitError
-from motionkit.resample import resample_positions
-from motionkit.skeleton import SMPL22
+from eval.sets.sets import SampleSet
+from eval.sets.upsampled import each_upsampled
+from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.skeleton import SMPL22
+from motionkit.fields.resample import resample_positions
 
 FIRST_CAPACITY = 1 << 12
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 from eval.sample_folder.folder import SampleFolderError
 from eval.sample_folder.manifest import MANIFEST, Manifest, read_manifest
-from motionkit.errors import FormatError
-from motionkit.formats import annotations
-from motionkit.formats.annotations import Annotation
+from motionkit.core.errors import FormatError
 from motionkit.formats.catalogue import FORMATS
-from motionkit.formats.folders import walk
-from motionkit.formats.globs import parse_glob
-from motionkit.formats.items import SourceItem
-from motionkit.formats.registry import scan
-from nerm.generation.folder import damaged_motions
+from motionkit.formats.scan import annotations
+from motionkit.formats.scan.annotations import Annotation
+from motionkit.formats.scan.folders import walk
+from motionkit.formats.scan.globs import parse_glob
+from motionkit.formats.scan.items import SourceItem
+from motionkit.formats.scan.scanner import scan
+from motionkit.generate.folder import damaged_motions
 
 ARRAY_SUFFIXES = (".npy", ".npz")
 STATISTICS_NAMES = frozenset({"mean", "std"})

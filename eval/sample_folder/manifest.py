@@ -2,18 +2,90 @@
 
 import json
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from eval.sample_folder.name_pattern import NamePattern, parse_name_pattern
-from motionkit.errors import FormatError, describe
-from motionkit.formats import sourcefile
-from motionkit.formats.globs import parse_glob
-from motionkit.plain_text import parse_toml, shown
-from motionkit.timegrid import parse_fps
+from motionkit.core.errors import FormatError, describe
+from motionkit.core.plain_text import parse_toml, shown
+from motionkit.core.timegrid import parse_fps
+from motionkit.formats.scan.globs import parse_glob
+from motionkit.formats.source import source_file
+
+ANY = "any"
+# A field takes as few letters as it can; those of digits, all that there are.
+TEXT_FIELDS, DIGIT_FIELDS = ("group", "caption", "action"), ("repeat", "num_frames")
+FIELDS = (*TEXT_FIELDS, *DIGIT_FIELDS, ANY)
+# Longer than any name that a system allows.
+LONGEST_PATTERN = 1000
+
+
+@dataclass(frozen=True)
+class NamePattern:
+    """Literal text and fields by turns: `literals[k]`, then `fields[k]`, …, then the last literal."""
+
+    literals: tuple[str, ...]
+    fields: tuple[str, ...]
+
+    def match(self, name: str) -> dict[str, str] | None:
+        """The fields of a name; None where it does not fit as a whole.
+
+        The first field is as short as the rest allows (digits: as long), then the second, and so on: what a regular
+        expression finds, without trying all ways there are.
+        """
+        length = len(name)
+        # open_at[k][i]: the name from letter i on fits the pattern from field k on; starts[k]: from literal k on.
+        starts = [[False] * (length + 2) for _ in self.literals]
+        open_at = [[False] * (length + 2) for _ in self.fields]
+        starts[-1][max(0, length - len(self.literals[-1]))] = name.endswith(self.literals[-1])
+        for place in range(len(self.fields) - 1, -1, -1):
+            self._look_back(name, place, open_at[place], starts[place + 1])
+            literal = self.literals[place]
+            for i in range(length - len(literal) + 1):
+                starts[place][i] = open_at[place][i + len(literal)] and name.startswith(literal, i)
+        return self._walk(name, starts) if starts[0][0] else None
+
+    def _look_back(self, name: str, place: int, here: list[bool], rest: list[bool]) -> None:
+        field = self.fields[place]
+        for i in range(len(name), -1, -1):
+            if field in DIGIT_FIELDS:
+                here[i] = name[i : i + 1].isdecimal() and (rest[i + 1] or here[i + 1])
+            elif field == ANY:
+                here[i] = rest[i] or here[i + 1]
+            else:
+                here[i] = rest[i + 1] or here[i + 1]
+
+    def _walk(self, name: str, starts: list[list[bool]]) -> dict[str, str]:
+        found, at = {}, 0
+        for place, field in enumerate(self.fields):
+            at += len(self.literals[place])
+            ends = range(at if field == ANY else at + 1, len(name) + 1)
+            if field in DIGIT_FIELDS:
+                digits = next((i for i in range(at, len(name)) if not name[i].isdecimal()), len(name))
+                ends = range(digits, at, -1)
+            end = next(i for i in ends if starts[place + 1][i])
+            if field != ANY:
+                found[field] = name[at:end]
+            at = end
+        return found
+
+
+def parse_name_pattern(text: str) -> NamePattern:
+    """The pattern of a text; raises `ValueError` for unknown fields, fields twice, and more than 1,000 letters."""
+    if len(text) > LONGEST_PATTERN:
+        raise ValueError(f"{len(text):,} letters, expected at most {LONGEST_PATTERN:,}")
+    parts = re.split(r"\{(\w*)\}", text)
+    literals, fields = parts[::2], parts[1::2]
+    for number, field in enumerate(fields):
+        if field not in FIELDS:
+            raise ValueError(f"unknown field {{{field}}}, expected {', '.join(f'{{{name}}}' for name in FIELDS)}")
+        if field != ANY and field in fields[:number]:
+            raise ValueError(f"the field {{{field}}} stands in it twice")
+    return NamePattern(tuple(literals), tuple(fields))
+
 
 MANIFEST = "samples.toml"
 RAW, NORMALISED = "raw", "normalised"
@@ -63,7 +135,7 @@ def read_manifest(folder: Path) -> Manifest:
     if not path.is_file() or not path.stat().st_size:
         return Manifest()
     try:
-        stated = parse_toml(sourcefile.decode(sourcefile.read_bytes(path), path))
+        stated = parse_toml(source_file.decode(source_file.read_bytes(path), path))
     except ValueError as error:
         raise FormatError(f"not TOML ({error})", path=path, reason="manifest") from None
     unknown = sorted(stated.keys() - READERS.keys())
@@ -196,3 +268,36 @@ EXPLAINED = {
     "prompts": ('"prompts.txt"', "line k, from 0, is the caption of group k"),
 }
 assert EXPLAINED.keys() == READERS.keys()
+
+
+@dataclass(frozen=True)
+class NamedParts:
+    """What a file's name says."""
+
+    caption: str = ""
+    action: str = ""
+    group: str = ""
+    num_frames: int | None = None
+
+
+# MDM's sample00_rep02, MoMask's sample3_repeat0_len196.
+PUBLISHED_NAME = re.compile(r"sample_?(?P<group>\d+)_rep(?:eat)?_?\d+(?:_len\d+)?(?:_ik)?")
+
+
+def named_parts(stem: str, manifest: Manifest) -> NamedParts | None:
+    """What a name says by the manifest's `name`, or by a published one; None where it does not fit the manifest's."""
+    if manifest.name is None:
+        published = PUBLISHED_NAME.fullmatch(stem)
+        return NamedParts(group=published["group"]) if published else NamedParts()
+    parts = manifest.name.match(stem)
+    if parts is None:
+        return None
+    frames = int(parts["num_frames"]) if parts.get("num_frames") else None
+    words = {key: parts.get(key, "").replace("_", " ").strip() for key in ("caption", "action")}
+    return NamedParts(**words, group=parts.get("group", ""), num_frames=frames)
+
+
+def read_prompts(path: Path) -> tuple[str, ...]:
+    """Captions of a text file, one a line; what follows a `#` (a length, HumanML3D's tokens) is dropped."""
+    lines = source_file.decode(source_file.read_bytes(path), path).splitlines()
+    return tuple(line.split("#")[0].strip() for line in lines)

@@ -9,27 +9,26 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from eval.evaluators.guo.files import REACH_FRAMES
 from eval.sample_folder.arrays import StoredMotion, read_stored
 from eval.sample_folder.bodies import check_bodies, padding_remark, turn_upright
 from eval.sample_folder.folder import Packer, SampleFolder, SampleFolderError, SampleText, left_out_line
 from eval.sample_folder.listing import Listing, list_samples
-from eval.sample_folder.manifest import MANIFEST, SampleOptions
-from eval.sample_folder.names import NamedParts, named_parts, read_prompts
+from eval.sample_folder.manifest import MANIFEST, NamedParts, SampleOptions, named_parts, read_prompts
 from eval.sample_folder.vectors import JOINTS_BY_WIDTH, check_vectors, load_statistics, positions_of
-from motionkit.errors import FormatError, MotionkitError
+from eval.text_motion.guo.kind import REACH_FRAMES
+from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.motion import Motion
+from motionkit.core.plain_text import whole_number
+from motionkit.core.skeleton import KIT21, SMPL22
+from motionkit.core.skeletons.mapping import map_joints
+from motionkit.core.timegrid import TimeGrid
 from motionkit.features.statistics import Statistics
-from motionkit.formats.annotations import Annotation
 from motionkit.formats.arrays import joints_npy
-from motionkit.formats.arrays.plausible import MAX_NUMBER
-from motionkit.formats.items import ReadOptions, SourceItem
+from motionkit.formats.arrays.npy import MAX_NUMBER
 from motionkit.formats.pose_folders import texts
-from motionkit.formats.reading import read
-from motionkit.motion import Motion
-from motionkit.plain_text import whole_number
-from motionkit.skeleton import KIT21, SMPL22
-from motionkit.skeletons.mapping import map_joints
-from motionkit.timegrid import TimeGrid
+from motionkit.formats.scan.annotations import Annotation
+from motionkit.formats.scan.items import ReadOptions, SourceItem
+from motionkit.formats.scan.reading import read
 
 MOST_SIDECAR_BYTES = 1 << 16
 LOOKED_AT_FILES = 64

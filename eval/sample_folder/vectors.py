@@ -14,12 +14,12 @@ from jaxtyping import Float, Float32
 from eval.sample_folder.bodies import bone_variation, is_body, standing_metres
 from eval.sample_folder.folder import SampleFolderError
 from eval.sample_folder.manifest import MANIFEST, NORMALISED, RAW, Manifest
-from motionkit.errors import FormatError
+from motionkit.core.errors import FormatError
 from motionkit.features.layout import layout_of
 from motionkit.features.statistics import Statistics
-from motionkit.formats import sourcefile
 from motionkit.formats.arrays import npy
 from motionkit.formats.pose_folders import humanml3d, kit
+from motionkit.formats.source import source_file
 
 JOINTS_BY_WIDTH = {12 * layout.skeleton.num_joints - 1: layout for layout in (humanml3d.HUMANML3D, kit.KIT)}
 # Velocities of the root that vary by less than this (metres a frame) say nothing.
@@ -144,7 +144,7 @@ def _num_joints(vectors: np.ndarray) -> int:
 
 
 def _numbers(path: Path, width: int) -> np.ndarray:
-    numbers = npy.read_npy(path, sourcefile.read_bytes(path), (None,)).astype(np.float64)
+    numbers = npy.read_npy(path, source_file.read_bytes(path), (None,)).astype(np.float64)
     if numbers.size != width:
         raise FormatError(
             f"{numbers.size} numbers for pose vectors of {width}; copy the statistics of the right dataset",

@@ -16,13 +16,13 @@ from eval.clip_fid.calibration import (
     calibrate,
     level_name,
 )
-from eval.clip_fid.feature_sources import FeatureSource, feature_sources
-from eval.corruptions import families
+from eval.clip_fid.features import FeatureSource, feature_sources
 from eval.report.results import Block, Cell, Result, Row, environment
-from eval.samples.real import RealMotion, real_motion
+from eval.sets.corruptions import families
+from eval.sets.real import RealMotion, real_motion
 from eval.tables.registry import TableRequest
+from motionkit.core.errors import MotionkitError
 from motionkit.core.progress import task
-from motionkit.errors import MotionkitError
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
 FIGURE = f"{TASK}.png"

@@ -6,12 +6,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from motionkit.checksums import sha256_of
 from motionkit.clips.reconstruction import ReconstructsWindows
-from motionkit.encoders import installed_encoders
-from motionkit.errors import MotionkitError, UsageError
-from motionkit.generation import GenerativeModel, installed_models
-from motionkit.motionfield import MotionEncoder
+from motionkit.complete.encoders import installed_encoders
+from motionkit.core.checksums import sha256_of
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.fields.motion_field import MotionEncoder
+from motionkit.generate.models import GenerativeModel, installed_models
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunError, RunFolder
 

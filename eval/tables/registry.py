@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eval.clip_fid.score import Protocol
-from eval.evaluators.guo.files import GuoFiles
 from eval.report.results import Result
 from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
+from eval.text_motion.guo.kind import GuoFiles
+from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore, task
-from motionkit.errors import UsageError
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from safetensors.numpy import load_file, save
 
-from eval.evaluators.text_motion import TextMotionEvaluator
-from eval.samples.sets import SampleSet
+from eval.sets.sets import SampleSet
+from eval.text_motion.evaluator import TextMotionEvaluator
+from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import require_no_link
-from motionkit.core.warn import warn
-from motionkit.errors import DamagedFileError
-from motionkit.motion import Caption
+from motionkit.core.motion import Caption
+from motionkit.core.progress import warn
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 
 FOLDER = "embeddings"

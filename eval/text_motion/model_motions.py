@@ -10,14 +10,13 @@ from json import dumps
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from eval.protocols.text_motion import MultiModalityRule
-from eval.samples.sets import SampleSet, sample_set
-from eval.scoring.text_motion import TextMotionPairs
+from eval.sets.sets import SampleSet, sample_set
 from eval.text_motion.embedding_cache import Embedder
-from eval.text_motion.kit_joints import as_kit_joints
-from eval.text_motion.real_pairs import CaptionedMotions
-from motionkit.generation import GenerationRequest, GenerativeModel
-from motionkit.motionfield import to_motion
+from eval.text_motion.protocol import MultiModalityRule
+from eval.text_motion.real_pairs import CaptionedMotions, as_kit_joints
+from eval.text_motion.scores import TextMotionPairs
+from motionkit.fields.motion_field import to_motion
+from motionkit.generate.models import GenerationRequest, GenerativeModel
 
 AT_ONCE = 128
 REPEATED_FROM = 1_000_000

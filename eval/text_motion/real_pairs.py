@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+from jaxtyping import Float32
 
-from eval.protocols.text_motion import LengthRule
-from eval.samples.real import NoRealMotionError, real_motion
-from eval.samples.sets import SampleSet, sample_set
-from motionkit.motion import Caption
-from motionkit.skeleton import SMPL22
+from eval.sets.real import NoRealMotionError, real_motion
+from eval.sets.sets import SampleSet, sample_set
+from eval.text_motion.protocol import LengthRule
+from motionkit.core.motion import Caption
+from motionkit.core.skeleton import KIT21, SMPL22
+from motionkit.core.skeletons.mapping import joint_map
+from motionkit.features.humanml3d import bone_lengths, uniform_skeleton
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -114,3 +117,27 @@ def _captions(store: "Store") -> dict[str, list[Caption]]:
         str(name): [Caption(**caption) for caption in found]
         for name, found in zip(table["sequence_id"], table["captions"], strict=True)
     }
+
+
+MADE_OF_22 = "its 21 joints made of 22, with the real motions' bone lengths"
+
+
+def kit_bone_lengths(real: SampleSet) -> Float32[np.ndarray, "21"] | None:
+    """The bones of a real set of KIT's 21 joints in metres: medians over the first poses, for KIT-ML has one body.
+
+    None for a set of 22 joints.
+    """
+    if real.positions.shape[1] != KIT21.num_joints:
+        return None
+    lengths = [bone_lengths(sequence[0], KIT21.name) for sequence in real.sequences()]
+    return np.asarray(np.median(np.stack(lengths), axis=0), dtype=np.float32)
+
+
+def as_kit_joints(samples: SampleSet, lengths: Float32[np.ndarray, "21"]) -> SampleSet:
+    """22-joint motions as KIT's 21 joints with these bone lengths; the path is scaled by the ratio of leg lengths."""
+    weights = joint_map(SMPL22, KIT21.name).weights
+    made = [
+        uniform_skeleton(np.matmul(weights, sequence), KIT21.name, lengths).astype(np.float32)
+        for sequence in samples.sequences()
+    ]
+    return samples.with_positions(samples.name, samples.fps, made)

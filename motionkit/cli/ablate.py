@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.console import print_json, progress, stderr, stdout
-from motionkit.errors import MotionkitError, UsageError
-from motionkit.settings import default_path
+from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.settings import default_path
 from motionkit.training.ablations import (
     Ablation,
     Ablations,
@@ -116,16 +116,16 @@ def _train_all(
 
     trained = []
     for number, (variant, stages) in enumerate(jobs, start=1):
-        stderr.print(f"{number} of {len(jobs)}: {run_name(sweep.prefix, variant, sweep.seed)}", markup=False)
+        stderr.print(f"{number} of {len(jobs)}: {run_name(sweep.prefix, variant, sweep.seed)}")
         try:
             outcome = train_variant(ablations, sweep, variant, configs[variant.name], stages)
         except MotionkitError as error:
-            stderr.print(f"motionkit: {variant.name}: {error}", markup=False)
+            stderr.print(f"motionkit: {variant.name}: {error}")
             continue
         trained.append(outcome)
         if not as_json:
             losses = ", ".join(f"{name} loss {summary['loss']:.4g}" for name, summary in outcome["stages"].items())
-            stdout.print(f"{outcome['run']}: {losses}, {outcome['cpu_seconds']:.0f} CPU seconds", markup=False)
+            stdout.print(f"{outcome['run']}: {losses}, {outcome['cpu_seconds']:.0f} CPU seconds")
     return trained
 
 
@@ -150,8 +150,8 @@ def _list(chosen: list[Ablation], runs: Path, prefix: str, seed: int, as_json: b
         print_json(rows)
         return
     for ablation in chosen:
-        stdout.print(f"{ablation.table}: {ablation.title}", markup=False)
+        stdout.print(f"{ablation.table}: {ablation.title}")
         for row in (row for row in rows if row["table"] == ablation.table):
             state = " and ".join(row["complete"]) or "not trained"
             settings = " ".join(row["settings"]) or "the recipe's own settings"
-            stdout.print(f"  {row['variant']:24} {settings:34} {state}", markup=False)
+            stdout.print(f"  {row['variant']:24} {settings:34} {state}")

@@ -10,9 +10,9 @@ from typing import Annotated
 
 import typer
 
-from motionkit.console import show_warnings, stderr, stdout
+from motionkit.cli.console import show_warnings, stderr, stdout
+from motionkit.core.errors import MotionkitError, UsageError, describe
 from motionkit.core.version import __version__
-from motionkit.errors import MotionkitError, UsageError, describe
 
 # The exit code of what Ctrl-C has ended.
 INTERRUPTED = 130

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from motionkit.console import print_json, progress, stdout
+from motionkit.cli.console import print_json, progress, stdout
 from motionkit.core.progress import task
-from motionkit.settings import default_path
+from motionkit.core.settings import default_path
 
 MEGABYTE = 1e6
 
@@ -22,8 +22,8 @@ def compact(
     opens it again.
     """
     from motionkit.store.commit import leftovers
+    from motionkit.store.life.rewrite import compact as compact_store
     from motionkit.store.manifest import read_manifest
-    from motionkit.store.rewrite import compact as compact_store
 
     path = store or default_path("store")
     before = read_manifest(path)
@@ -44,12 +44,11 @@ def compact(
         )
         return
     if num_left:
-        stdout.print(f"{path}: deleted {num_left:,} files that a stopped command had left", markup=False)
+        stdout.print(f"{path}: deleted {num_left:,} files that a stopped command had left")
     if changed:
         stdout.print(
             f"{path}: {len(before.parts):,} parts, {before.num_bytes / MEGABYTE:,.1f} MB, became {len(after.parts):,}, "
             f"{after.num_bytes / MEGABYTE:,.1f} MB",
-            markup=False,
         )
     else:
-        stdout.print(f"{path} is compact already", markup=False)
+        stdout.print(f"{path} is compact already")

@@ -1,41 +1,102 @@
-"""`motionkit complete`: more frames between those of a clip, its gaps closed, its ends continued."""
+"""The options of `motionkit complete`: their types and what the command line says of them."""
 
 from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.cli import complete_options as option
-from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.core.errors import MotionkitError, describe
 from motionkit.core.progress import task, tracked
-from motionkit.errors import MotionkitError, describe
-from motionkit.settings import default_path
+from motionkit.core.settings import default_path
+from motionkit.training.loaders import loader_names
+
+
+class ClipFormat(StrEnum):
+    """What a completed clip may be written as, where not as it came."""
+
+    BVH = "bvh"
+    NPZ = "npz"
+
+
+Clips = Annotated[list[str], typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)]
+TargetFps = Annotated[
+    str | None, typer.Option(help="New framerate, any: 120, 23.976, 60000/1001.", show_default="the clip's own")
+]
+KeptFrames = Annotated[
+    str | None,
+    typer.Option(metavar="A:B,…", help="Frames to keep, [A, B) counted from 0; all others are made anew."),
+]
+Extension = Annotated[
+    str | None,
+    typer.Option(metavar="BEFORE,AFTER", help="Seconds to add before and after, or frames of the clip: 0,15f."),
+]
+TRAINED = ", ".join(loader_names("motionkit.encoders"))
+EncoderName = Annotated[
+    str | None,
+    typer.Option(
+        help=f"A trained encoder ({TRAINED}) or an interpolator (slerp, spline, hold …).",
+        show_default="the preferred trained one if a run has it, else spline",
+    ),
+]
+RunName = Annotated[
+    str | None, typer.Option(help="Run that holds the trained encoder.", show_default="the one trained last")
+]
+RunsFolder = Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")]
+OutPlace = Annotated[
+    Path | None,
+    typer.Option(help="File, or folder for several clips.", show_default="NAME.completed.EXT beside each"),
+]
+FormatChoice = Annotated[
+    ClipFormat | None, typer.Option("--format", help="Write bvh or npz instead of the clip's own format.")
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
+ComparedNames = Annotated[
+    str | None,
+    typer.Option(metavar="NAME,…", help="Also write an HTML page with moving skeletons: slerp,spline."),
+]
+SourceFps = Annotated[
+    str | None, typer.Option(help="Framerate of clips whose files say none or a wrong one (.amc, .npy).")
+]
+SkeletonMaps = Annotated[
+    list[Path] | None, typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md).")
+]
+StorePath = Annotated[Path | None, typer.Option(help="Store of sequence ids.", show_default="./store")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")]
+
 
 if TYPE_CHECKING:
-    from motionkit.completing.clips import ClipSource
-    from motionkit.completing.job import CompletedClip, Job, OutputPath
+    from motionkit.complete.clips import ClipSource
+    from motionkit.complete.job import CompletedClip, Job, OutputPath
 
 
 def complete(
-    clips: option.Clips,
-    fps: option.TargetFps = None,
-    keep: option.KeptFrames = None,
-    extend: option.Extension = None,
-    model: option.EncoderName = None,
-    run: option.RunName = None,
-    runs: option.RunsFolder = None,
-    out: option.OutPlace = None,
-    file_format: option.FormatChoice = None,
-    overwrite: option.Overwrite = False,
-    compare: option.ComparedNames = None,
-    source_fps: option.SourceFps = None,
-    skeleton_map: option.SkeletonMaps = None,
-    store: option.StorePath = None,
-    as_json: option.AsJson = False,
+    clips: Clips,
+    fps: TargetFps = None,
+    keep: KeptFrames = None,
+    extend: Extension = None,
+    model: EncoderName = None,
+    run: RunName = None,
+    runs: RunsFolder = None,
+    out: OutPlace = None,
+    file_format: FormatChoice = None,
+    overwrite: Overwrite = False,
+    compare: ComparedNames = None,
+    source_fps: SourceFps = None,
+    skeleton_map: SkeletonMaps = None,
+    store: StorePath = None,
+    as_json: AsJson = False,
 ) -> None:
     """Complete clips: a higher framerate, gaps closed, ends continued; given frames and bones stay as they are."""
-    from motionkit.completing.request import CompletionRequest, Reach, parse_extend, parse_keep, parse_target_fps
+    from motionkit.complete.request import (
+        CompletionRequest,
+        Reach,
+        parse_extend,
+        parse_keep,
+        parse_target_fps,
+    )
 
     before, after = parse_extend(extend) if extend else (Reach(0.0), Reach(0.0))
     request = CompletionRequest(
@@ -44,11 +105,11 @@ def complete(
         before=before,
         after=after,
     )
-    from motionkit.completing.clips import find_clips
-    from motionkit.completing.encoder_choice import choose_encoder
-    from motionkit.completing.job import Job, OutputPath
-    from motionkit.formats.items import ReadOptions
-    from motionkit.skeletons.families import read_skeleton_map
+    from motionkit.complete.clips import find_clips
+    from motionkit.complete.encoders import choose_encoder
+    from motionkit.complete.job import Job, OutputPath
+    from motionkit.core.skeletons.families import read_skeleton_map
+    from motionkit.formats.scan.items import ReadOptions
 
     options = ReadOptions(
         fps=parse_target_fps(source_fps, "--source-fps") if source_fps else None,

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.core.errors import UsageError
 from motionkit.core.progress import task
-from motionkit.errors import UsageError
-from motionkit.settings import default_path
-from motionkit.timegrid import parse_fps
+from motionkit.core.settings import default_path
+from motionkit.core.timegrid import parse_fps
 
 if TYPE_CHECKING:
     from motionkit.export.run import ExportReport
@@ -66,7 +66,7 @@ def export(
 
 def _tell_left_out(left_out: "tuple[Outcome, ...]") -> None:
     for outcome in left_out[:SHOWN_LEFT_OUT]:
-        stderr.print(f"left out {outcome.sequence_id}: {outcome.message}", markup=False)
+        stderr.print(f"left out {outcome.sequence_id}: {outcome.message}")
     if len(left_out) > SHOWN_LEFT_OUT:
         stderr.print(f"… and {len(left_out) - SHOWN_LEFT_OUT:,} more; --json lists all")
 
@@ -75,11 +75,10 @@ def _print_summary(report: "ExportReport") -> None:
     stdout.print(
         f"wrote {report.num_sequences:,} sequences to {report.folder}: {report.num_files:,} files, "
         f"{report.num_bytes / MEGABYTE:,.1f} MB",
-        markup=False,
     )
     if report.left_out:
         reasons = ", ".join(f"{count:,} {reason}" for reason, count in report.left_out_by_reason.items())
-        stdout.print(f"left out: {len(report.left_out):,} ({reasons})", markup=False)
+        stdout.print(f"left out: {len(report.left_out):,} ({reasons})")
 
 
 def _as_json(report: "ExportReport") -> dict[str, Any]:

@@ -1,20 +1,65 @@
 """`motionkit info`: what is in a store."""
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.cli.quality_lines import quality_lines
-from motionkit.console import print_json, stdout
-from motionkit.errors import UsageError
-from motionkit.settings import default_path
+from motionkit.cli.console import print_json, stdout
+from motionkit.core.errors import UsageError
+from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
-    from motionkit.store.quality_report import QualityReport
-    from motionkit.store.rigs import Rig
-    from motionkit.store.summary import SourceSummary, StoreSummary
+    from motionkit.store.reports.quality import Offender, QualityReport, SourceQuality
+
+SHOWN_UPSAMPLED = 20
+
+
+def quality_lines(report: "QualityReport") -> Iterator[str]:
+    """The lines of a report: flags per source, the worst sequences of each flag, what seems upsampled."""
+    chosen = f" where {report.where}" if report.where else ""
+    yield f"{report.store}: {report.num_sequences:,} sequences{chosen}"
+    for source in report.sources:
+        yield ""
+        yield from _source_lines(source)
+    for worst in report.worst:
+        yield ""
+        yield f"worst {worst.flag} ({worst.column})"
+        for offender in worst.offenders:
+            yield f"  {_figure(offender.value)} {worst.unit}  {offender.sequence_id}{_place(offender)}"
+    if report.upsampled:
+        yield ""
+        yield "upsampled: captured at a lower framerate than is stated"
+        for take in report.upsampled[:SHOWN_UPSAMPLED]:
+            stated = f" (stated as {take.stated_fps})" if take.stated_fps else ""
+            yield f"  {take.fps:g}{stated} → {take.effective_fps:g} fps  {take.sequence_id}"
+        if len(report.upsampled) > SHOWN_UPSAMPLED:
+            yield f"  and {len(report.upsampled) - SHOWN_UPSAMPLED:,} more: --json, or motionkit query"
+
+
+def _source_lines(source: "SourceQuality") -> Iterator[str]:
+    yield f"source {source.source or '(unnamed)'}: {source.num_sequences:,} sequences, {source.hours:.2f} h"
+    yield f"  {'no flag':14}{source.clean.num_sequences:>8,}  {source.clean.hours:8.2f} h"
+    for flag, count in source.flags.items():
+        yield f"  {flag:14}{count.num_sequences:>8,}  {count.hours:8.2f} h"
+    if source.num_unmeasured:
+        yield f"  {source.num_unmeasured:,} not measured yet: motionkit migrate does"
+
+
+def _figure(value: float) -> str:
+    return f"{value:10.0f}" if value == int(value) else f"{value:10.4g}"
+
+
+def _place(offender: "Offender") -> str:
+    return "" if offender.seconds is None else f", at {offender.seconds:.3f} s (frame {offender.frame})"
+
+
+if TYPE_CHECKING:
+    from motionkit.store.reports.quality import QualityReport
+    from motionkit.store.reports.rigs import Rig
+    from motionkit.store.reports.summary import SourceSummary, StoreSummary
 
 MEGABYTE = 1e6
 SHOWN_COUNTS = 8
@@ -36,9 +81,9 @@ def info(
 ) -> None:
     """Say what a store holds: sources, hours, framerates, splits, captions, skeletons, size on disk."""
     from motionkit.store import Store
-    from motionkit.store.quality_report import report_quality
-    from motionkit.store.rigs import rigs
-    from motionkit.store.summary import summarise
+    from motionkit.store.reports.quality import report_quality
+    from motionkit.store.reports.rigs import rigs
+    from motionkit.store.reports.summary import summarise
 
     if where and not quality:
         raise UsageError("--where goes with --quality; 'motionkit query' answers anything else")
@@ -67,19 +112,18 @@ def _print_quality(report: "QualityReport", as_json: bool) -> None:
         print_json(asdict(report))
         return
     for line in quality_lines(report):
-        stdout.print(line, markup=False)
+        stdout.print(line)
 
 
 def _print_summary(summary: "StoreSummary") -> None:
     stdout.print(
         f"{summary.path}: {summary.num_sequences:,} sequences, {summary.hours:.2f} h, {summary.num_frames:,} frames, "
         f"{summary.num_skeletons:,} skeletons",
-        markup=False,
     )
     for source in summary.sources:
         stdout.print()
         for name, text in _lines(source):
-            stdout.print(f"{name:12}{text}", markup=False)
+            stdout.print(f"{name:12}{text}")
     stdout.print()
     ratio = summary.disk_bytes / summary.raw_bytes if summary.raw_bytes else 0.0
     stdout.print(
@@ -95,18 +139,17 @@ def _print_summary(summary: "StoreSummary") -> None:
         stdout.print(
             f"of it {summary.num_removed_segments:,} segments of removed sequences: 'motionkit compact --store "
             f"{summary.path}' drops them",
-            markup=False,
         )
     stdout.print(f"fingerprint {summary.fingerprint}")
 
 
 def _print_rigs(found: "tuple[Rig, ...]") -> None:
     mapped = sum(not rig.missing for rig in found)
-    stdout.print(f"kinds of skeleton: {len(found):,}, of which {mapped:,} reach the 22 joints", markup=False)
+    stdout.print(f"kinds of skeleton: {len(found):,}, of which {mapped:,} reach the 22 joints")
     for rig in found:
         stdout.print()
         for name, text in _rig_lines(rig):
-            stdout.print(f"{name:12}{text}", markup=False)
+            stdout.print(f"{name:12}{text}")
 
 
 def _rig_lines(rig: "Rig") -> list[tuple[str, str]]:

@@ -1,65 +1,148 @@
-"""`motionkit ingest`: sources into a store."""
+"""The options of `motionkit ingest`: their types and what the command line says of them."""
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from motionkit.cli import ingest_options as option
-from motionkit.cli.ingest_options import Compat, OnError
+import typer
+
+from motionkit.cli.console import print_json, print_text, progress, stderr, stdout
 from motionkit.cli.reading import read_options
-from motionkit.console import print_json, print_text, progress, stderr, stdout
+from motionkit.core.errors import FormatError, MotionkitError, UsageError
+from motionkit.core.plain_text import printable
 from motionkit.core.progress import Task, task
-from motionkit.errors import FormatError, MotionkitError, UsageError
-from motionkit.plain_text import printable
-from motionkit.settings import default_path, optional_path
+from motionkit.core.settings import default_path, optional_path
+
+
+class Compat(StrEnum):
+    """Whose frames are to be reproduced."""
+
+    HUMANML3D_20FPS = "humanml3d-20fps"
+
+
+class OnError(StrEnum):
+    """What a bad file does."""
+
+    SKIP = "skip"
+    STOP = "stop"
+
+
+Sources = Annotated[list[Path], typer.Argument(help="Files and folders of motions.", show_default=False)]
+StorePath = Annotated[Path | None, typer.Option(help="Store to make or to add to.", show_default="./store")]
+FormatName = Annotated[str, typer.Option(help="auto tells formats by name and content; or one format's name.")]
+CaptionsTable = Annotated[
+    Path | None, typer.Option(help="CSV with a column 'file' and any of caption, action, split, fps …")
+]
+Indexes = Annotated[
+    list[Path] | None,
+    typer.Option(
+        help="Index of stretches of the source's files: HumanML3D's index.csv, TMR's annotations.json (KIT-ML), "
+        "BABEL's train.json. May be given several times."
+    ),
+]
+TextsFolder = Annotated[Path | None, typer.Option(help="Folder of the index's captions: 000000.txt …")]
+SplitsFolder = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of the index's train.txt, val.txt, test.txt; by default the index's, or the one above --texts."
+    ),
+]
+Mirrored = Annotated[bool, typer.Option("--mirrored", help="The index's mirrored sequences too, M000000 …")]
+Published = Annotated[
+    Compat | None,
+    typer.Option(help="Of the index's stretches the frames that HumanML3D published, not every native one."),
+]
+GivenFps = Annotated[str | None, typer.Option(help="Framerate that replaces what files say: 120, 30000/1001.")]
+FpsRules = Annotated[
+    list[Path] | None,
+    typer.Option(
+        help="TOML of framerates that files state wrongly (docs/formats.md); goes before the shipped one. "
+        "May be given several times."
+    ),
+]
+UnitMetres = Annotated[float | None, typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.")]
+SkeletonMaps = Annotated[
+    list[Path] | None,
+    typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md). May be given several times."),
+]
+BodyModels = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of your own SMPL, SMPL-H or SMPL-X models (.npz), for AMASS's joints "
+        "(else MOTIONKIT_BODY_MODELS, else SMPL's mean shape).",
+        show_default=False,
+    ),
+]
+OnErrorChoice = Annotated[
+    OnError,
+    typer.Option(
+        help="skip: good sequences are stored, bad ones are told, exit code 0. "
+        "stop: the first bad one ends it, the store stays as it was, exit code 1."
+    ),
+]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace the store instead of adding to it, once all is read.")
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(min=1, help="Processes that read; by default all cores, one for few files.", show_default=False),
+]
+EngineName = Annotated[
+    str,
+    typer.Option(help="local; ray: a Ray on this machine, or that of RAY_ADDRESS; ray://HOST:PORT: a Ray cluster."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")]
+
 
 if TYPE_CHECKING:
-    from motionkit.formats.items import IndexOptions
-    from motionkit.store.ingest import DatasetCount, IngestReport
+    from motionkit.formats.scan.items import IndexOptions
+    from motionkit.store.ingest.ingest import DatasetCount, IngestReport
 
 # Of the files that were ignored.
 SHOWN_KINDS = 5
 
 
 def ingest(
-    sources: option.Sources,
-    store: option.StorePath = None,
-    format: option.FormatName = "auto",
-    captions: option.CaptionsTable = None,
-    index: option.Indexes = None,
-    texts: option.TextsFolder = None,
-    splits: option.SplitsFolder = None,
-    mirrored: option.Mirrored = False,
-    compat: option.Published = None,
-    fps: option.GivenFps = None,
-    fps_rules: option.FpsRules = None,
-    unit_metres: option.UnitMetres = None,
-    skeleton_map: option.SkeletonMaps = None,
-    body_models: option.BodyModels = None,
-    on_error: option.OnErrorChoice = OnError.SKIP,
-    overwrite: option.Overwrite = False,
-    workers: option.Workers = None,
-    engine: option.EngineName = "local",
-    as_json: option.AsJson = False,
+    sources: Sources,
+    store: StorePath = None,
+    format: FormatName = "auto",
+    captions: CaptionsTable = None,
+    index: Indexes = None,
+    texts: TextsFolder = None,
+    splits: SplitsFolder = None,
+    mirrored: Mirrored = False,
+    compat: Published = None,
+    fps: GivenFps = None,
+    fps_rules: FpsRules = None,
+    unit_metres: UnitMetres = None,
+    skeleton_map: SkeletonMaps = None,
+    body_models: BodyModels = None,
+    on_error: OnErrorChoice = OnError.SKIP,
+    overwrite: Overwrite = False,
+    workers: Workers = None,
+    engine: EngineName = "local",
+    as_json: AsJson = False,
 ) -> None:
     """Read motions of any known format into a store, at their native framerates.
 
     A store that exists is added to: sequences that it holds from equal files are left alone, and the same id from
     another file is refused. The store is the same whatever the engine and the number of workers.
     """
-    from motionkit.workers.engines import LOCAL
-    from motionkit.workers.process_engine import start_server
+    from motionkit.engines.choice import LOCAL
+    from motionkit.engines.process_engine import start_server
+    from motionkit.store.ingest import PRELOADED
 
     if engine == LOCAL and workers is not None and workers > 1:
-        start_server()
+        start_server(PRELOADED)
 
-    from motionkit.formats.framerate_rules import read_rules
-    from motionkit.skeletons.families import read_skeleton_map
-    from motionkit.store.ingest import Listener
-    from motionkit.store.ingest import ingest as ingest_sources
+    from motionkit.core.skeletons.families import read_skeleton_map
+    from motionkit.formats.scan.framerate_rules import read_rules
+    from motionkit.store.ingest.ingest import Listener
+    from motionkit.store.ingest.ingest import ingest as ingest_sources
 
     options = read_options(format, fps, unit_metres, captions)
     options = replace(
@@ -122,7 +205,7 @@ def _index_options(
     compat: Compat | None,
     captions: Path | None,
 ) -> "IndexOptions | None":
-    from motionkit.formats.items import IndexOptions
+    from motionkit.formats.scan.items import IndexOptions
 
     if not index:
         given = {"--texts": texts, "--splits": splits, "--mirrored": mirrored, "--compat": compat}
@@ -160,14 +243,13 @@ def _print_summary(report: "IngestReport") -> None:
         f"stored {_counted(report.num_stored, 'sequence')} ({hours:.2f} h, {_counted(report.num_frames, 'frame')}) "
         f"in {report.store}, "
         f"which holds {report.num_in_store:,}",
-        markup=False,
     )
     if report.num_already_stored:
         stdout.print(f"already there: {report.num_already_stored:,}")
     for name, counts in (("failed", report.problems_by_reason), ("warnings", report.warnings_by_reason)):
         if counts:
             reasons = ", ".join(f"{count:,} {reason}" for reason, count in counts.items())
-            stdout.print(f"{name}: {sum(counts.values()):,} ({reasons})", markup=False)
+            stdout.print(f"{name}: {sum(counts.values()):,} ({reasons})")
     if report.ignored:
         stdout.print(_ignored_line(report))
     if report.datasets:

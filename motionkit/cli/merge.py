@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
-    from motionkit.store.rewrite import MergeReport
+    from motionkit.store.life.rewrite import MergeReport
 
 
 class OnConflict(StrEnum):
@@ -36,7 +36,7 @@ def merge(
 
     Sequences that are there from equal files are left alone.
     """
-    from motionkit.store.rewrite import merge as merge_stores
+    from motionkit.store.life.rewrite import merge as merge_stores
 
     with progress() as show, task(show, "merge") as work:
         report = merge_stores(
@@ -48,7 +48,7 @@ def merge(
             on_sequence=work.advance,
         )
     for sequence_id in report.conflicts:
-        stderr.print(f"left out: {sequence_id!r} is there from another file", markup=False)
+        stderr.print(f"left out: {sequence_id!r} is there from another file")
     _print(report, as_json)
 
 

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from motionkit.console import print_json, progress, stdout
+from motionkit.cli.console import print_json, progress, stdout
 from motionkit.core.progress import task
-from motionkit.settings import default_path
+from motionkit.core.settings import default_path
 
 
 def migrate(
@@ -18,8 +18,8 @@ def migrate(
 
     Needs room for a second copy until it is done.
     """
+    from motionkit.store.life.rewrite import migrate as migrate_store
     from motionkit.store.manifest import read_manifest
-    from motionkit.store.rewrite import migrate as migrate_store
 
     path = store or default_path("store")
     before = read_manifest(path)
@@ -32,7 +32,6 @@ def migrate(
         stdout.print(
             f"{path}: {after.num_sequences:,} sequences from format version {before.format_version} to "
             f"{after.format_version}",
-            markup=False,
         )
     else:
-        stdout.print(f"{path} has format version {after.format_version} already", markup=False)
+        stdout.print(f"{path} has format version {after.format_version} already")

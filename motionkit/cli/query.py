@@ -10,10 +10,10 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.console import print_json, print_text, stdout
-from motionkit.errors import UsageError
-from motionkit.plain_text import printable
-from motionkit.settings import default_path
+from motionkit.cli.console import print_json, print_text, stdout
+from motionkit.core.errors import UsageError
+from motionkit.core.plain_text import printable
+from motionkit.core.settings import default_path
 
 LONG_LIST = 6
 PIPE_WIDTH = 10_000

@@ -3,18 +3,18 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from motionkit.formats.items import ReadOptions
+    from motionkit.formats.scan.items import ReadOptions
 
 
 def read_options(
     format: str, fps: str | None, unit_metres: float | None, captions: Path | None = None
 ) -> "ReadOptions":
     """The options of readers; raises `UsageError` for a framerate or a unit that is none."""
-    from motionkit.formats.items import ReadOptions
-    from motionkit.timegrid import parse_fps
+    from motionkit.core.timegrid import parse_fps
+    from motionkit.formats.scan.items import ReadOptions
 
     if unit_metres is not None and not 0 < unit_metres < float("inf"):
         raise UsageError(f"--unit-metres must be a positive number, not {unit_metres}")

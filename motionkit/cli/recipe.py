@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.console import print_json, stdout
+from motionkit.cli.console import print_json, stdout
 from motionkit.training.config import flatten, setting_text
 from motionkit.training.stage import Stage, choose_stages, registered_stages
 
@@ -24,10 +24,10 @@ def recipe(
         print_json({name: {key: values[key] for key in keys if key in values} for name, values in settings.items()})
     elif len(wanted) == 1:
         for key in keys:
-            stdout.print(f"{key}={setting_text(settings[wanted[0]][key])}", markup=False)
+            stdout.print(f"{key}={setting_text(settings[wanted[0]][key])}")
     else:
         for line in _columns(keys, settings):
-            stdout.print(line, markup=False)
+            stdout.print(line)
 
 
 def differing(settings: Mapping[str, Mapping[str, Any]]) -> list[str]:

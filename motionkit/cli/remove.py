@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from motionkit.console import print_json, stdout
-from motionkit.errors import UsageError
-from motionkit.settings import default_path
+from motionkit.cli.console import print_json, stdout
+from motionkit.core.errors import UsageError
+from motionkit.core.settings import default_path
 
 
 def remove(
@@ -22,8 +22,8 @@ def remove(
 
     They are gone from its tables at once; their frames leave the disk with 'motionkit compact'.
     """
+    from motionkit.store.life.removal import remove as remove_sequences
     from motionkit.store.manifest import read_manifest
-    from motionkit.store.removal import remove as remove_sequences
 
     if not ids and where is None:
         raise UsageError("name the sequences to remove, by their ids or with --where")
@@ -46,4 +46,4 @@ def remove(
         f"removed {len(removed):,} sequences from {path}, which holds {manifest.num_sequences:,}", markup=False
     )
     if manifest.num_removed_segments:
-        stdout.print(f"their frames leave the disk with 'motionkit compact --store {path}'", markup=False)
+        stdout.print(f"their frames leave the disk with 'motionkit compact --store {path}'")

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.console import print_json, stdout
-from motionkit.errors import UsageError
-from motionkit.settings import default_path
+from motionkit.cli.console import print_json, stdout
+from motionkit.core.errors import UsageError
+from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
-    from motionkit.store.splits import SplitReport
+    from motionkit.store.life.splits import SplitReport
 
 
 def split(
@@ -40,7 +40,7 @@ def split(
     Splits that the sources came with are replaced. A store is another one afterwards (its fingerprint changes): runs
     that were trained from it stay with the old one, so split before training, or split a copy ('motionkit merge').
     """
-    from motionkit.store.splits import split as split_store
+    from motionkit.store.life.splits import split as split_store
 
     wanted = parse_shares(shares)
     report = split_store(store or default_path("store"), wanted, by=by, where=where, seed=seed, dry_run=dry_run)
@@ -68,13 +68,12 @@ def parse_shares(text: str) -> dict[str, float]:
 
 
 def _print(report: "SplitReport", dry_run: bool) -> None:
-    stdout.print(f"{'split':8}{'share':>8}{'asked':>8}{'hours':>10}{'groups':>10}{'sequences':>12}", markup=False)
+    stdout.print(f"{'split':8}{'share':>8}{'asked':>8}{'hours':>10}{'groups':>10}{'sequences':>12}")
     for each in report.splits:
         hours = each.duration_seconds / 3600
         stdout.print(
             f"{each.split:8}{each.share:8.3f}{each.asked_share:8.3f}{hours:10.2f}{each.num_groups:10,}"
             f"{each.num_sequences:12,}",
-            markup=False,
         )
     doing = "would change" if dry_run else "changed"
     stdout.print(

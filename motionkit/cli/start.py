@@ -2,7 +2,7 @@
 
 import sys
 
-from motionkit import interrupts
+from motionkit.core import interrupts
 
 
 def main() -> None:

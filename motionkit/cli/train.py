@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.conditions import conjunction
-from motionkit.console import print_json, progress, stderr, stdout
-from motionkit.errors import UsageError
-from motionkit.settings import default_path
+from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.core.errors import UsageError
+from motionkit.core.settings import default_path
+from motionkit.store.conditions import conjunction
 from motionkit.training.config import apply_overrides, flatten, parse_override, unknown_setting
 from motionkit.training.run import RunFolder, concerns
 from motionkit.training.stage import Stage, StageContext, choose_stages, registered_stages
@@ -75,7 +75,7 @@ def train(
             summaries.append({"stage": each.name, **summary})
             if not as_json:
                 figures = ", ".join(f"{name} {_short(value)}" for name, value in summary.items())
-                stdout.print(f"{each.name}: {figures}", markup=False)
+                stdout.print(f"{each.name}: {figures}")
     if as_json and ranks.is_first:
         print_json({"run": str(folder.path), "stages": summaries})
 
@@ -140,7 +140,7 @@ def _train_stage(stage: Stage[Any], config: Any, context: StageContext, *, is_fi
     complete = context.resume and folder.is_complete
     if is_first:
         doing = "complete already, kept" if complete else f"{stage.description} → {folder.path}"
-        stderr.print(f"{stage.name}: {doing}", markup=False)
+        stderr.print(f"{stage.name}: {doing}")
     if not complete and (stage.shared or is_first):
         stage.train(context, config)
 

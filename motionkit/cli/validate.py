@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from motionkit.console import print_json, progress, stdout
+from motionkit.cli.console import print_json, progress, stdout
 from motionkit.core.progress import task
-from motionkit.settings import default_path
+from motionkit.core.settings import default_path
 
 
 def validate(
@@ -35,12 +35,11 @@ def validate(
         print_json({"store": str(path), "fingerprint": manifest.fingerprint, "faults": found})
     else:
         for fault in found:
-            stdout.print(fault, markup=False)
+            stdout.print(fault)
         if not found:
             stdout.print(
                 f"{path} is intact: {manifest.num_sequences:,} sequences, {manifest.num_frames:,} frames, "
                 f"{len(manifest.files)} files",
-                markup=False,
             )
     if found:
         raise typer.Exit(1)

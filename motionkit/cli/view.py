@@ -1,41 +1,71 @@
-"""`motionkit view`: moving skeletons in a page that opens from disk."""
+"""The options of `motionkit view`: their types and what the command line says of them."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from motionkit.cli import view_options as option
+from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.cli.reading import read_options
-from motionkit.console import print_json, progress, stderr, stdout
+from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
-from motionkit.errors import MotionkitError, UsageError
-from motionkit.settings import default_path
+from motionkit.core.settings import default_path
+from motionkit.view import MOST_MOTIONS
+
+Clips = Annotated[
+    list[str] | None, typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)
+]
+StorePath = Annotated[Path | None, typer.Option(help="Store of sequence ids.", show_default="./store")]
+Where = Annotated[
+    str | None, typer.Option(metavar="SQL", help="Stored sequences for which this holds: \"action = 'walk'\".")
+]
+Limit = Annotated[int, typer.Option(min=1, max=MOST_MOTIONS, help="Motions in the page; of more, the first are shown.")]
+FromSeconds = Annotated[
+    float | None, typer.Option("--from", metavar="SECONDS", help="Show what comes from here on.", show_default=False)
+]
+ToSeconds = Annotated[
+    float | None, typer.Option("--to", metavar="SECONDS", help="Show what comes before this.", show_default=False)
+]
+GivenFps = Annotated[
+    str | None, typer.Option(help="Framerate of files that say none or a wrong one (.amc, .npy).", show_default=False)
+]
+UnitMetres = Annotated[
+    float | None,
+    typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.", show_default=False),
+]
+FormatName = Annotated[str, typer.Option(help="auto tells formats by name and content; or one format's name.")]
+SkeletonMaps = Annotated[
+    list[Path] | None, typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md).")
+]
+OutPlace = Annotated[Path | None, typer.Option(help="The page's file.", show_default="NAME.view.html here")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the page if it exists.")]
+OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")]
 
 
 def view(
-    clips: option.Clips = None,
-    store: option.StorePath = None,
-    where: option.Where = None,
-    limit: option.Limit = 6,
-    from_seconds: option.FromSeconds = None,
-    to_seconds: option.ToSeconds = None,
-    fps: option.GivenFps = None,
-    unit_metres: option.UnitMetres = None,
-    format: option.FormatName = "auto",
-    skeleton_map: option.SkeletonMaps = None,
-    out: option.OutPlace = None,
-    overwrite: option.Overwrite = False,
-    open_page: option.OpenPage = False,
-    as_json: option.AsJson = False,
+    clips: Clips = None,
+    store: StorePath = None,
+    where: Where = None,
+    limit: Limit = 6,
+    from_seconds: FromSeconds = None,
+    to_seconds: ToSeconds = None,
+    fps: GivenFps = None,
+    unit_metres: UnitMetres = None,
+    format: FormatName = "auto",
+    skeleton_map: SkeletonMaps = None,
+    out: OutPlace = None,
+    overwrite: Overwrite = False,
+    open_page: OpenPage = False,
+    as_json: AsJson = False,
 ) -> None:
     """Look at motions: one page with moving skeletons, each at its native framerate, on one clock in seconds.
 
     The page is one file that loads nothing from elsewhere: open it in any browser, send it to anybody.
     """
-    from motionkit.skeletons.families import read_skeleton_map
-    from motionkit.viewing.job import Stretch, page_path, read_takes, write_view
-    from motionkit.viewing.sources import find_sources, stored_where
+    from motionkit.core.skeletons.families import read_skeleton_map
+    from motionkit.view.job import Stretch, find_sources, page_path, read_takes, stored_where, write_view
 
     stretch = Stretch(from_seconds, to_seconds)
     options = replace(
@@ -62,13 +92,13 @@ def view(
         takes, failed = read_takes(sources, stretch, work.advance)
     failures += failed
     for name, message in failures:
-        stderr.print(f"motionkit: {message if name in message else f'{name}: {message}'}", markup=False)
+        stderr.print(f"motionkit: {message if name in message else f'{name}: {message}'}")
     viewed = write_view(path, takes, stretch) if takes else None
     if as_json:
         plain = {"page": None, "bytes": 0, "motions": []} if viewed is None else viewed.plain()
         print_json({**plain, "failed": [{"clip": name, "message": message} for name, message in failures]})
     elif viewed is not None:
-        stdout.print(str(viewed.path), markup=False)
+        stdout.print(str(viewed.path))
     if viewed is not None and open_page:
         _open(viewed.path)
     if failures:
@@ -79,4 +109,4 @@ def _open(path: Path) -> None:
     import webbrowser
 
     if not webbrowser.open(path.absolute().as_uri()):
-        stderr.print(f"motionkit: no browser found here: open {path} in one", markup=False)
+        stderr.print(f"motionkit: no browser found here: open {path} in one")

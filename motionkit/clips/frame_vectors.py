@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
 from motionkit.clips.windows import PositionSource, read_positions
+from motionkit.core.mirror import mirror_positions
 from motionkit.features import field
-from motionkit.mirror import mirror_positions
 
 
 @runtime_checkable

@@ -9,7 +9,7 @@ from jaxtyping import Float32, Float64, Int64
 
 from motionkit.clips.frame_vectors import FramePositions, FrameVectors
 from motionkit.clips.windows import PositionSource, Windows
-from motionkit.timegrid import normalise_seconds
+from motionkit.core.timegrid import normalise_seconds
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
 from motionkit.clips.windows import PositionSource, Windows
-from motionkit.features import field as field_vectors
-from motionkit.mirror import mirror_positions
-from motionkit.motionfield import MotionField, to_motion
-from motionkit.resample import resample_positions
-from motionkit.skeleton import SMPL22
+from motionkit.core.mirror import mirror_positions
+from motionkit.core.skeleton import SMPL22
+from motionkit.features import field
+from motionkit.fields.motion_field import MotionField, to_motion
+from motionkit.fields.resample import resample_positions
 from motionkit.store.reader import Store
 
 
@@ -77,7 +77,7 @@ def window_truth(
         positions = mirror_positions(positions, SMPL22.left_right_pairs)
     sampled = resample_positions(positions, windows.exact_fps(row), fps)
     chosen = slice(row, row + 1)
-    return np.asarray(field_vectors.to_window(sampled[None], windows.yaw[chosen], windows.origin[chosen])[0])
+    return np.asarray(field.to_window(sampled[None], windows.yaw[chosen], windows.origin[chosen])[0])
 
 
 def reconstructions(

@@ -5,22 +5,24 @@ Positions are read from the cache's file when they are asked for, so memory does
 windows are mirrored then, not stored.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float32, Float64, Int, Int64
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
+from motionkit.core.mirror import mirror_positions
 from motionkit.features import field
-from motionkit.mirror import mirror_positions
-from motionkit.store.row_file import RowFile
+from motionkit.store.cache.row_file import RowFile
 
 
 @runtime_checkable
 class PositionSource(Protocol):
-    """What clips need from `motionkit.store.cache.PositionCache`."""
+    """What clips need from `motionkit.store.cache.positions.PositionCache`."""
 
     @property
     def positions(self) -> Float32[np.ndarray, "total_frames joints 3"]:
@@ -172,3 +174,32 @@ def cut_windows(
         yaw=yaw,
         origin=origin,
     )
+
+
+def rows_by_duration(windows: Windows, seconds_per_visit: float) -> Int64[np.ndarray, "visits"]:
+    """Each window as often as it lasts `seconds_per_visit`, once at least: what an epoch goes through."""
+    visits = np.maximum(1, np.round(windows.duration_seconds / seconds_per_visit)).astype(np.int64)
+    return np.repeat(np.arange(len(windows)), visits)
+
+
+def shuffled_batches(count: int, batch: int, step: int, seed: int) -> Int64[torch.Tensor, "batch"]:
+    """The rows of batch number `step`, when `count` rows are gone through again and again in a new order each time.
+
+    A function of (seed, step) alone, so that a resumed training sees the same batches.
+    """
+    first = step * batch
+    epochs = range(first // count, (first + batch - 1) // count + 1)
+    rows = torch.cat([_permutation(count, seed, epoch) for epoch in epochs])
+    offset = first - epochs[0] * count
+    return rows[offset : offset + batch]
+
+
+def _permutation(count: int, seed: int, epoch: int) -> Int64[torch.Tensor, "rows"]:
+    order = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(epoch,))).permutation(count)
+    return torch.from_numpy(order.astype(np.int64))
+
+
+def chunks(count: int, size: int) -> Iterator[Int64[np.ndarray, "rows"]]:
+    """Rows 0 … count − 1 in chunks of at most `size`."""
+    for start in range(0, count, size):
+        yield np.arange(start, min(start + size, count), dtype=np.int64)

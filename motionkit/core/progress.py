@@ -1,11 +1,11 @@
-"""Progress as a callback: long work calls a function that it was given, and the command line draws what it gets.
+"""What long work says while it runs: progress by a callback, warnings by the logger `motionkit`.
 
-def show(progress: Progress) -> None:
-    print(progress.name, progress.done, progress.total)
+Python prints the warnings on stderr unless logging is configured; the command line prefixes them, and draws progress:
 
-store = Store.open("store", on_progress=show)
+    store = Store.open("store", on_progress=show)
 """
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -85,3 +85,11 @@ def tracked(on_progress: OnProgress, name: str, items: Iterable[T], total: int) 
         for item in items:
             yield item
             work.advance()
+
+
+LOGGER = logging.getLogger("motionkit")
+
+
+def warn(message: str) -> None:
+    """Log a warning of one sentence."""
+    LOGGER.warning("%s", message)

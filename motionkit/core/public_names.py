@@ -11,7 +11,7 @@ of the function.) Type checkers read the same names from imports under `if TYPE_
 """
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -48,3 +48,18 @@ def give_names(package: str, places: Mapping[str, str]) -> None:
     module = sys.modules[package]
     module.__dict__["_places"] = dict(places)
     module.__class__ = _Package
+
+
+_places: dict[str, str] = {}
+
+
+def provide(**places: str) -> None:
+    """Say where functions lie: `save="package.module:function"`."""
+    _places.update(places)
+
+
+def provided(name: str) -> Callable[..., Any]:
+    """The function that was provided under a name; raises `KeyError` where none was."""
+    module, _, function = _places[name].partition(":")
+    found: Callable[..., Any] = getattr(import_module(module), function)
+    return found

@@ -5,11 +5,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from motionkit.export.bvh import export_bvh
-from motionkit.export.gltf import export_gltf
-from motionkit.export.joints_csv import export_joints_csv
-from motionkit.export.joints_npy import export_joints_npy
-from motionkit.export.npz import export_npz
+from motionkit.export.motion_files import export_bvh, export_gltf, export_joints_csv, export_joints_npy, export_npz
 from motionkit.export.parquet import export_parquet
 from motionkit.export.pose_folder import export_humanml3d, export_kit
 from motionkit.export.selection import Outcome, Selection

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 from motionkit.core.files import naming
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeletons.mapping import SkeletonMapError
+from motionkit.core.timegrid import format_fps
 from motionkit.export.selection import Outcome, Selection
-from motionkit.motion import Caption, Motion
-from motionkit.skeletons.mapping import SkeletonMapError
-from motionkit.timegrid import format_fps
 
 TABLE = "motions.csv"
-# As motionkit.formats.annotations reads them; sequence_id, the id in the store, is for people.
+# As motionkit.formats.scan.annotations reads them; sequence_id, the id in the store, is for people.
 COLUMNS = (
     *("file", "sequence_id", "captions", "action", "style", "subject", "split"),
     *("fps", "stated_fps", "licence", "source", "subset"),

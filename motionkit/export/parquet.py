@@ -5,19 +5,105 @@ the speed (docs/store.md), and not every reader knows them. Files are `data/SPLI
 256 MB, in small row groups, so that one sequence can be had without its neighbours.
 """
 
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from motionkit.core.errors import UsageError
 from motionkit.core.files import naming
-from motionkit.errors import UsageError
-from motionkit.export.dataset_card import Tally, card
+from motionkit.core.motion import Motion
+from motionkit.core.timegrid import format_fps
 from motionkit.export.selection import Outcome, Selection
-from motionkit.formats import parquet_schema
-from motionkit.motion import Motion
+from motionkit.export.templates import render
+from motionkit.formats import parquet
+
+# The Hub's names of licences that motion captures come with (huggingface.co/docs/hub/repositories-licenses).
+HUB_LICENCES = (
+    *("mit", "apache-2.0", "bsd-3-clause", "cc0-1.0", "odc-by", "pddl", "unlicense"),
+    *(f"cc-by{kind}-{version}" for kind in ("", "-sa", "-nc", "-nd", "-nc-sa", "-nc-nd") for version in ("3.0", "4.0")),
+)
+SIZE_CATEGORIES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+NO_LICENCE = "not stated"
+
+
+class Tally:
+    """Counts what goes into a data set; owns the counts."""
+
+    def __init__(self) -> None:
+        self.num_sequences = 0
+        self.num_captions = 0
+        self.hours = 0.0
+        self.bytes_by_split: Counter[str] = Counter()
+        self.sequences_by_split: Counter[str] = Counter()
+        self.hours_by_split: defaultdict[str, float] = defaultdict(float)
+        self.sequences_by_fps: Counter[Fraction] = Counter()
+        self.hours_by_fps: defaultdict[Fraction, float] = defaultdict(float)
+        self.sequences_by_licence: Counter[tuple[str, str]] = Counter()
+        self.sequences_by_skeleton: Counter[tuple[str, int]] = Counter()
+
+    def add(self, motion: Motion, split: str) -> None:
+        """Count one sequence."""
+        hours = motion.duration_seconds / 3600
+        self.num_sequences += 1
+        self.num_captions += len(motion.captions)
+        self.hours += hours
+        arrays = (motion.joint_positions, motion.local_rotations, motion.root_translation)
+        self.bytes_by_split[split] += sum(array.nbytes for array in arrays if array is not None)
+        self.sequences_by_split[split] += 1
+        self.hours_by_split[split] += hours
+        self.sequences_by_fps[motion.fps] += 1
+        self.hours_by_fps[motion.fps] += hours
+        provenance = motion.provenance
+        self.sequences_by_licence[provenance.source, provenance.licence or NO_LICENCE] += 1
+        self.sequences_by_skeleton[motion.skeleton.name, motion.skeleton.num_joints] += 1
+
+
+def card(tally: Tally, num_files: Mapping[str, int], schema: pa.Schema, meaning: Mapping[str, str], data: Path) -> str:
+    """The text of README.md for the files in `data`; `meaning` says what columns hold whose names do not."""
+    names = sorted({licence for _, licence in tally.sequences_by_licence})
+    known = [_hub_licence(name) for name in names]
+    return render(
+        "dataset_card.md.j2",
+        tally=tally,
+        num_files=num_files,
+        licences=known if all(known) else ["other"],
+        licence_name="; ".join(names),
+        size_category=next((name for limit, name in SIZE_CATEGORIES if tally.num_sequences < limit), "n>1M"),
+        features=[_feature(field.name, field.type) for field in schema],
+        columns=[(field.name, _type_name(field.type), meaning.get(field.name, "")) for field in schema],
+        download_size=sum(path.stat().st_size for path in data.iterdir()),
+        fps_names={fps: _fps_name(fps) for fps in tally.sequences_by_fps},
+    )
+
+
+def _hub_licence(name: str) -> str:
+    plain = "-".join(name.lower().replace("creative commons", "cc").replace("_", "-").split())
+    return plain if plain in HUB_LICENCES else ""
+
+
+def _fps_name(fps: Fraction) -> str:
+    return format_fps(fps) if fps.denominator == 1 else f"{float(fps):.6g} ({format_fps(fps)})"
+
+
+def _feature(name: str, kind: pa.DataType) -> dict[str, Any]:
+    """A column as `datasets` writes it in YAML."""
+    if not pa.types.is_list(kind):
+        return {"name": name, "dtype": _type_name(kind)}
+    if pa.types.is_struct(kind.value_type):
+        return {"name": name, "list": [_feature(field.name, field.type) for field in kind.value_type]}
+    return {"name": name, "list": _type_name(kind.value_type)}
+
+
+def _type_name(kind: pa.DataType) -> str:
+    if pa.types.is_list(kind):
+        return "list of structs" if pa.types.is_struct(kind.value_type) else f"list of {_type_name(kind.value_type)}"
+    return {"float": "float32", "double": "float64"}.get(str(kind), str(kind))
+
 
 DATA_FOLDER = "data"
 CARD = "README.md"
@@ -52,7 +138,7 @@ def _write(selection: Selection, folder: Path) -> Iterator[Outcome]:
         yield Outcome(motion.sequence_id)
     num_files = {split: each.finish() for split, each in shards.items()}
     if num_files:
-        text = card(tally, num_files, parquet_schema.SCHEMA, parquet_schema.MEANING, data)
+        text = card(tally, num_files, parquet.SCHEMA, parquet.MEANING, data)
         (folder / CARD).write_text(text, encoding="utf-8")
 
 
@@ -74,8 +160,8 @@ class _Shards:
 
     def add(self, motion: Motion) -> None:
         """Take in one sequence; a file that it would make larger than a shard is closed first."""
-        row = parquet_schema.row_of(motion)
-        num_bytes = sum(row[name].nbytes for name in parquet_schema.MOTION_COLUMNS if row[name] is not None)
+        row = parquet.row_of(motion)
+        num_bytes = sum(row[name].nbytes for name in parquet.MOTION_COLUMNS if row[name] is not None)
         if self._file_bytes and self._file_bytes + num_bytes > SHARD_BYTES:
             self._close()
         self._rows.append(row)
@@ -97,10 +183,10 @@ class _Shards:
             return
         if self._file is None:
             self._paths.append(self._folder / f"{self._split}-{len(self._paths):05d}.parquet")
-            self._file = pq.ParquetWriter(self._paths[-1], parquet_schema.SCHEMA, **_writer_options())
-        columns = [pa.array([row[field.name] for row in self._rows], field.type) for field in parquet_schema.SCHEMA]
+            self._file = pq.ParquetWriter(self._paths[-1], parquet.SCHEMA, **_writer_options())
+        columns = [pa.array([row[field.name] for row in self._rows], field.type) for field in parquet.SCHEMA]
         with naming(self._paths[-1]):
-            self._file.write_table(pa.table(columns, schema=parquet_schema.SCHEMA))
+            self._file.write_table(pa.table(columns, schema=parquet.SCHEMA))
         self._rows, self._row_bytes = [], 0
 
     def _close(self) -> None:
@@ -116,10 +202,10 @@ def _writer_options() -> dict[str, Any]:
         "compression": "zstd",
         "compression_level": 3,
         "use_dictionary": [
-            *(field.name for field in parquet_schema.SCHEMA if pa.types.is_string(field.type)),
+            *(field.name for field in parquet.SCHEMA if pa.types.is_string(field.type)),
             *("joint_names.list.element", "parents.list.element", "offsets.list.element"),
             *("left_right_pairs.list.element", "feet.list.element"),
         ],
-        "use_byte_stream_split": [f"{name}.list.element" for name in parquet_schema.MOTION_COLUMNS],
+        "use_byte_stream_split": [f"{name}.list.element" for name in parquet.MOTION_COLUMNS],
         "write_page_index": True,
     }

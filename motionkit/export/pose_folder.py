@@ -12,18 +12,17 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from motionkit.core.sealed import write_json
+from motionkit.core.checksums import write_json
+from motionkit.core.motion import Motion
+from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
+from motionkit.core.timegrid import format_fps
 from motionkit.export.files import TABLE, MotionTable
-from motionkit.export.names import short_names
-from motionkit.export.selection import Outcome, Selection
+from motionkit.export.selection import Outcome, Selection, short_names
 from motionkit.export.templates import render
-from motionkit.features import humanml3d, humanml3d_processing
+from motionkit.features import humanml3d
 from motionkit.formats.arrays import joints_npy
 from motionkit.formats.pose_folders.humanml3d import HUMANML3D, JOINTS_FOLDER, Entry, FolderWriter, Layout
 from motionkit.formats.pose_folders.kit import KIT
-from motionkit.motion import Motion
-from motionkit.skeletons.mapping import SkeletonMapError, map_joints
-from motionkit.timegrid import format_fps
 
 README = "README.md"
 MIN_POSES = 2
@@ -93,9 +92,9 @@ def pose_entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
         joints = map_joints(motion, layout)
     except SkeletonMapError as error:
         return Outcome(motion.sequence_id, "skeleton", str(error))
-    target = humanml3d_processing.standard_bone_lengths(layout) * np.float32(kind.units_per_skeleton_unit)
+    target = humanml3d.standard_bone_lengths(layout) * np.float32(kind.units_per_skeleton_unit)
     with np.errstate(divide="ignore", invalid="ignore"):
-        vectors = humanml3d.vectors(humanml3d_processing.process(joints, layout, target), layout)
+        vectors = humanml3d.vectors(humanml3d.process(joints, layout, target), layout)
     if not np.isfinite(vectors).all():
         return Outcome(motion.sequence_id, "degenerate", "the legs of frame 0 have no length: nothing says the scale")
     return Entry(name, humanml3d.positions(vectors, layout), vectors, motion.captions, motion.split)

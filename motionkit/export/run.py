@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from motionkit.core.folders import whole_folder
-from motionkit.errors import MotionkitError, UsageError
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.files import whole_folder
 from motionkit.export.catalogue import Export
 from motionkit.export.selection import Outcome, Selection
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-from motionkit import kinematics
-from motionkit.interpolation.joints import Joints
-from motionkit.motion import Motion
-from motionkit.motionfield import Poses
-from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.skeletons.mapping import map_joints
+from motionkit.core import kinematics
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeletons.mapping import map_joints
+from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.motion_field import Poses
 
 # A mirrored rotation M·R·M with M = diag(−1, 1, 1): what becomes of its first and of its second column.
 _FLIPPED_COLUMNS = np.array([1, -1, -1, -1, 1, 1], np.float32)

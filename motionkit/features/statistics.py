@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.moments import Moments
 from motionkit.features.layout import layout_of, vector_layout
-from motionkit.moments import Moments
 
 Signature = Literal["published", "evaluator"]
 

@@ -4,16 +4,16 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from motionkit.core.motion import Motion
 from motionkit.formats import deepmimic, humanact12, joints_csv, parquet
 from motionkit.formats.acclaim import asfamc
 from motionkit.formats.arrays import joints_npy, npy, npz
 from motionkit.formats.bvh import lafan1, style100
 from motionkit.formats.bvh import motion as bvh
 from motionkit.formats.c3d import motion as c3d
-from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.formats.pose_folders import humanml3d, kit
+from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem
 from motionkit.formats.smpl import amass, uestc
-from motionkit.motion import Motion
 
 
 @dataclass(frozen=True)

@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from motionkit import kinematics
-from motionkit.errors import FormatError
-from motionkit.formats import clock, sourcefile
-from motionkit.formats.items import ReadOptions
-from motionkit.formats.lengths import in_metres
-from motionkit.motion import Motion, Provenance
-from motionkit.plain_text import parse_json
-from motionkit.skeleton import Feet, Skeleton
-from motionkit.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.plain_text import parse_json
+from motionkit.core.skeleton import Feet, Skeleton
+from motionkit.core.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.source import clock, source_file
+from motionkit.formats.source.body_frame import in_metres
 
 HEAD_BYTES = 4096
 FRAMES_KEY = b'"Frames"'
@@ -72,7 +72,7 @@ def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
     The action is taken from names such as `humanoid3d_zombie_walk`. Raises `FormatError`.
     """
     options = options or ReadOptions()
-    data = sourcefile.read_bytes(path)
+    data = source_file.read_bytes(path)
     content = _object(data, path)
     character = humanoid3d()
     table = _table(content.get("Frames"), character, path)
@@ -93,7 +93,7 @@ def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
         sequence_id=path.stem,
         provenance=Provenance(
             source_path=path.name,
-            source_sha256=sourcefile.sha256(data),
+            source_sha256=source_file.sha256(data),
             source_format="deepmimic",
             stated_fps=stated,
             operations=tuple(operations),
@@ -104,8 +104,8 @@ def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
 
 @cache
 def humanoid3d() -> Character:
-    """The humanoid of `motionkit/skeletons/deepmimic_humanoid3d.toml`."""
-    file = resources.files("motionkit.skeletons") / "deepmimic_humanoid3d.toml"
+    """The humanoid of `motionkit/core/skeletons/deepmimic_humanoid3d.toml`."""
+    file = resources.files("motionkit.core.skeletons") / "deepmimic_humanoid3d.toml"
     joints = tomllib.loads(file.read_text(encoding="utf-8"))["joints"]
     names = tuple(joint["name"] for joint in joints)
     right = [joint for joint, name in enumerate(names) if name.startswith("right_")]
@@ -124,7 +124,7 @@ def humanoid3d() -> Character:
 
 def _object(data: bytes, path: Path) -> Mapping[str, Any]:
     try:
-        content = parse_json(sourcefile.decode(data, path))
+        content = parse_json(source_file.decode(data, path))
     except json.JSONDecodeError as error:
         ends = error.pos >= len(data.rstrip()) - 1
         raise FormatError(

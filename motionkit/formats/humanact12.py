@@ -10,10 +10,10 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
-from motionkit.formats import clock
+from motionkit.core.motion import Motion
 from motionkit.formats.arrays import joints_npy, npy
-from motionkit.formats.items import ReadOptions
-from motionkit.motion import Motion
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.source import clock
 
 FPS = Fraction(20)
 NUM_JOINTS = 24

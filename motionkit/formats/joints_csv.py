@@ -15,15 +15,15 @@ import pyarrow as pa
 import pyarrow.csv as pc
 from jaxtyping import Float64
 
-from motionkit.errors import FormatError
-from motionkit.formats import clock, sourcefile
-from motionkit.formats.arrays.npz_skeleton import bones_of_pose
-from motionkit.formats.arrays.plausible import MAX_NUMBER
-from motionkit.formats.items import ReadOptions
-from motionkit.formats.lengths import in_metres
-from motionkit.motion import Motion, Provenance
-from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
-from motionkit.timegrid import TimeGrid, format_fps
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.core.timegrid import TimeGrid, format_fps
+from motionkit.formats.arrays.npy import MAX_NUMBER
+from motionkit.formats.arrays.npz import bones_of_pose
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.source import clock, source_file
+from motionkit.formats.source.body_frame import in_metres
 
 TIME, FRAME = "time_seconds", "frame"
 AXES = ("x", "y", "z")
@@ -35,7 +35,7 @@ OTHER_WIDTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
 
 def accepts(path: Path) -> bool:
     """Whether a CSV's first row has a clock and at least one joint; reads no further."""
-    names = sourcefile.header_names(path)
+    names = source_file.header_names(path)
     return (TIME in names or FRAME in names) and any(name.endswith("_x") for name in names)
 
 
@@ -45,7 +45,7 @@ def read_joints_csv(path: Path, options: ReadOptions | None = None) -> Motion:
     Raises `FormatError` (`annotations` for a broken header, `channel-count`, `not-a-number`, `nan`, `frame-time` …).
     """
     options = options or ReadOptions()
-    data = sourcefile.read_bytes(path)
+    data = source_file.read_bytes(path)
     names = _header(data, path)
     joints = _joints(names, path)
     table = _table(data, names, path)
@@ -63,7 +63,7 @@ def read_joints_csv(path: Path, options: ReadOptions | None = None) -> Motion:
         sequence_id=path.stem,
         provenance=Provenance(
             source_path=path.name,
-            source_sha256=sourcefile.sha256(data),
+            source_sha256=source_file.sha256(data),
             source_format="csv",
             stated_fps=stated,
             operations=tuple(operations),
@@ -82,7 +82,7 @@ def write_joints_csv(motion: Motion, path: Path) -> None:
 
 
 def _header(data: bytes, path: Path) -> tuple[str, ...]:
-    text = sourcefile.decode(data[:HEADER_BYTES].partition(b"\n")[0], path)
+    text = source_file.decode(data[:HEADER_BYTES].partition(b"\n")[0], path)
     if ";" in text or "\t" in text:
         raise FormatError(
             "columns are separated by ';' or tabs, expected commas, and points in numbers (1.5, not 1,5)",

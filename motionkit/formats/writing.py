@@ -3,16 +3,16 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from motionkit.core.errors import UsageError
 from motionkit.core.files import whole_file
-from motionkit.errors import UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
+from motionkit.core.skeletons.mapping import map_joints
 from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.arrays.npz import write_npz
 from motionkit.formats.bvh.motion import write_bvh
-from motionkit.formats.gltf.motion import write_gltf
+from motionkit.formats.gltf import write_gltf
 from motionkit.formats.joints_csv import write_joints_csv
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22, STANDARD_SKELETONS
-from motionkit.skeletons.mapping import map_joints
 
 
 def _write_npy(motion: Motion, path: Path) -> None:

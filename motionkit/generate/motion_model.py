@@ -7,16 +7,16 @@ from fractions import Fraction
 from pathlib import Path
 from typing import overload
 
-from motionkit import generation
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.settings import default_path
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.timegrid import Framerate, format_fps, parse_fps
+from motionkit.fields.motion_field import MotionField
+from motionkit.generate import models
+from motionkit.generate.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, model_of
 from motionkit.generate.samples import motion_name, sample_field
-from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions, model_of
-from motionkit.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts
-from motionkit.motion import Motion
-from motionkit.motionfield import MotionField
-from motionkit.settings import default_path
-from motionkit.skeleton import Skeleton
-from motionkit.timegrid import Framerate, format_fps, parse_fps
 
 Several = list[str] | tuple[str, ...]
 
@@ -162,7 +162,7 @@ def load_model(run: str | Path, name: str | None = None) -> MotionModel:
         path = default_path("runs") / path
     if not path.is_dir():
         raise UsageError(f"there is no run {str(run)!r}, neither as a folder nor in {default_path('runs')}")
-    return MotionModel(generation.load_model(name or model_of(path), path), path)
+    return MotionModel(models.load_model(name or model_of(path), path), path)
 
 
 @overload

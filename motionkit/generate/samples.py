@@ -7,12 +7,12 @@ from fractions import Fraction
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from motionkit.errors import UsageError
-from motionkit.long_motions import Script, captions_of
-from motionkit.motion import Caption, Motion
-from motionkit.motionfield import MotionField, told_fps
-from motionkit.skeleton import Skeleton
-from motionkit.timegrid import TimeGrid
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.motion_field import MotionField, told_fps
+from motionkit.generate.long_motions import Script, captions_of
 
 SLUG_LENGTH = 40
 

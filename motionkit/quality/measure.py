@@ -4,11 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motionkit.motion import Motion
-from motionkit.quality.bones import bone_length_drift
-from motionkit.quality.feet import foot_skate
-from motionkit.quality.jitter import jitter
-from motionkit.quality.steps import longest_steps, measure_steps, squared_differences
+from motionkit.core.motion import Motion
+from motionkit.quality.body import bone_length_drift, foot_skate
+from motionkit.quality.steps import jitter, longest_steps, measure_steps, squared_differences
 from motionkit.quality.upsampled import effective_fps
 
 # Above these a sequence is flagged, not refused: real captures hold glitches and floors that are off, and the reader

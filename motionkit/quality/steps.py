@@ -97,3 +97,51 @@ def squared_differences(
         vectors = np.diff(positions[start : start + ROWS_AT_ONCE + order], n=order, axis=0)
         squared[start : start + ROWS_AT_ONCE] = np.einsum("tjc,tjc->tj", vectors, vectors)
     return squared
+
+
+# A bin lasts as long as a frame at 30 fps, the slowest rate of native capture: what happens between 30 bins a second is
+# there in files of every rate above it, and nothing else is.
+BINS_PER_SECOND = 30.0
+
+
+def bin_means(values: Float32[np.ndarray, "frames *channels"], fps: float) -> Float32[np.ndarray, "bins *channels"]:
+    """Means over bins of 1/30 s from the first frame on, each frame standing for 1/fps s; no bin is cut short."""
+    frames_per_bin = fps / BINS_PER_SECOND
+    if frames_per_bin == 1.0:
+        return values
+    # The last bin of a file at 29.97 fps may lack a hundredth of a frame.
+    num_bins = int(len(values) / frames_per_bin + 0.01)
+    edges = np.minimum(np.arange(num_bins + 1) * frames_per_bin, len(values))
+    before = np.minimum(edges.astype(np.int64), len(values) - 1)
+    into = (edges - before).astype(np.float32).reshape(-1, *(1,) * (values.ndim - 1))
+    if not num_bins:
+        return values[:0]
+    # Whole frames from one edge to the next, without the part before the one and with the part before the other.
+    cut = into * values[before]
+    sums = np.add.reduceat(values, before, axis=0)[:-1]
+    # A bin that begins where the next one does holds no whole frame (framerates under 30).
+    sums[before[1:] == before[:-1]] = 0.0
+    means = (sums - cut[:-1] + cut[1:]) / np.float32(frames_per_bin)
+    return np.asarray(means)
+
+
+# Below this framerate the bins of 1/30 s would hold interpolated values (29.97 fps is still measured).
+MIN_FPS = 29.9
+MIN_BINS = 8
+
+
+def jitter(positions: Float32[np.ndarray, "frames joints 3"], fps: float) -> float | None:
+    """Jerk that three quarters of all joints at all instants exceed, in m/s³; None below 29.9 fps or under 0.3 s.
+
+    Jerk is the third difference of means over 1/30 s, so that the figure means the same from 30 fps upwards: raw
+    differences grow with the cube of the framerate. Its lower quartile hardly rises with vigorous motion, which leaves
+    some joints and instants calm, as noise does not.
+    """
+    if fps < MIN_FPS:
+        return None
+    bins = bin_means(positions, fps)
+    if len(bins) < MIN_BINS:
+        return None
+    jerk_squared = squared_differences(bins, 3).ravel()
+    quarter = len(jerk_squared) // 4
+    return float(np.sqrt(np.partition(jerk_squared, quarter)[quarter]) * BINS_PER_SECOND**3)

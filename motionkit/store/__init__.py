@@ -1,7 +1,21 @@
 """The store: Parquet is the record, a memory map is for training (docs/store.md)."""
 
-from motionkit.store.encode import RefusedMotion
-from motionkit.store.reader import Store
-from motionkit.store.writer import StoreWriter
+from typing import TYPE_CHECKING
+
+from motionkit.core.public_names import give_names
+
+if TYPE_CHECKING:
+    from motionkit.store.encode import RefusedMotion
+    from motionkit.store.reader import Store
+    from motionkit.store.writer import StoreWriter
 
 __all__ = ["RefusedMotion", "Store", "StoreWriter"]
+
+give_names(
+    __name__,
+    {
+        "RefusedMotion": "motionkit.store.encode",
+        "Store": "motionkit.store.reader",
+        "StoreWriter": "motionkit.store.writer",
+    },
+)

@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motionkit.core import files
-from motionkit.errors import StoreError
-from motionkit.interrupts import held_back
+from motionkit.core.errors import StoreError
+from motionkit.core.interrupts import held_back
 from motionkit.store.lock import LOCK_FILE, exclusive_lock
 from motionkit.store.manifest import (
     PENDING_SUFFIX,

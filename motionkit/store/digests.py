@@ -6,7 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from motionkit.checksums import sha256_of
+from motionkit.core.checksums import sha256_of
 
 # A file of more bytes is hashed by `motionkit validate --deep` alone; its size is compared always.
 MOST_HASHED_BYTES = 4 * 2**30

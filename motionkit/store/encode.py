@@ -8,14 +8,12 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float32
 
-from motionkit.errors import StoreError
-from motionkit.motion import Motion
-from motionkit.skeleton import Skeleton
+from motionkit.core.errors import StoreError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import Skeleton
 from motionkit.store import codec
-from motionkit.store.codec import Row
-from motionkit.store.columns import array_of
-from motionkit.store.resolution import rounded
-from motionkit.store.schema import FLOAT_LIST, RUN_SEGMENTS, SEGMENT_FRAMES, SEGMENTS
+from motionkit.store.codec import Row, array_of
+from motionkit.store.schema import FLOAT_LIST, RUN_SEGMENTS, SEGMENT_FRAMES, SEGMENTS, rounded
 
 RUN_FRAMES = RUN_SEGMENTS * SEGMENT_FRAMES
 # Columns of a run of segments: the number of their sequence is not known yet.

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from motionkit.core.errors import StoreError
 from motionkit.core.files import naming, require_no_link
-from motionkit.errors import StoreError
 
 LOCK_FILE = ".writer.lock"
 HOLDER_BYTES = 300

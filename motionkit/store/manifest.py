@@ -8,22 +8,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from motionkit.checksums import sha256_of
 from motionkit.core import files
-from motionkit.core.sealed import read_json, sealed
+from motionkit.core.checksums import read_json, sealed, sha256_of
+from motionkit.core.errors import DamagedFileError, StoreError, describe
 from motionkit.core.version import __version__
-from motionkit.errors import DamagedFileError, StoreError, describe
 from motionkit.store.schema import (
     FORMAT_NAME,
     FORMAT_VERSION,
     MANIFEST_FILE,
+    READABLE_VERSIONS,
     SEGMENTS_FOLDER,
     SEQUENCES_FILE,
     SKELETONS_FILE,
     part_name,
     part_number,
 )
-from motionkit.store.versions import READABLE_VERSIONS
 
 PENDING_SUFFIX = ".new"
 TABLES = (SEQUENCES_FILE, SKELETONS_FILE)

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motionkit.core import files
-from motionkit.store.columns import array_of
+from motionkit.store.codec import array_of
 from motionkit.store.manifest import FileEntry, describe_file
 from motionkit.store.schema import ROW_GROUP_SEGMENTS, SEGMENTS, part_writer_options
 

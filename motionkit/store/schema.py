@@ -8,9 +8,29 @@ so a small one makes single reads quick, and 16 segments cost 0.5 % of size agai
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
+from jaxtyping import Float32
 
-from motionkit.store.resolution import RESOLUTION_BITS
+# 2^-22: 0.24 micrometres, or half a microradian of a quaternion's turn. It is the spacing of float32 itself from 2 to
+# 4 metres from the origin, so no coordinate loses what it would have kept a few steps further away.
+RESOLUTION_BITS = 22
+_SCALE = np.float32(2.0**RESOLUTION_BITS)
+# What this times the scale would be beyond float32; far from all bodies.
+_TOO_LARGE = np.float32(2.0**100)
+
+
+def rounded(values: Float32[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
+    """Each number as the nearest multiple of 2^-22, ties to even; from 2 on float32 holds nothing finer anyway."""
+    if not values.size or not (values.min() > -_TOO_LARGE and values.max() < _TOO_LARGE):
+        inside = np.where(np.abs(values) < _TOO_LARGE, values, np.float32(0))
+        return np.where(inside == values, rounded(inside), values) if values.size else values
+    # Scaling by a power of two is exact, and from 2 on the scaled number is whole.
+    on_grid: Float32[np.ndarray, "*shape"] = values * _SCALE
+    np.rint(on_grid, out=on_grid)
+    on_grid /= _SCALE
+    return on_grid
+
 
 FORMAT_NAME = "motionkit-store"
 FORMAT_VERSION = 2
@@ -181,3 +201,53 @@ def part_writer_options() -> dict[str, Any]:
 def table_writer_options() -> dict[str, Any]:
     """Keyword arguments of `pyarrow.parquet.ParquetWriter` for sequences and skeletons."""
     return {"compression": "zstd", "compression_level": 3}
+
+
+READABLE_VERSIONS = (1, FORMAT_VERSION)
+
+_SCHEMAS = {SEQUENCES_FILE: SEQUENCES, SKELETONS_FILE: SKELETONS}
+
+_QUALITY = (
+    "num_teleports",
+    "first_teleport_seconds",
+    "jitter_metres_per_second_cubed",
+    "frozen_seconds",
+    "frozen_start_seconds",
+    "held_share",
+    "foot_skate_metres_per_second",
+    "foot_skate_share",
+    "bone_length_drift",
+    "effective_fps",
+)
+
+# What each version added to a table. A column that is added later needs a value that says "not known": null where it
+# may be null, else the empty string or list.
+_ADDED = {2: {SEQUENCES_FILE: ("style", *_QUALITY), SKELETONS_FILE: ("layout_map",)}}
+
+
+def table_schema(name: str, version: int) -> pa.Schema:
+    """Schema of the table `name` in a store of the format version."""
+    later = {column for added_in, tables in _ADDED.items() if added_in > version for column in tables[name]}
+    return pa.schema([field for field in _SCHEMAS[name] if field.name not in later])
+
+
+def upgraded(table: pa.Table, name: str) -> pa.Table:
+    """The table `name` with the columns of the present version; what an older one does not hold is not known.
+
+    Raises `KeyError` where a column is missing that every version has.
+    """
+    schema = _SCHEMAS[name]
+    added = {column for tables in _ADDED.values() for column in tables[name]}
+    columns = [
+        _not_known(field, table.num_rows)
+        if field.name in added and field.name not in table.column_names
+        else table[field.name]
+        for field in schema
+    ]
+    return pa.Table.from_arrays(columns, schema=schema)
+
+
+def _not_known(field: pa.Field, num_rows: int) -> pa.Array:
+    if field.nullable:
+        return pa.nulls(num_rows, field.type)
+    return pa.array(["" if pa.types.is_string(field.type) else []] * num_rows, field.type)

@@ -14,9 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float32, Int64
 
-from motionkit.checksums import sha256_of
+from motionkit.core.checksums import sha256_of
+from motionkit.core.errors import StoreError
 from motionkit.core.files import require_regular
-from motionkit.errors import StoreError
 from motionkit.store import codec
 from motionkit.store.encode import RUN
 from motionkit.store.manifest import FileEntry, read_manifest

@@ -8,7 +8,7 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 
 # How duckdb's versions begin to tell that a view's rows did not come, and how Arrow says why.
 _OF_DAMAGED_VIEWS = ("reading the stream registered as", "get_next failed", "could not verify page integrity")

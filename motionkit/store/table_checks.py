@@ -14,11 +14,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Bool, Float64, Int64
 
-from motionkit.errors import MotionkitError, StoreError
-from motionkit.skeleton import Skeleton
-from motionkit.skeletons.families import parse_layout_map
+from motionkit.core.errors import MotionkitError, StoreError
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.store import codec
-from motionkit.store.columns import numbers_of
+from motionkit.store.codec import numbers_of
 from motionkit.store.manifest import Manifest
 from motionkit.store.schema import (
     MANIFEST_FILE,

@@ -9,12 +9,13 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from motionkit.checksums import sha256_of
-from motionkit.errors import LinkError, StoreError
-from motionkit.skeleton import Skeleton
-from motionkit.store.cache import cache_faults
+from motionkit.core.checksums import sha256_of
+from motionkit.core.errors import LinkError, StoreError
+from motionkit.core.skeleton import Skeleton
+from motionkit.store.cache.positions import cache_faults
 from motionkit.store.manifest import FileEntry, Manifest, read_manifest
 from motionkit.store.parts import read_footer
+from motionkit.store.reader import read_committed_table
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
     KEY_COLUMNS,
@@ -32,7 +33,6 @@ from motionkit.store.table_checks import (
     sequence_faults,
     skeleton_faults,
 )
-from motionkit.store.tables import read_committed_table
 
 
 def faults(path: Path, on_file: Callable[[str], None] = lambda name: None, *, deep: bool = False) -> Iterator[str]:

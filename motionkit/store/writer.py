@@ -1,21 +1,23 @@
 """Writing a store: parts, and tables under pending names; when all are on the disk, the manifest, the commit."""
 
+import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motionkit.core import files
-from motionkit.errors import StoreError
-from motionkit.interrupts import held_back
-from motionkit.motion import Motion
-from motionkit.skeleton import Skeleton
+from motionkit.core.errors import StoreError
+from motionkit.core.interrupts import held_back
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import Skeleton
 from motionkit.store import codec
-from motionkit.store.columns import table_of
+from motionkit.store.codec import table_of
 from motionkit.store.commit import (
     EMPTY,
     changing,
@@ -26,9 +28,9 @@ from motionkit.store.commit import (
     write_pending,
 )
 from motionkit.store.encode import EncodedMotion, RefusedMotion, encode
-from motionkit.store.known import KnownSequences
 from motionkit.store.manifest import FileEntry, Manifest
 from motionkit.store.parts import PartWriter, PendingPart
+from motionkit.store.reader import not_committed, open_table
 from motionkit.store.schema import (
     PART_BYTES,
     SEQUENCES,
@@ -40,7 +42,59 @@ from motionkit.store.schema import (
     table_writer_options,
 )
 from motionkit.store.table_checks import CHECKED_COLUMNS, require_sound
-from motionkit.store.tables import not_committed, open_table
+
+# So many are kept as text before they are sorted in among the others.
+RECENT = 4096
+DTYPE = np.dtype([("id", "<u8"), ("id_rest", "<u8"), ("source", "<u8")])
+
+
+class KnownSequences:
+    """Ids and the checksums of their sources, as digests: 128 bits of an id, 64 of its source's checksum."""
+
+    def __init__(self) -> None:
+        self._recent: dict[str, str] = {}
+        self._sorted = np.empty(0, DTYPE)
+
+    def add(self, sequence_id: str, source_sha256: str) -> None:
+        """Remember a sequence that is not among them yet."""
+        self._recent[sequence_id] = source_sha256
+        if len(self._recent) == RECENT:
+            self._merge(self._recent.items())
+            self._recent.clear()
+
+    def add_all(self, sequences: Iterable[tuple[str, str]]) -> None:
+        """Remember many pairs of an id and its source's checksum."""
+        self._merge(sequences)
+
+    def __contains__(self, sequence_id: str) -> bool:
+        return sequence_id in self._recent or self._find(sequence_id) is not None
+
+    def is_from(self, sequence_id: str, source_sha256: str) -> bool:
+        """Whether this sequence is known, and comes from a file with this checksum."""
+        if sequence_id in self._recent:
+            return self._recent[sequence_id] == source_sha256
+        found = self._find(sequence_id)
+        return found is not None and int(found["source"]) == _digest(source_sha256)[0]
+
+    def _find(self, sequence_id: str) -> np.void | None:
+        first, rest = _digest(sequence_id)
+        places = (np.searchsorted(self._sorted["id"], np.uint64(first), side) for side in ("left", "right"))
+        for entry in self._sorted[slice(*places)]:
+            if int(entry["id_rest"]) == rest:
+                found: np.void = entry
+                return found
+        return None
+
+    def _merge(self, sequences: Iterable[tuple[str, str]]) -> None:
+        more = np.array([(*_digest(name), _digest(source)[0]) for name, source in sequences], DTYPE)
+        both = np.concatenate((self._sorted, more))
+        # Two runs of which the first is sorted: a stable sort is little more than their merge.
+        self._sorted = both[np.argsort(both["id"], kind="stable")]
+
+
+def _digest(text: str) -> tuple[int, int]:
+    content = hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=16).digest()
+    return int.from_bytes(content[:8], "little"), int.from_bytes(content[8:], "little")
 
 
 class StoreWriter:

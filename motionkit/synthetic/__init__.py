@@ -1,7 +1,7 @@
 """Procedural human motions with exact ground truth at any instant: the embedded demo corpus, the tests' known answers.
 
 `perform` gives a random performance of named actions by a body; the result is a `MotionField`, so
-`motionkit.motionfield.to_motion(field, fps)` samples it at any framerate.
+`motionkit.fields.motion_field.to_motion(field, fps)` samples it at any framerate.
 """
 
 from motionkit.synthetic.bodies import Body, draw_body, make_body

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.core.skeleton import SMPL22, Skeleton
 
 # Bones of a person 1.70 m tall in metres, standing upright, arms hanging, facing +Z, left at +X. Lengths of legs and
 # arms are those of the HumanML3D skeleton within 2 %; collars, spine and feet have their natural directions.

@@ -7,8 +7,7 @@ from jaxtyping import Bool, Float64
 
 from motionkit.synthetic.bodies import Body
 from motionkit.synthetic.curves import glide, smoothstep
-from motionkit.synthetic.script import Swing
-from motionkit.synthetic.trajectory import Trajectory, turned
+from motionkit.synthetic.script import Swing, Trajectory, turned
 
 TOE_OUT = 0.12  # radians
 TOE_DOWN_LAG = 0.30  # how long after touchdown the toe still comes down, as a fraction of the swing's duration

@@ -6,14 +6,13 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from motionkit.motion import Caption
-from motionkit.motionfield import Poses, check_times
-from motionkit.skeleton import Skeleton
+from motionkit.core.motion import Caption
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.motion_field import Poses, check_times
 from motionkit.synthetic.bodies import Body
 from motionkit.synthetic.feet import FootPath, foot_path
 from motionkit.synthetic.rig import pose
-from motionkit.synthetic.script import SIDES, Layer, Swing, evaluate
-from motionkit.synthetic.trajectory import Trajectory, integrate
+from motionkit.synthetic.script import SIDES, Layer, Swing, Trajectory, evaluate, integrate
 
 RUN_IN_SECONDS = 3.0
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from motionkit.errors import UsageError
-from motionkit.motion import Caption
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Caption
 from motionkit.synthetic import gestures, leaps, locomotion
 from motionkit.synthetic.bodies import Body
 from motionkit.synthetic.curves import Constant, Wave, band_noise

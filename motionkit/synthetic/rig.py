@@ -3,13 +3,12 @@
 import numpy as np
 from jaxtyping import Float64
 
-from motionkit.kinematics import forward_kinematics_matrices, matrix_to_quaternion
-from motionkit.motionfield import Poses
-from motionkit.skeleton import SMPL22
+from motionkit.core.kinematics import forward_kinematics_matrices, matrix_to_quaternion
+from motionkit.core.skeleton import SMPL22
+from motionkit.fields.motion_field import Poses
 from motionkit.synthetic.bodies import Body
 from motionkit.synthetic.feet import FootPath
-from motionkit.synthetic.script import SIDES
-from motionkit.synthetic.trajectory import Trajectory, turned
+from motionkit.synthetic.script import SIDES, Trajectory, turned
 
 Channels = dict[str, Float64[np.ndarray, " times"]]
 

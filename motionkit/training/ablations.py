@@ -11,8 +11,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.errors import UsageError
 from motionkit.training.config import ConfigLike, parse_override
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import Stage, StageContext

@@ -11,7 +11,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 
 
 @runtime_checkable

@@ -16,9 +16,9 @@ import torch
 
 from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.training.metrics_log import NOTHING_LOGGED
-from motionkit.training.randomness import step_generator
 from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.run import RunError, StageFolder
+from motionkit.training.schedule import step_generator
 from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
 
 

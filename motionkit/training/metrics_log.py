@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import naming, require_no_link, sync
-from motionkit.errors import DamagedFileError
-from motionkit.plain_text import shown
+from motionkit.core.plain_text import shown
 
 MEND = "restore it from a copy, or train the stage again with --overwrite"
 

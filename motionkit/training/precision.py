@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import torch
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 from motionkit.training.config import ConfigLike, Precision
 
 
@@ -75,3 +75,18 @@ def compile_each(layers: Iterable[torch.nn.Module]) -> None:
     """Let torch compile equal layers in place, one of them for all; names and values of their tensors stay."""
     for layer in layers:
         layer.compile()
+
+
+def resolve_device(name: str) -> torch.device:
+    """The device a user named; "auto" is the first CUDA device, else the CPU.
+
+    Raises `UsageError` for a name torch doesn't know or a device that isn't there.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise UsageError(f"--device {name}: {str(error).splitlines()[0]}") from None
+    return device

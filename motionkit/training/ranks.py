@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float, Int64, Shaped
 from torch import distributed
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 
 # A rank may wait for long, while the first one trains a stage that has no use for several; torchrun ends all where one
 # dies.

@@ -13,11 +13,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from motionkit.checksums import sha256_of
+from motionkit.core.checksums import read_json, sha256_of, write_json
+from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import remove_entry, require_no_link, temporary_name, write_whole
-from motionkit.core.sealed import read_json, write_json
-from motionkit.errors import DamagedFileError, MotionkitError, UsageError
-from motionkit.plain_text import shown
+from motionkit.core.plain_text import shown
 from motionkit.training.config import ConfigLike, flatten, to_plain
 from motionkit.training.metrics_log import MEND, MetricsLog
 

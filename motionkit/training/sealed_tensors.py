@@ -12,8 +12,8 @@ from typing import TypeVar
 
 from safetensors import SafetensorError, safe_open
 
+from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import whole_file
-from motionkit.errors import DamagedFileError
 
 CHECKSUM = "sha256"
 ZEROS = b"0" * 64

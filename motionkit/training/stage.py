@@ -11,8 +11,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
+from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.errors import UsageError
 from motionkit.training.config import ConfigLike, ConfigT
 from motionkit.training.run import RunFolder, StageFolder, begin_stage, check_same
 

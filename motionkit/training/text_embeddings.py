@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float32
 from safetensors.numpy import load_file, save
 
+from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import require_no_link
-from motionkit.core.warn import warn
-from motionkit.errors import DamagedFileError
-from motionkit.store.cache_folder import writable
+from motionkit.core.progress import warn
+from motionkit.store.cache.folder import writable
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 from motionkit.training.text_encoders import TextEncoder
 

@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float32
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 
 GROUP = "motionkit.text_encoders"
 FOLDERS_AND_HUB = "transformers"

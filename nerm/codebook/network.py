@@ -5,12 +5,15 @@ time. The decoder mirrors it with nearest upsampling. ReLU, no norm. Codes are m
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Float32, Int64
 from torch import nn
 
-from nerm.settings.codebook import CodebookConfig
+from motionkit.training.run import RunFolder
+from motionkit.training.tensors import CheckpointError, load_tensors
+from nerm.settings import CodebookConfig
 
 DOWNSAMPLINGS = 2
 DILATION_GROWTH = 3
@@ -162,3 +165,22 @@ class CodebookNetwork(nn.Module):
         """Pose vectors from (quantised) features."""
         vectors: torch.Tensor = self.decoder(features).transpose(1, 2)
         return vectors
+
+
+STAGE_NAME = "codebook"
+FORMAT = "nerm-codebook"
+FORMAT_VERSION = 1
+
+
+def load_codes(run: RunFolder | Path) -> Float32[torch.Tensor, "codes dimension"]:
+    """The codebook {e_i} that a run's first stage learnt; raises `CheckpointError` or `RunError` without one."""
+    folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
+    if not folder.model_path.is_file():
+        folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    if (description.get("format"), description.get("version")) != (FORMAT, FORMAT_VERSION) or "codes" not in tensors:
+        raise CheckpointError(
+            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
+            f"{FORMAT!r} version {FORMAT_VERSION}: train it again (motionkit train --stage codebook --overwrite)"
+        )
+    return tensors["codes"]

@@ -14,15 +14,14 @@ import numpy as np
 import torch
 from jaxtyping import Float32
 
-from motionkit.errors import FormatError
+from motionkit.core.errors import FormatError
 from motionkit.features.layout import vector_layout
 from motionkit.features.statistics import Statistics, check_statistics
-from motionkit.formats import sourcefile
 from motionkit.formats.arrays import npy
-from motionkit.training.foreign import fill_checked, foreign_tensors, read_foreign
-from motionkit.training.tensors import CheckpointError
+from motionkit.formats.source import source_file
+from motionkit.training.tensors import CheckpointError, fill_checked, foreign_tensors, read_foreign
 from nerm.codebook.network import DOWNSAMPLINGS, CodebookNetwork
-from nerm.settings.codebook import CodebookConfig
+from nerm.settings import CodebookConfig
 
 # T2M-GPT's README, "VQ-VAE training": 512 codes of 512 numbers, width 512, depth 3, two downsamplings, ReLU, no norm.
 PUBLISHED = CodebookConfig()
@@ -76,7 +75,7 @@ def load_evaluator_statistics(folder: Path, num_joints: int) -> Statistics:
     arrays, numbers = [], vector_layout(num_joints).size
     for name in ("mean.npy", "std.npy"):
         try:
-            data = sourcefile.read_bytes(folder / name)
+            data = source_file.read_bytes(folder / name)
             arrays.append(npy.parse_npy(folder / name, data, (numbers,)).astype(np.float64))
         except FormatError as error:
             raise CheckpointError(

@@ -7,14 +7,12 @@ from jaxtyping import Float32, Int64
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.training.precision import autocast
-from motionkit.training.randomness import seeded_initialisation
 from motionkit.training.ranks import ALONE, Ranks
-from motionkit.training.schedule import set_rate
+from motionkit.training.schedule import seeded_initialisation, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from nerm.codebook.network import CodebookNetwork
-from nerm.codebook.vector_file import VectorCorpus
-from nerm.codebook.vectors import joint_positions_block
-from nerm.settings.codebook import CodebookConfig
+from nerm.codebook.vectors import VectorCorpus, joint_positions_block
+from nerm.settings import CodebookConfig
 
 
 class CodebookTraining:

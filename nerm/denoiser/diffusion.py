@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
-from nerm.settings.denoiser import DiffusionConfig, LossMeasure, Prediction
+from nerm.settings import DiffusionConfig, LossMeasure, Prediction
 
 NoisePredictor = Callable[[Tensor, Tensor], Tensor]
 """(z_k [batch, latent], k [batch]) → predicted noise [batch, latent]."""

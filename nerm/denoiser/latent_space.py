@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64
 from torch import Tensor
 
 from nerm.latents.local import LocalLatents
-from nerm.settings.denoiser import LatentScale, PathNumbers
+from nerm.settings import LatentScale, PathNumbers
 
 SMALLEST_DEVIATION = 1e-6
 

@@ -11,10 +11,9 @@ from jaxtyping import Bool, Float, Float32, Int64, Shaped
 from torch import Tensor, nn
 from torch.nn import functional
 
-from nerm.conditions.batch import ConditionLayout, Conditions
-from nerm.conditions.tokens import ConditionEmbedding
-from nerm.latents.reach import in_use
-from nerm.settings.denoiser import TransformerConfig
+from nerm.conditions import ConditionEmbedding, ConditionLayout, Conditions
+from nerm.latents.posterior import in_use
+from nerm.settings import TransformerConfig
 
 
 class TransformerLayer(nn.Module):
@@ -68,7 +67,7 @@ class Denoiser(nn.Module):
     def __init__(
         self, config: TransformerConfig, first_read: Float32[Tensor, "latent"], layout: ConditionLayout
     ) -> None:
-        """`first_read` says from when on the field reads each number of z (`nerm.latents.reach`)."""
+        """`first_read` says from when on the field reads each number of z (`nerm.latents.posterior`)."""
         super().__init__()
         if len(first_read) % config.latent_tokens:
             raise ValueError(f"a latent of {len(first_read)} numbers cannot be cut into {config.latent_tokens} tokens")

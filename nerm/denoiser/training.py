@@ -6,18 +6,24 @@ import torch
 from torch import Tensor
 
 from motionkit.training.precision import autocast, compile_each
-from motionkit.training.randomness import dropout_from, seeded_initialisation, step_generator
 from motionkit.training.ranks import ALONE, Ranks
-from motionkit.training.schedule import WeightAverage, rate_factor, set_rate
+from motionkit.training.schedule import (
+    WeightAverage,
+    dropout_from,
+    rate_factor,
+    seeded_initialisation,
+    set_rate,
+    step_generator,
+)
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
-from nerm.conditions.batch import Conditions
+from nerm.conditions import Conditions
 from nerm.denoiser.corpus import LatentCorpus
 from nerm.denoiser.diffusion import add_noise, cumulative_alphas, loss_weights, prediction_target
 from nerm.denoiser.latent_space import measured_space
 from nerm.denoiser.network import Denoiser
 from nerm.denoiser.trained import TrainedDenoiser
-from nerm.latents.reach import in_use
-from nerm.settings.denoiser import DenoiserConfig
+from nerm.latents.posterior import in_use
+from nerm.settings import DenoiserConfig
 
 
 class DenoiserTraining:

@@ -11,19 +11,18 @@ import numpy as np
 import torch
 from jaxtyping import Float32, Float64, Int, Int64
 
-from motionkit.assembly import AssembledField, Piece, assemble, even_starts
 from motionkit.clips.frame_vectors import FrameVectors
 from motionkit.clips.poses import PoseBatch, WindowPoses
 from motionkit.clips.reconstruction import ModelWindows
 from motionkit.clips.windows import PositionSource, Windows, cut_windows
-from motionkit.features import field as field_vectors
-from motionkit.motionfield import MotionField, Observation, Observed
-from motionkit.skeleton import SMPL22
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import normalise_seconds
+from motionkit.features import field
+from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
+from motionkit.fields.motion_field import MotionField, Observation, Observed
 from motionkit.store.reader import Store
-from motionkit.timegrid import normalise_seconds
 from nerm.field.encoding import encode_by_optimisation
-from nerm.field.saved import load_field
-from nerm.field.trained import TrainedField
+from nerm.field.trained import TrainedField, load_field
 
 POSES_TO_ENCODE_FROM = 100
 WINDOWS_AT_ONCE = 64
@@ -98,7 +97,7 @@ class NermEncoder:
         if observation.skeleton.joint_names != SMPL22.joint_names:
             raise ValueError(
                 f"NeRM knows the {SMPL22.num_joints} joints of {SMPL22.name!r}, not those of "
-                f"{observation.skeleton!r}: map the motion first (motionkit.skeletons.mapping.map_joints)"
+                f"{observation.skeleton!r}: map the motion first (motionkit.core.skeletons.mapping.map_joints)"
             )
         start = observation.start_seconds - before_seconds
         span = observation.end_seconds + after_seconds - start
@@ -113,14 +112,14 @@ class NermEncoder:
     def _pieces(self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float) -> list[Piece]:
         rows = self._rows(observation, starts, length)
         positions = observation.poses.joint_positions[rows]
-        yaw, origin = field_vectors.window_frame(positions[:, 0])
+        yaw, origin = field.window_frame(positions[:, 0])
         seconds = observation.times_seconds[rows] - starts[:, None]
         fps = 1.0 / np.median(np.diff(observation.times_seconds)) if len(observation) > 1 else 30.0
         batch = PoseBatch(
             window=torch.arange(len(starts)),
             coordinates=torch.from_numpy(normalise_seconds(seconds, self.trained.max_duration_seconds)),
             fps=torch.full((len(starts),), float(fps), dtype=torch.float64),
-            vectors=torch.from_numpy(field_vectors.encode(positions, yaw, origin)),
+            vectors=torch.from_numpy(field.encode(positions, yaw, origin)),
         )
         latents = encode_by_optimisation(self.trained, batch)
         return [

@@ -10,11 +10,17 @@ import torch
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 from torch import nn
 
-from nerm.coordinates.attention import CodebookCoordinateAttention
-from nerm.coordinates.fourier import FourierFeatures, distinct, frame_numbers, framerate_number, rounded_up
-from nerm.latents.body_path import placed
+from nerm.coordinates import (
+    CodebookCoordinateAttention,
+    FourierFeatures,
+    distinct,
+    frame_numbers,
+    framerate_number,
+    rounded_up,
+)
+from nerm.latents.knots import placed
 from nerm.latents.local import KnotWeights, Reading, local_latents
-from nerm.settings.field import Activation, FieldConfig
+from nerm.settings import Activation, FieldConfig
 
 ACTIVATIONS: dict[Activation, type[nn.Module]] = {"relu": nn.ReLU, "silu": nn.SiLU, "gelu": nn.GELU}
 

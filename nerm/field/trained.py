@@ -1,23 +1,30 @@
 """A trained motion field: what stage 1 leaves behind, and what generation and reconstruction decode with."""
 
 from collections import OrderedDict
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64
 
 from motionkit.clips.windows import Windows
-from motionkit.motionfield import Poses, check_times
-from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.timegrid import normalise_seconds
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.timegrid import normalise_seconds
+from motionkit.fields.motion_field import Poses, check_times
+from motionkit.training.config import from_plain, to_plain
+from motionkit.training.precision import resolve_device
+from motionkit.training.run import RunFolder, StageFolder
+from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from nerm.field.network import EncodedCoordinates, FieldNetwork
 from nerm.latents.linear_fit import LinearModel, PoseComponents
-from nerm.pose_vectors.convention import PoseVectors
+from nerm.pose_vectors.choice import described, restored
+from nerm.pose_vectors.convention import PoseVectors, VectorScaling
 from nerm.pose_vectors.field import FIELD_VECTORS
-from nerm.pose_vectors.scaling import VectorScaling
-from nerm.settings.field import FieldConfig
+from nerm.settings import FieldConfig
 
 GRIDS_KEPT = 16
 POSES_AT_ONCE = 8_192
@@ -187,7 +194,7 @@ class TrainedField:
 
 @dataclass(frozen=True, eq=False)
 class LatentMotionField:
-    """A `motionkit.motionfield.MotionField`: f_θ for one fixed z and s."""
+    """A `motionkit.fields.motion_field.MotionField`: f_θ for one fixed z and s."""
 
     field: TrainedField
     latent: Float[torch.Tensor, "latent"]
@@ -211,3 +218,66 @@ class LatentMotionField:
         if self.field.config.decoder == "transformer":
             context = np.linspace(0.0, self.end_seconds, CONTEXT_INSTANTS)
         return self.field.poses(self.latent[None], times_seconds, self.fps, context)[0]
+
+
+STAGE_NAME = "field"
+FORMAT_VERSION = 2
+
+
+def save_field(folder: StageFolder, trained: TrainedField) -> None:
+    """Write model.safetensors: network, scales, posteriors and the window table, with the settings in its header."""
+    tensors = (
+        prefixed("network", trained.network.state_dict())
+        | prefixed("scaling", {"mean": trained.scaling.mean, "scale": trained.scaling.scale})
+        | prefixed("posterior", {"mean": trained.posterior_mean, "log_variance": trained.posterior_log_variance})
+        | described(trained.vectors)
+        | prefixed("windows", {name: torch.from_numpy(array) for name, array in trained.windows.arrays().items()})
+    )
+    if trained.components is not None:
+        tensors["components.mean"] = trained.components.mean
+        tensors["components.directions"] = trained.components.directions
+    description: dict[str, Any] = {
+        "format": "nerm-field",
+        "version": FORMAT_VERSION,
+        "config": to_plain(trained.config),
+        "layout": trained.skeleton.name,
+        "store_fingerprint": trained.store_fingerprint,
+    }
+    save_tensors(folder.model_path, tensors, description)
+
+
+def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
+    """Load a run's trained field; raises `CheckpointError` where there is none or it is of another format."""
+    folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
+    if not folder.model_path.is_file():
+        folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    if description.get("format") != "nerm-field" or description.get("version") != FORMAT_VERSION:
+        raise CheckpointError(
+            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
+            f"'nerm-field' version {FORMAT_VERSION}: train it again (motionkit train --stage field --overwrite)"
+        )
+    where = resolve_device(device)
+    with rebuilding(folder.model_path, STAGE_NAME, tensors):
+        return _rebuild(tensors, description, where)
+
+
+def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any], where: torch.device) -> TrainedField:
+    config = from_plain(FieldConfig, description["config"])
+    scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
+    network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))
+    network.load_state_dict(unprefixed("network", tensors))
+    arrays = {name: tensor.numpy() for name, tensor in unprefixed("windows", tensors).items()}
+    components = None
+    if config.latent_layout == "local":
+        components = PoseComponents(tensors["components.mean"], tensors["components.directions"])
+    return TrainedField(
+        network=network.to(where).eval().requires_grad_(False),
+        scaling=scaling.to(where),
+        components=components,
+        posterior_mean=tensors["posterior.mean"],
+        posterior_log_variance=tensors["posterior.log_variance"],
+        windows=Windows(config.max_duration_seconds, **arrays),
+        store_fingerprint=str(description["store_fingerprint"]),
+        vectors=restored(config.pose_vectors, tensors),
+    )

@@ -11,12 +11,11 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Int64
 
-from motionkit.clips.order import chunks
 from motionkit.clips.poses import PoseBatch, WindowPoses
-from nerm.latents.body_path import measured_heading, relative_to
-from nerm.latents.knots import ridge_knots
+from motionkit.clips.windows import chunks
+from nerm.latents.knots import measured_heading, relative_to, ridge_knots
 from nerm.latents.local import LocalLatents
-from nerm.pose_vectors.scaling import ROOT_PATH, VectorScaling
+from nerm.pose_vectors.convention import ROOT_PATH, VectorScaling
 
 TIMES_PER_WINDOW = 128
 HELD_TIMES = 128

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float, Float32, Float64, Int64, Shaped
 
-from nerm.latents.body_path import NUM_PATH_NUMBERS, path_speed
-from nerm.latents.knots import KnotLayout, mix
-from nerm.settings.field import FieldConfig
+from nerm.latents.knots import NUM_PATH_NUMBERS, KnotLayout, mix, path_speed
+from nerm.settings import FieldConfig
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,10 @@ work does not depend on how many windows there are.
 """
 
 import torch
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Bool, Float, Float32, Int64
+from torch import Tensor
+
+from nerm.latents.local import LocalLatents
 
 LOG_VARIANCE_RANGE = (-12.0, 4.0)
 
@@ -67,3 +70,19 @@ def kl_divergence(
     """
     divergence = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance)
     return divergence.sum() / (mean.shape[1] * (num_windows or len(mean)))
+
+
+ALWAYS = -1.0
+
+
+def first_read(dimension: int, banks: LocalLatents | None) -> Float32[Tensor, "latent"]:
+    """The earliest instant, in units of l_max, at which the field reads each number of z; `ALWAYS` without knots."""
+    if banks is None:
+        return torch.full((dimension,), ALWAYS)
+    numbers = banks.describe()
+    return (0.5 * (1.0 + numbers.centre - numbers.reach)).to(torch.float32)
+
+
+def in_use(first_read: Float32[Tensor, "latent"], duration: Float32[Tensor, "batch"]) -> Bool[Tensor, "batch latent"]:
+    """Which numbers motions of some durations (in units of l_max) depend on."""
+    return first_read < duration[:, None]

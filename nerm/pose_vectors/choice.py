@@ -9,7 +9,7 @@ from nerm.pose_vectors.convention import PoseVectors
 from nerm.pose_vectors.field import FIELD_VECTORS
 from nerm.pose_vectors.native import NativeVectors
 from nerm.pose_vectors.rotations import RotationVectors, smpl_rig, training_rig
-from nerm.settings.field import PoseVectorsName
+from nerm.settings import PoseVectorsName
 
 RIG = "rig.offsets"
 

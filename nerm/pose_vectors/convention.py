@@ -5,16 +5,22 @@ on the batch is computed once, the rest when poses are drawn) and how vectors at
 (`decode`).
 """
 
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Float64
+import torch
+from jaxtyping import Float, Float32, Float64
 
 from motionkit.clips.frame_vectors import FrameVectors
-from motionkit.motionfield import Poses
-from motionkit.skeleton import Skeleton
-from motionkit.store.cache import PositionCache
+from motionkit.clips.poses import WindowPoses
+from motionkit.clips.windows import chunks
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.motion_field import Poses
+from motionkit.store.cache.positions import PositionCache
 from motionkit.store.reader import Store
+from nerm.pose_vectors.field import FIELD_VECTORS
+from nerm.settings import FieldConfig
 
 
 @runtime_checkable
@@ -55,3 +61,56 @@ class PoseVectors(Protocol):
     ) -> Poses:
         """Poses at `seconds` in the window's frame, from vectors at `instants(seconds)`."""
         ...
+
+
+ROOT_PATH = (0, 2)
+SMALLEST_SCALE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class VectorScaling:
+    """(vector − mean) / scale, number by number; `scale` in the vectors' own units."""
+
+    mean: Float32[torch.Tensor, "numbers"]
+    scale: Float32[torch.Tensor, "numbers"]
+
+    def apply(self, vectors: Float[torch.Tensor, "*poses numbers"]) -> Float[torch.Tensor, "*poses numbers"]:
+        """Own units → standardised."""
+        return (vectors - self.mean) / self.scale
+
+    def invert(self, standardised: Float[torch.Tensor, "*poses numbers"]) -> Float[torch.Tensor, "*poses numbers"]:
+        """Standardised → own units."""
+        return standardised * self.scale + self.mean
+
+    def to(self, device: torch.device) -> "VectorScaling":
+        """On another device."""
+        return VectorScaling(self.mean.to(device), self.scale.to(device))
+
+
+def measure_scaling(
+    poses: WindowPoses, config: FieldConfig, vectors: PoseVectors = FIELD_VECTORS, poses_per_window: int = 32
+) -> VectorScaling:
+    """Mean and scale of the windows' vectors, from poses spread evenly over each window; one pass, flat memory.
+
+    `number` standardises each number by itself; `group` gives each of the convention's groups one scale (of `field`
+    vectors the root's x and z one, everything else another), so that errors weigh as they do in millimetres.
+    `root_weight` then multiplies the first group, the root's path. Where latents hold a path of the body, x and z have
+    mean zero, so that standardised poses can be turned.
+    """
+    size = vectors.num_numbers
+    count, total, squares = 0, torch.zeros(size, dtype=torch.float64), torch.zeros(size, dtype=torch.float64)
+    for rows in chunks(len(poses.windows), 512):
+        some = poses.evenly(rows, poses_per_window).vectors.double().flatten(0, 1)
+        count += len(some)
+        total, squares = total + some.sum(0), squares + some.square().sum(0)
+    mean = total / count
+    if config.latent_layout == "local" and config.path_knots:
+        mean.view(-1, 3)[:, [0, 2]] = 0.0
+    variance = squares / count - mean.square()
+    groups = [list(group) for group in vectors.groups]
+    if config.scaling == "group":
+        for group in groups:
+            variance[group] = variance[group].mean()
+    scale = variance.clamp(min=SMALLEST_SCALE**2).sqrt()
+    scale[groups[0]] /= config.root_weight
+    return VectorScaling(mean.float(), scale.float())

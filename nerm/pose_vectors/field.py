@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from motionkit.clips.frame_vectors import FramePositions, FrameVectors
+from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features import field
-from motionkit.motionfield import Poses
-from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.store.cache import PositionCache, open_cache
+from motionkit.fields.motion_field import Poses
+from motionkit.store.cache.positions import PositionCache, open_cache
 from motionkit.store.reader import Store
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from motionkit.clips.frame_vectors import FrameVectors
+from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features import field, native
 from motionkit.features.layout import SMPL22_LAYOUT
-from motionkit.motionfield import Poses
-from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.store.cache import PositionCache, open_cache
-from motionkit.store.derived import derived_rows
+from motionkit.fields.motion_field import Poses
+from motionkit.store.cache.derived import derived_rows
+from motionkit.store.cache.positions import PositionCache, open_cache
+from motionkit.store.cache.row_file import RowFile
 from motionkit.store.reader import Store
-from motionkit.store.row_file import RowFile
 
 SECONDS_BETWEEN_STEPS = 1 / 120
 NATIVE_ROWS = "native-vectors-1"

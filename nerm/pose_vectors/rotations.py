@@ -12,19 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
-from motionkit import kinematics
 from motionkit.clips.frame_vectors import FrameVectors
-from motionkit.conditions import conjunction
-from motionkit.errors import UsageError
+from motionkit.core import kinematics
+from motionkit.core.errors import UsageError
+from motionkit.core.mirror import FLIP, TURN_BACK
+from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features import field
 from motionkit.features.rotation_rows import closest_rotations, num_numbers, two_columns
-from motionkit.mirror import FLIP, TURN_BACK
-from motionkit.motionfield import Poses
-from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.store.cache import PositionCache, open_cache
-from motionkit.store.derived import derived_rows
+from motionkit.fields.motion_field import Poses
+from motionkit.store.cache.derived import derived_rows
+from motionkit.store.cache.positions import PositionCache, open_cache
+from motionkit.store.cache.row_file import RowFile
+from motionkit.store.conditions import conjunction
 from motionkit.store.reader import Store
-from motionkit.store.row_file import RowFile
 
 NAMES = (*SMPL22.joint_names, "left_hand", "right_hand")
 PARENTS = (*SMPL22.parents, SMPL22.index("left_wrist"), SMPL22.index("right_wrist"))

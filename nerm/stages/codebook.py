@@ -8,19 +8,18 @@ from typing import Any
 
 import torch
 
-from motionkit.store.cache import PositionCache, open_cache
+from motionkit.store.cache.positions import PositionCache, open_cache
 from motionkit.store.reader import Store
-from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
-from motionkit.training.precision import float32_products, with_precision_of
+from motionkit.training.precision import float32_products, resolve_device, with_precision_of
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import prefixed, save_tensors
+from nerm.codebook.network import FORMAT, FORMAT_VERSION
 from nerm.codebook.published import PublishedCodebook, load_published
-from nerm.codebook.saved import FORMAT, FORMAT_VERSION
 from nerm.codebook.training import CodebookTraining
-from nerm.codebook.vector_file import check_lengths, open_vectors, prepare_vectors, remove_vectors
+from nerm.codebook.vectors import check_lengths, open_vectors, prepare_vectors, remove_vectors
 from nerm.recipes import NermConfig
-from nerm.settings.codebook import CodebookConfig
+from nerm.settings import CodebookConfig
 
 
 def train_codebook(context: StageContext, config: NermConfig) -> None:

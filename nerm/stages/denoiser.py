@@ -3,21 +3,20 @@
 import dataclasses
 import time
 
-from motionkit.checksums import sha256_of
-from motionkit.errors import MotionkitError, UsageError
-from motionkit.training.device import resolve_device
+from motionkit.core.checksums import sha256_of
+from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.training.loop import train_loop
-from motionkit.training.precision import float32_products, with_precision_of
+from motionkit.training.precision import float32_products, resolve_device, with_precision_of
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
 from motionkit.training.text_encoders import TextEncoder, load_text_encoder
-from nerm.denoiser.corpus_of_field import corpus_of
-from nerm.denoiser.saved import STAGE_NAME, save_denoiser
+from nerm.denoiser.corpus import corpus_of
+from nerm.denoiser.trained import STAGE_NAME, save_denoiser
 from nerm.denoiser.training import DenoiserTraining
-from nerm.field.saved import load_field
+from nerm.field.trained import load_field
 from nerm.latents.local import local_latents
 from nerm.recipes import NermConfig
-from nerm.settings.denoiser import DenoiserConfig
+from nerm.settings import DenoiserConfig
 
 
 def train_denoiser(context: StageContext, config: NermConfig) -> None:

@@ -8,24 +8,21 @@ from jaxtyping import Float32
 
 from motionkit.clips.frame_vectors import FrameVectors
 from motionkit.clips.poses import WindowPoses
-from motionkit.core.warn import warn
-from motionkit.skeleton import SMPL22
-from motionkit.store.cache import PositionCache
+from motionkit.core.progress import warn
+from motionkit.core.skeleton import SMPL22
+from motionkit.store.cache.positions import PositionCache
 from motionkit.store.reader import Store
-from motionkit.training.device import resolve_device
 from motionkit.training.loop import train_loop
-from motionkit.training.precision import float32_products, with_precision_of
+from motionkit.training.precision import float32_products, resolve_device, with_precision_of
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
-from nerm.codebook.saved import load_codes
-from nerm.field.saved import save_field
-from nerm.field.trained import TrainedField
-from nerm.field.training import FieldTraining
-from nerm.field.windows import remarks, training_windows
+from nerm.codebook.network import load_codes
+from nerm.field.trained import TrainedField, save_field
+from nerm.field.training import FieldTraining, remarks, training_windows
 from nerm.pose_vectors.choice import training_vectors
 from nerm.pose_vectors.convention import PoseVectors
 from nerm.recipes import NermConfig
-from nerm.settings.field import FieldConfig
+from nerm.settings import FieldConfig
 
 
 def train_field(context: StageContext, config: NermConfig) -> None:

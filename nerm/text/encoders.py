@@ -11,11 +11,9 @@ import hashlib
 from importlib.util import find_spec
 from pathlib import Path
 
-from motionkit.errors import MissingExtraError, MotionkitError
-from nerm.text.clip import ClipTextEncoder
-from nerm.text.folder import check_folder, folder_fingerprint
-from nerm.text.pretrained import load
-from nerm.text.sentence import MINILM_SHA256, SentenceEncoder, minilm_folder
+from motionkit.core.errors import MissingExtraError, MotionkitError
+from nerm.text.pretrained import check_folder, folder_fingerprint, load
+from nerm.text.sentence import MINILM_SHA256, ClipTextEncoder, SentenceEncoder, minilm_folder
 
 CLIP_HUB_NAME = "openai/clip-vit-large-patch14"
 

@@ -13,7 +13,7 @@ from benchmarks.trust.corruption.kinds import KINDS, Kind
 from benchmarks.trust.corruption.trials import Flip, Tally, Trials, choose_flip
 from benchmarks.trust.process import Commands
 
-CARELESS = "call:tests.benchmarks.careless:"
+CARELESS = "call:tests.helpers.careless:"
 FLIPS_EACH = 1
 
 

@@ -17,7 +17,7 @@ from benchmarks.trust.scenarios import SCENARIOS, STARTS, Scenario, ingest, take
 from benchmarks.trust.trees import copy, difference, tree
 from benchmarks.trust.trials import Drill
 
-CARELESS = "call:tests.benchmarks.careless:"
+CARELESS = "call:tests.helpers.careless:"
 CAREFUL = Scenario("careful", "nothing", (f"{CARELESS}write_carefully", "letters"), store="", whole=("letters",))
 COUNTING = Scenario("counting", "one", (f"{CARELESS}count_up", "number"), store="", whole=("number",))
 SLICE = ("ingest", "append")

@@ -14,7 +14,7 @@ from benchmarks.trust.fuzz import workers
 from benchmarks.trust.fuzz.mutate import generator, mutate
 from benchmarks.trust.fuzz.target import Target
 from benchmarks.trust.fuzz.targets import all_targets
-from motionkit.errors import MotionkitError
+from motionkit.core.errors import MotionkitError
 
 # `MOTIONKIT_FUZZ_INPUTS=2000 pytest tests/benchmarks/test_trust_fuzz.py` hunts for longer.
 INPUTS_EACH = int(os.environ.get("MOTIONKIT_FUZZ_INPUTS", "20"))

@@ -13,7 +13,7 @@ from benchmarks.trust.process import Commands
 from tests.hostile import SCENES
 from tests.hostile.scene import EVIL, Scene, Spoil, links, text
 
-CALL = "call:tests.benchmarks.careless:"
+CALL = "call:tests.helpers.careless:"
 # A slice of `python -m benchmarks.trust hostile`: one command of some scenes of each kind.
 SLICE = SCENES[::16]
 

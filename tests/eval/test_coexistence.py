@@ -15,12 +15,12 @@ def test_both_are_importable(tmp_path: Path) -> None:
         path.write_text(f"WHERE = {name!r}\n", encoding="utf-8")
     script = (
         "import eval.eval_humanml, eval.a2m.tools, eval.unconstrained.evaluate\n"
-        "import eval.metrics.frechet, eval.clip_fid.score\n"
+        "import eval.metrics.gaussian, eval.clip_fid.score\n"
         "from eval.commands.eval import evaluate\n"
-        "from eval.tables.reported import reported_figures\n"
+        "from eval.tables.parts import reported_figures\n"
         "from eval.report.render import to_html\n"
         "assert len(reported_figures('nerm', '2')) == 20 and to_html([])\n"
-        "print(eval.eval_humanml.WHERE, eval.a2m.tools.WHERE, eval.metrics.frechet.__name__)\n"
+        "print(eval.eval_humanml.WHERE, eval.a2m.tools.WHERE, eval.metrics.gaussian.__name__)\n"
     )
     for order in ("", "import eval.eval_humanml\n", "import eval.clip_fid.score\n"):
         done = subprocess.run(
@@ -32,7 +32,7 @@ def test_both_are_importable(tmp_path: Path) -> None:
             check=False,
         )
         assert done.returncode == 0, done.stderr
-        assert done.stdout.split() == ["eval_humanml.py", "a2m/tools.py", "eval.metrics.frechet"]
+        assert done.stdout.split() == ["eval_humanml.py", "a2m/tools.py", "eval.metrics.gaussian"]
 
 
 def test_no_module_of_ours_hides_one_of_theirs() -> None:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.trust.scenarios import STORE, train
-from motionkit.core.sealed import sealed
-from motionkit.store.cache_build import INDEX_DTYPE
+from motionkit.core.checksums import sealed
+from motionkit.store.cache.build import INDEX_DTYPE
 from tests.hostile.scene import EVIL, Scene, Spoil, link
 
 COMMANDS = (

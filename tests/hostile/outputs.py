@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.trust.scenarios import EVAL_PAHIRES, GENERATE, RUN
-from motionkit.core.sealed import checksum_of, sealed
+from motionkit.core.checksums import checksum_of, sealed
 from tests.hostile.scene import EVIL, Scene, Spoil, edited, links, text
 
 MADE = ((*GENERATE, "--resume"), (*GENERATE, "--overwrite"), GENERATE)

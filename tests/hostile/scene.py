@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motionkit.core.sealed import sealed
+from motionkit.core.checksums import sealed
 
 Arguments = tuple[str, ...]
 Spoil = Callable[[Path, Path], None]

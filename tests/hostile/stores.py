@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.trust.scenarios import STORE, ingest, train
+from tests.helpers.signed_again import Edit, rewrite, sign, with_value
 from tests.hostile.scene import EVIL, Scene, Spoil, links
-from tests.motionkit.store.signed_again import Edit, rewrite, sign, with_value
 
 EXPORTS = tuple(("export", "out", "--format", name, *STORE) for name in ("npz", "bvh", "humanml3d", "parquet", "csv"))
 WRITE = (

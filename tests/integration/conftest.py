@@ -2,27 +2,13 @@
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from small_bvh import bvh_text
 
 from motionkit.cli.app import main
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Exit code and what was printed."""
-
-    code: int
-    stdout: str
-    stderr: str
-
-    @property
-    def error_lines(self) -> list[str]:
-        """What was told about faults; a warning is none (of the small BVH: that it lacks a right side)."""
-        return [line for line in self.stderr.splitlines() if not line.startswith("warning: ")]
+from tests.helpers.outcome import Outcome
+from tests.helpers.small_bvh import bvh_text
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eval.clip_fid import feature_sources
+from eval.clip_fid import features
 from eval.clip_fid.score import PoseRange, Protocol
 from eval.report.render import to_markdown
 from eval.report.results import Block, Result, Row
@@ -18,12 +18,12 @@ from eval.tables.nerm.figure5 import build_figure5
 from eval.tables.nerm.figure8 import build_figure8
 from eval.tables.registry import TableRequest
 from motionkit.cli.ablate import ablate
-from motionkit.errors import MotionkitError, UsageError
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
-from motionkit.timegrid import TimeGrid
-from tests.nerm.corpus import analytic_positions
+from tests.helpers.nerm_corpus import analytic_positions
 
 TINY = (
     "codebook.steps=3",
@@ -64,7 +64,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def smaller(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(feature_sources, "FIT_CLIPS", 256)
+    monkeypatch.setattr(features, "FIT_CLIPS", 256)
     monkeypatch.setattr(figure8, "STEPS", (3,))
     monkeypatch.setattr(figure8, "REPEATS", 1)
 

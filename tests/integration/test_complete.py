@@ -11,31 +11,32 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Outcome
 
-from motionkit.completing import job
-from motionkit.completion import complete
-from motionkit.errors import MotionkitError
+from motionkit.complete import job
+from motionkit.core.errors import MotionkitError
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import Skeleton
+from motionkit.export.player.takes import unpack
 from motionkit.features import humanml3d
-from motionkit.features.humanml3d_processing import process
+from motionkit.features.humanml3d import process
+from motionkit.fields.completion import complete
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.motion_field import Observation, to_motion
 from motionkit.formats.arrays.joints_npy import read_joints_npy
 from motionkit.formats.arrays.npz import motion_arrays, read_npz, write_npz
 from motionkit.formats.bvh import frame_lines
 from motionkit.formats.bvh.document import read_document
 from motionkit.formats.bvh.motion import read_bvh, write_bvh
 from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
-from motionkit.interpolation.fields import INTERPOLATORS
-from motionkit.motion import Caption, Motion
-from motionkit.motionfield import Observation, to_motion
-from motionkit.player.packing import unpack
-from motionkit.skeleton import Skeleton
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
-from tests.motionkit.formats.samples import NUM_BVH_CHANNELS, bvh_text
-from tests.motionkit.formats.whole_documents import lines_of, poses_of
+from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
+from tests.helpers.outcome import Outcome
+from tests.helpers.repository import REPOSITORY
+from tests.helpers.whole_documents import lines_of, poses_of
 
 Run = Callable[..., Outcome]
-PAGE = Path(__file__).parents[2] / "docs" / "complete.md"
+PAGE = REPOSITORY / "docs" / "complete.md"
 
 
 @pytest.fixture(scope="module")
@@ -279,8 +280,8 @@ def test_a_bad_file_costs_nothing_of_the_others(motionkit: Run, tmp_path: Path, 
 
 
 LEARNT = """
-from motionkit.interpolation.fields import INTERPOLATORS
-from motionkit.skeleton import SMPL22
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.core.skeleton import SMPL22
 
 class Learnt:
     name, longest_gap_seconds, reach_seconds = "Learnt", 0.2, 0.1

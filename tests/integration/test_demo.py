@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from eval.commands import demo_steps as demo_module
+from eval.commands import demo_steps
 from eval.commands.demo import demo
 from eval.commands.demo_steps import DemoFolder, DemoSize, run_demo
-from motionkit.errors import LinkError, UsageError
+from motionkit.core.errors import LinkError, UsageError
 
 TINY = DemoSize(
     num_sequences=64,
@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> DemoFolder:
 def test_the_whole_chain_leaves_everything_behind(
     folder: DemoFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(demo_module, "SMALLEST", TINY)
+    monkeypatch.setattr(demo_steps, "SMALLEST", TINY)
     demo(folder=folder.path, smallest=True, as_json=True)
     document = json.loads(capsys.readouterr().out)
     assert set(document["seconds"]) == {"corpus", "ingest", "train", "generate", "eval", "picture"}
@@ -52,11 +52,11 @@ def test_a_demo_that_was_stopped_at_its_beginning_begins_again(tmp_path: Path, m
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(demo_module, "write_demo_corpus", stopped)
+        patch.setattr(demo_steps, "write_demo_corpus", stopped)
         for _ in range(2):  # there is a marker, and nothing else
             with pytest.raises(KeyboardInterrupt):
                 run_demo(made, TINY, seed=0)
-        assert [path.name for path in made.path.iterdir()] == [demo_module.MARKER]
+        assert [path.name for path in made.path.iterdir()] == [demo_steps.MARKER]
 
 
 def test_a_part_of_a_demo_that_is_a_link_is_not_deleted_through(folder: DemoFolder, tmp_path: Path) -> None:

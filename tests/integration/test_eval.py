@@ -12,10 +12,10 @@ import pytest
 
 from eval.report.render import format_cell
 from eval.report.results import Cell
-from motionkit.motion import Caption, Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
-from motionkit.timegrid import TimeGrid
 
 
 def walk(seed: int, fps: int, seconds: float) -> np.ndarray:

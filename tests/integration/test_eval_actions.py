@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
-from motionkit.timegrid import TimeGrid
-from tests.acting import ACTIONS, acted
+from tests.helpers.acting import ACTIONS, acted
 
 FPS = Fraction(30)
 

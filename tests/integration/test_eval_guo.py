@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval.clip_fid import feature_sources
-from eval.evaluators.guo import evaluator as guo
-from eval.evaluators.guo.networks import GuoWidths
+from eval.clip_fid import features
+from eval.text_motion.guo import evaluator
+from eval.text_motion.guo.networks import GuoWidths
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.features import humanml3d
-from motionkit.features.humanml3d_processing import process
+from motionkit.features.humanml3d import process
 from motionkit.formats.pose_folders.humanml3d import recover_positions
-from motionkit.motion import Caption, Motion
-from motionkit.skeleton import SMPL22
 from motionkit.store.writer import StoreWriter
-from motionkit.timegrid import TimeGrid
-from tests.published_guo import PLAIN, write_archive, write_glove, write_statistics
+from tests.helpers.published_guo import PLAIN, write_archive, write_glove, write_statistics
 
 SMALL = GuoWidths(movement=6, motion=5, text=4, shared=8)
 CLIPS = ("--clips", 64, "--replications", 1, "--sizes", "16:16")
@@ -55,9 +55,9 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def narrow_and_quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    loads = guo.load_guo
-    monkeypatch.setattr(guo, "load_guo", lambda files: loads(files, SMALL))
-    monkeypatch.setattr(feature_sources, "FIT_CLIPS", 256)
+    loads = evaluator.load_guo
+    monkeypatch.setattr(evaluator, "load_guo", lambda files: loads(files, SMALL))
+    monkeypatch.setattr(features, "FIT_CLIPS", 256)
 
 
 def block(outcome: Any, title: str = "") -> dict[str, Any]:

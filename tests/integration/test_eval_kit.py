@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval.evaluators.guo import evaluator as guo
-from eval.evaluators.guo.networks import GuoWidths
-from eval.tables import text_motion_sources as sources
+from eval.tables.nerm import text_motion
+from eval.text_motion.guo import evaluator
+from eval.text_motion.guo.networks import GuoWidths
+from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.features import humanml3d
-from motionkit.features.humanml3d_processing import process, standard_bone_lengths
+from motionkit.features.humanml3d import process, standard_bone_lengths
 from motionkit.formats.pose_folders.kit import UNIT_METRES
-from motionkit.generation import GenerationRequest
-from motionkit.skeleton import KIT21, SMPL22
-from tests.published_guo import write_archive, write_glove
-from tests.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
+from motionkit.generate.models import GenerationRequest
+from tests.helpers.published_guo import write_archive, write_glove
+from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 
 TAKES, FPS = 40, Fraction(25, 2)
 SMALL = GuoWidths(movement=6, motion=5, text=4, shared=8)
@@ -80,8 +80,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, ...]:
 
 @pytest.fixture(autouse=True)
 def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    loads = guo.load_guo
-    monkeypatch.setattr(guo, "load_guo", lambda files: loads(files, SMALL))
+    loads = evaluator.load_guo
+    monkeypatch.setattr(evaluator, "load_guo", lambda files: loads(files, SMALL))
 
 
 def rows_of(outcome: Any, title: str = "Table 1: guo") -> dict[str, dict[str, Any]]:
@@ -143,7 +143,7 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
 
     trained_run(tmp_path / "runs" / "nano")
     install_models(monkeypatch, lambda run: ScriptedModel(listens, 20.0))
-    monkeypatch.setattr(sources, "_native", lambda request: Lengths())
+    monkeypatch.setattr(text_motion, "_native", lambda request: Lengths())
     both = motionkit(
         *table, "--evaluator", "native,guo", "--fps", 12.5, "--motions", 64, "--runs", tmp_path / "runs", "--json"
     )

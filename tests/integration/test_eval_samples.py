@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.motion import Caption, Motion
-from motionkit.motionfield import to_motion
+from motionkit.core.motion import Caption, Motion
+from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import ACTIONS, draw_body, perform
-from tests.eval.sample_folder import published_layouts as published
+from tests.helpers import published_layouts as published
 
 SMALL = ("--fps", "20", "--clips", "96", "--replications", "2", "--features", "kinematic", "--sizes", "16:24")
 

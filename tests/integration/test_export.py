@@ -14,13 +14,13 @@ import pytest
 
 from eval.sample_folder import read_sample_folder
 from motionkit.cli.export import FORMATS
+from motionkit.core.kinematics import forward_kinematics
+from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.timegrid import TimeGrid
 from motionkit.export.catalogue import EXPORTS
 from motionkit.formats.bvh.motion import write_bvh
-from motionkit.kinematics import forward_kinematics
-from motionkit.motion import Caption, Motion, Provenance
-from motionkit.skeleton import SMPL22, Skeleton
 from motionkit.store import Store, StoreWriter
-from motionkit.timegrid import TimeGrid
 
 
 def test_bvh_and_back(motionkit, takes, tmp_path):
@@ -105,7 +105,7 @@ def test_a_fault_half_way_leaves_nothing(motionkit, bodies, tmp_path, monkeypatc
             raise OSError(28, "No space left on device", str(path))
         write_bvh(motion, path)
 
-    monkeypatch.setattr("motionkit.export.bvh.write_bvh", broken)
+    monkeypatch.setattr("motionkit.export.motion_files.write_bvh", broken)
     outcome = motionkit("export", tmp_path / "out", "--store", bodies)
     assert outcome.code == 1
     assert "No space left on device" in outcome.stderr
@@ -116,7 +116,7 @@ def test_what_a_killed_export_left_is_deleted_by_the_next_one(motionkit, bodies,
     def killed(motion, path):
         os.kill(os.getpid(), signal.SIGKILL)
 
-    monkeypatch.setattr("motionkit.export.bvh.write_bvh", killed)
+    monkeypatch.setattr("motionkit.export.motion_files.write_bvh", killed)
     process = multiprocessing.get_context("fork").Process(
         target=motionkit, args=("export", tmp_path / "out", "--store", bodies)
     )
@@ -124,7 +124,7 @@ def test_what_a_killed_export_left_is_deleted_by_the_next_one(motionkit, bodies,
     process.join()
     assert process.exitcode == -signal.SIGKILL
     assert [path.name for path in tmp_path.glob("out*")] == ["out.partial"]
-    monkeypatch.setattr("motionkit.export.bvh.write_bvh", write_bvh)
+    monkeypatch.setattr("motionkit.export.motion_files.write_bvh", write_bvh)
     outcome = motionkit("export", tmp_path / "out", "--store", bodies)
     assert outcome.code == 0
     assert [path.name for path in tmp_path.glob("out*")] == ["out"]

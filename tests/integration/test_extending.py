@@ -12,18 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store import StoreWriter
-from motionkit.timegrid import TimeGrid
+from tests.helpers.repository import REPOSITORY
 
-PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+PAGE = REPOSITORY / "docs" / "extending.md"
 NAMED_BLOCK = re.compile(r"^```\w+\n# (?P<path>[\w/]+\.(?:py|toml))\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 APP = "from motionkit.cli.app import main; main()"
 GENERATE = """
 import numpy as np, sys
 from pathlib import Path
-from motionkit.generation import GenerationRequest, load_model
+from motionkit.generate.models import GenerationRequest, load_model
 model = load_model("standstill", Path(sys.argv[1]))
 first, second = model.generate([GenerationRequest(2.0), GenerationRequest(3.0, text="a person walks")], seed=0)
 poses = second.query(np.array([0.0, 0.1, 3.0])).joint_positions

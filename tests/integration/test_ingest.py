@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_bvh import bvh_text
 
 from motionkit.core import files
-from motionkit.motion import Motion
-from motionkit.store import Store, StoreWriter, stretches
+from motionkit.core.motion import Motion
+from motionkit.store import Store, StoreWriter
+from motionkit.store.ingest import stretches
+from tests.helpers.small_bvh import bvh_text
 
 
 def ids(store: Path) -> list[str]:
@@ -86,7 +87,7 @@ def test_nothing_new_leaves_the_store_untouched(motionkit, takes, tmp_path):
 
 def test_an_ingest_loads_neither_pandas_nor_scipy(takes, tmp_path):
     script = (
-        "import sys; from motionkit.store.ingest import ingest; from pathlib import Path; "
+        "import sys; from motionkit.store.ingest.ingest import ingest; from pathlib import Path; "
         f"assert ingest([Path({str(takes)!r})], Path({str(tmp_path / 'store')!r}), num_workers=1).num_stored == 3; "
         "print(*sorted({'pandas', 'scipy', 'duckdb', 'torch'} & set(sys.modules)))"
     )

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_bvh import bvh_text
 
 from motionkit.store import Store
-from tests.motionkit.formats.every_format import SOURCES
+from tests.helpers.every_format import SOURCES
+from tests.helpers.small_bvh import bvh_text
 
 
 @pytest.fixture

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from conftest import Outcome
-from small_bvh import bvh_text
 
 from motionkit.cli import app, start
 from motionkit.store import Store
+from tests.helpers.outcome import Outcome
+from tests.helpers.small_bvh import bvh_text
 
 STOPPED = "motionkit: stopped\n"
 # What the installed script does; it says when a signal would no longer meet Python alone.
@@ -64,8 +64,8 @@ def test_the_server_of_workers_never_sees_ctrl_c() -> None:
     # Its process is sent one in each of its first moments, while it loads Python and what it serves.
     code = (
         "import os, signal, time; from multiprocessing import forkserver\n"
-        "from motionkit.workers.process_engine import Processes, start_server\n"
-        "from motionkit.workers.parallel import map_in_order\n"
+        "from motionkit.engines.process_engine import Processes, start_server\n"
+        "from motionkit.engines.parallel import map_in_order\n"
         "start_server()\n"
         "for _ in range(30):\n"
         "    os.kill(forkserver._forkserver._forkserver_pid, signal.SIGINT); time.sleep(0.02)\n"

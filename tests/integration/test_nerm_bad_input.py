@@ -13,10 +13,10 @@ import pytest
 from typer.testing import CliRunner
 
 from motionkit.cli.app import build_app
-from motionkit.motion import Caption, Motion
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import make_body, perform
-from motionkit.timegrid import TimeGrid
 from motionkit.training.tensors import load_tensors, save_tensors
 
 pytest.importorskip("transformers", reason="needs the extra motionkit[text]")

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.core.sealed import read_json
-from motionkit.demo_corpus import write_demo_corpus
-from motionkit.store.ingest import ingest
+from motionkit.core.checksums import read_json
+from motionkit.store.ingest.ingest import ingest
+from motionkit.synthetic.demo_corpus import write_demo_corpus
 
 TINY = (
     *("training.steps=2", "training.batch=8", "training.tasks.gap=0", "network.hidden=16", "network.code=16"),

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.console import stderr
+from motionkit.cli.console import stderr
 from motionkit.training.config import flatten, setting_text
-from tests.tiny import NERM, write_store
+from tests.helpers.tiny import NERM, write_store
 
 Draw = Callable[..., str]
 BAR, ERASED = "━", "\x1b[2K"

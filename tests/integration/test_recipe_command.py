@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from motionkit.cli.recipe import recipe
 from motionkit.cli.train import configure
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 from motionkit.training.stage import choose_stages, registered_stages
 
 

@@ -9,8 +9,9 @@ import pytest
 
 from eval.commands.samples import samples as command
 from eval.sample_folder.manifest import READERS, manifest_text, read_manifest
-from motionkit.errors import MotionkitError, UsageError
-from tests.eval.sample_folder import published_layouts as published
+from motionkit.core.errors import MotionkitError, UsageError
+from tests.helpers import published_layouts as published
+from tests.helpers.repository import REPOSITORY
 
 DEFAULTS = {"init": False, "fps": None, "unit_metres": None, "statistics": None, "mean": None, "std": None}
 
@@ -105,7 +106,7 @@ def test_motions_that_are_left_out_are_named_and_cost_the_exit_code(samples, tmp
 
 
 def test_the_manifests_of_the_page_are_manifests(tmp_path):
-    page = (Path(__file__).parents[2] / "docs" / "samples.md").read_text(encoding="utf-8")
+    page = (REPOSITORY / "docs" / "samples.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     assert len(blocks) == 2
     for name in ("mean.npy", "std.npy", "prompts.txt", "text_prompt.txt"):

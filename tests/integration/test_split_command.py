@@ -6,8 +6,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from motionkit.cli import split as split_module
-from motionkit.errors import UsageError
+from motionkit.cli import split
+from motionkit.core.errors import UsageError
 from motionkit.store import Store
 
 
@@ -21,7 +21,7 @@ def store(motionkit, takes, tmp_path):
 
 def run(*arguments):
     app = typer.Typer()
-    app.command()(split_module.split)
+    app.command()(split.split)
     return CliRunner().invoke(app, list(map(str, arguments)), catch_exceptions=False)
 
 

@@ -2,13 +2,13 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import pytest
 
 from motionkit.store import Store
+from tests.helpers.repository import REPOSITORY
 
-VERSION_1 = Path(__file__).parents[1] / "motionkit" / "store" / "stores" / "v1"
+VERSION_1 = REPOSITORY / "tests/motionkit/store/life/stores" / "v1"
 
 
 @pytest.fixture

@@ -13,9 +13,9 @@ import torch
 
 from motionkit.training.run import RunFolder
 from motionkit.training.tensors import load_tensors
-from tests.tiny import train_stage, write_store
+from tests.helpers.repository import REPOSITORY
+from tests.helpers.tiny import train_stage, write_store
 
-REPOSITORY = Path(__file__).parents[2]
 STAGES = ("codebook", "field", "denoiser")
 RANK = """
 import os, signal, sys
@@ -23,9 +23,9 @@ from dataclasses import replace
 from pathlib import Path
 import torch
 from motionkit.training import loop
-from motionkit.training.randomness import step_generator
+from motionkit.training.schedule import step_generator
 from motionkit.training.ranks import joined_ranks
-from tests.tiny import STAGES, train_stage
+from tests.helpers.tiny import STAGES, train_stage
 
 def interrupting(seed, purpose, step):
     if step == 23 and os.environ["RANK"] == "1":
@@ -34,9 +34,10 @@ def interrupting(seed, purpose, step):
 
 torch.set_num_threads(1)
 store, whole, interrupted, lonely = map(Path, sys.argv[1:])
-with joined_ranks():
+with joined_ranks() as ranks:
     for name in ("codebook", "field", "denoiser"):
         train_stage(name, store, whole, shared=True)
+        ranks.wait()  # as the command does: the next stage reads what the first rank saves at last
     # One clip a batch: at every step one of the ranks has nothing to do.
     stage, config = STAGES["field"]
     STAGES["field"] = (stage, replace(config, field=replace(config.field, batch=1, steps=6)))

@@ -13,18 +13,18 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionkit.core.sealed import write_json
-from motionkit.errors import DamagedFileError
+from motionkit.core.checksums import write_json
+from motionkit.core.errors import DamagedFileError
 from motionkit.training import loop, precision
 from motionkit.training.config import apply_overrides
-from motionkit.training.randomness import step_generator
 from motionkit.training.run import RunError, RunFolder, StageFolder
+from motionkit.training.schedule import step_generator
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError
 from nerm.stages import CODEBOOK, DENOISER, FIELD
-from tests.tiny import NERM, STAGES, train_stage, write_store
+from tests.helpers.repository import REPOSITORY
+from tests.helpers.tiny import NERM, STAGES, train_stage, write_store
 
-REPOSITORY = Path(__file__).parents[2]
 GOLDEN = Path(__file__).with_name("golden_losses.json")
 
 
@@ -116,9 +116,9 @@ from pathlib import Path
 import torch
 from motionkit.training import loop, precision
 from motionkit.training.config import apply_overrides
-from motionkit.training.randomness import step_generator
+from motionkit.training.schedule import step_generator
 from nerm.stages import field as field_stage
-from tests.tiny import train_stage
+from tests.helpers.tiny import train_stage
 
 def killing(seed, purpose, step):
     if step == 52:

@@ -11,21 +11,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Outcome
 
+from motionkit.core.motion import Caption, Motion
+from motionkit.export.player.takes import unpack
 from motionkit.features import humanml3d
-from motionkit.features.humanml3d_processing import process
+from motionkit.features.humanml3d import process
+from motionkit.fields.motion_field import to_motion
 from motionkit.formats.arrays.npz import motion_arrays, write_npz
 from motionkit.formats.bvh.motion import read_bvh, write_bvh
-from motionkit.formats.items import ReadOptions
 from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
-from motionkit.formats.registry import read, scan
-from motionkit.motion import Caption, Motion
-from motionkit.motionfield import to_motion
-from motionkit.player.packing import unpack
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.scan.scanner import read, scan
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
-from tests.motionkit.formats.every_format import SOURCES
+from tests.helpers.every_format import SOURCES
+from tests.helpers.outcome import Outcome
 
 Run = Callable[..., Outcome]
 HALF_STEP = 5.1e-5

@@ -9,14 +9,14 @@ import pytest
 
 import motionkit.cli.train as train_command
 from motionkit.cli.train import narrowed
-from motionkit.conditions import conjunction
-from motionkit.errors import UsageError
-from motionkit.motion import Motion
-from motionkit.motionfield import to_motion
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.motion_field import to_motion
 from motionkit.quality import measure
+from motionkit.store.conditions import conjunction
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import draw_body, perform
-from motionkit.timegrid import TimeGrid
 from motionkit.training.config import flatten
 from motionkit.training.stage import registered_stages
 

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
-from motionkit.motionfield import Poses, check_times, to_motion
-from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.training.randomness import seeded_initialisation
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.fields.motion_field import Poses, check_times, to_motion
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.training.run import RunError
-from nerm.conditions.batch import ConditionLayout
+from motionkit.training.schedule import seeded_initialisation
+from nerm.conditions import ConditionLayout
 from nerm.denoiser.latent_space import LatentSpace
 from nerm.denoiser.network import Denoiser
 from nerm.denoiser.trained import TrainedDenoiser
-from nerm.latents.reach import ALWAYS
+from nerm.latents.posterior import ALWAYS
 from nerm.model import NermModel
-from nerm.settings.denoiser import DenoiserConfig, DiffusionConfig, TransformerConfig
+from nerm.settings import DenoiserConfig, DiffusionConfig, TransformerConfig
 
 NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, dropout=0.0)
 

@@ -7,10 +7,16 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.training.randomness import seeded_initialisation
-from pahires.activation import LARGEST_AMPLITUDE, SLOPE_SQUARE, FourierActivation, Initialisation, linear
-from pahires.gaussian_moments import gaussian_moments
-from pahires.table_lookup import apply_by_table
+from motionkit.training.schedule import seeded_initialisation
+from pahires.activation import (
+    LARGEST_AMPLITUDE,
+    SLOPE_SQUARE,
+    FourierActivation,
+    Initialisation,
+    apply_by_table,
+    gaussian_moments,
+    linear,
+)
 
 
 @given(seed=st.integers(0, 2**31), fastest=st.floats(0.1, 8.0))

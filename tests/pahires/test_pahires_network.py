@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.motionfield import MotionEncoder
-from motionkit.training.randomness import seeded_initialisation
+from motionkit.clips.temporal.encoder import NetworkEncoder
+from motionkit.clips.temporal.network import ObservedWindow, TemporalNetwork
+from motionkit.fields.motion_field import MotionEncoder
 from motionkit.training.run import RunFolder
+from motionkit.training.schedule import seeded_initialisation
 from motionkit.training.stage import StageContext
-from pahires.encoder import NetworkEncoder
 from pahires.model import PaHiRes
-from pahires.network import ObservedWindow, TemporalNetwork
-from pahires.network_settings import NetworkSettings
 from pahires.recipes import RECIPES, PaHiResConfig, nano
+from pahires.settings import NetworkSettings
 from pahires.stage import STAGE, load
-from tests.pahires.small_network import TASKS
-from tests.tiny import write_store
+from tests.helpers.small_network import TASKS
+from tests.helpers.tiny import write_store
 
 SMALL = NetworkSettings(
     frames_per_scale=(2, 4, 6), embedding=16, code=16, attention_tokens=4, hidden=24, decoder_layers=2, num_sines=4
@@ -132,9 +132,8 @@ def test_the_stage_trains_and_its_losses_are_as_they_were(tmp_path: Path, reques
 
 def test_one_motion_is_learnt_better_than_any_interpolation_of_it() -> None:
     """A network that can represent a motion beats the curve that its answers correct, on that motion."""
-    from pahires.base_curves import interpolated
-    from pahires.prediction import Predictor
-    from pahires.scaling import Scaling
+    from motionkit.clips.temporal.base_curves import Scaling, interpolated
+    from motionkit.clips.temporal.prediction import Predictor
 
     times = torch.arange(0, 65, 8) / 30
     queries = torch.arange(65) / 30

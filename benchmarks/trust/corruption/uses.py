@@ -19,7 +19,7 @@ def history(folder: str) -> None:
 
 def evaluator(run: str) -> None:
     """The embeddings that a trained evaluator gives of clips that are known."""
-    from eval.evaluators.native.evaluator import load_native
+    from eval.native_evaluator.evaluator import load_native
 
     clips = np.cumsum(0.01 * np.random.default_rng(2).normal(size=(4, 16, 22, 3)), axis=1) + np.arange(22)[:, None] / 9
     _print(load_native(Path(run)).embed_motions(clips, Fraction(20)))
@@ -27,7 +27,7 @@ def evaluator(run: str) -> None:
 
 def kinematic(folder: str) -> None:
     """The features of fitted kinematic descriptors, which are fitted where there are none."""
-    from eval.evaluators.kinematic import fit_kinematic, load_kinematic
+    from eval.clip_fid.kinematic import fit_kinematic, load_kinematic
 
     path = Path(folder) / "kinematic.npz"
     clips = np.random.default_rng(3).normal(size=(40, 8, 22, 3))
@@ -55,7 +55,7 @@ def texts(folder: str) -> None:
 
 def motions(folder: str) -> None:
     """What an ingest would store of a folder of motions."""
-    from motionkit.formats.registry import read, scan
+    from motionkit.formats.scan.scanner import read, scan
 
     found = scan([Path(folder)])
     for problem in found.problems:

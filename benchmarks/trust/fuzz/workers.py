@@ -25,7 +25,7 @@ import torch
 from benchmarks.trust.fuzz.archives import prepare_bombs
 from benchmarks.trust.fuzz.mutate import generator, mutate
 from benchmarks.trust.fuzz.target import Target
-from motionkit.errors import MotionkitError
+from motionkit.core.errors import MotionkitError
 
 MOST_BYTES = 1 << 30
 MOST_SECONDS = 2.0

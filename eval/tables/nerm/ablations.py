@@ -16,13 +16,12 @@ from eval.tables.models import Trained
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
 from eval.tables.nerm.table2 import ROW_NOTES
-from eval.tables.parts import Part
+from eval.tables.parts import SOURCES, Part, Reported, reported_figures
 from eval.tables.registry import Table, TableRequest
-from eval.tables.reported import SOURCES, Reported, reported_figures
+from motionkit.complete.encoders import EncoderLoader, encoder_loader
+from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import OnProgress, task
-from motionkit.encoders import EncoderLoader, encoder_loader
-from motionkit.errors import MotionkitError, UsageError
-from motionkit.generation import ModelLoader, model_loader
+from motionkit.generate.models import ModelLoader, model_loader
 from motionkit.training.ablations import Ablation, Entry, find_ablations, run_name
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunFolder

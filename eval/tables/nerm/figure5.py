@@ -8,7 +8,7 @@ from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
 from eval.tables.nerm.table2 import COLUMNS, ROW_NOTES
 from eval.tables.registry import Table, TableRequest
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 
 VERSION = "unconditional/1"
 REAL = "real"

@@ -10,9 +10,9 @@ from eval.tables.models import require_models
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import SYNTHESIS, Yardstick, label
 from eval.tables.registry import Table, TableRequest
-from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
-from motionkit.motionfield import to_motion
+from motionkit.core.errors import UsageError
+from motionkit.fields.motion_field import to_motion
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 
 VERSION = "cost/1"
 TARGET_FPS = Fraction(60)

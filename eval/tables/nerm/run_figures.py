@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eval.baselines.low_pass import low_passed
-from eval.clip_fid.feature_sources import fit_on
+from eval.clip_fid.features import fit_on
+from eval.clip_fid.kinematic import BLOCKS, KinematicDescriptor
+from eval.clip_fid.kinematic import VERSION as KINEMATIC_VERSION
 from eval.clip_fid.score import (
     REAL,
     ClipError,
@@ -21,14 +22,14 @@ from eval.clip_fid.score import (
     score_rows,
 )
 from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
-from eval.evaluators.kinematic import BLOCKS, KinematicDescriptor
-from eval.evaluators.kinematic import VERSION as KINEMATIC_VERSION
-from eval.metrics.diversity import diversity
-from eval.metrics.interval import estimate
+from eval.metrics.actions import diversity
+from eval.metrics.checks import estimate
+from eval.reconstruction.errors import mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Cell
-from eval.samples.generated import Window, chosen_windows, sample_fields, windows_of
-from eval.samples.real import NoRealMotionError, RealMotion, real_motion
-from eval.samples.sets import SampleSet
+from eval.sets.generated import Window, chosen_windows, sample_fields, windows_of
+from eval.sets.real import NoRealMotionError, RealMotion, real_motion
+from eval.sets.sets import SampleSet
+from eval.sets.upsampled import low_passed
 from eval.tables.models import Trained, TrainedModel, reconstructor
 from eval.tables.nerm import table4
 from eval.tables.nerm.clip_fid_column import P1, P2
@@ -36,10 +37,9 @@ from eval.tables.nerm.table2 import clip_fid_cell
 from eval.tables.nerm.table4 import VERSION as RECONSTRUCTION_VERSION
 from eval.tables.nerm.table4 import described_windows
 from eval.tables.parts import Part, kept
-from eval.tables.reconstruction_errors import mpjpe_cell, mre_cell, window_errors
 from eval.tables.registry import TableRequest
-from motionkit.generation import GenerationRequest, GenerativeModel, SamplingOptions
-from motionkit.motionfield import MotionEncoder, MotionField
+from motionkit.fields.motion_field import MotionEncoder, MotionField
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

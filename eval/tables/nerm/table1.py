@@ -8,27 +8,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eval.evaluators.text_motion import TextMotionEvaluator
-from eval.protocols.text_motion import TextMotionProtocol, find_text_motion_protocol
+from eval.metrics.replications import Scores
 from eval.report.results import Block, Result, environment
 from eval.sample_folder import SampleFolder
-from eval.samples.real import NoRealMotionError
-from eval.scoring.scores import Scores
-from eval.scoring.text_motion import TextMotionPairs, score_text_motion
-from eval.scoring.yardsticks import size_remarks
+from eval.sets.memorisation import size_remarks
+from eval.sets.real import NoRealMotionError
 from eval.tables.models import Trained, TrainedModel, check_names, trained_models
+from eval.tables.nerm.sample_motions import sample_embeddings
+from eval.tables.nerm.text_motion import ScoredRow, paper_block, scored_blocks, text_motion_evaluators
 from eval.tables.registry import Table, TableRequest
-from eval.tables.text_motion_blocks import ScoredRow, paper_block, scored_blocks
-from eval.tables.text_motion_sources import text_motion_evaluators
 from eval.text_motion.embedding_cache import FOLDER, Embedder
-from eval.text_motion.kit_joints import MADE_OF_22, kit_bone_lengths
+from eval.text_motion.evaluator import TextMotionEvaluator
 from eval.text_motion.model_motions import ModelMotions
-from eval.text_motion.real_pairs import CaptionedMotions, captioned_motions, limited
-from eval.text_motion.sample_motions import sample_embeddings
+from eval.text_motion.protocol import TextMotionProtocol, find_text_motion_protocol
+from eval.text_motion.real_pairs import MADE_OF_22, CaptionedMotions, captioned_motions, kit_bone_lengths, limited
+from eval.text_motion.scores import TextMotionPairs, score_text_motion
+from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
-from motionkit.errors import MotionkitError, UsageError
-from motionkit.generation import installed_models
-from motionkit.skeleton import SMPL22, STANDARD_SKELETONS
+from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
+from motionkit.generate.models import installed_models
 
 VERSION = "text-motion/1"
 DEFAULT_FPS = Fraction(20)

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eval.clip_fid.feature_sources import FeatureSource, feature_sources
+from eval.clip_fid.feature_set import FeatureSet
+from eval.clip_fid.features import FeatureSource, feature_sources
+from eval.clip_fid.kinematic import KinematicDescriptor
 from eval.clip_fid.score import (
     VERSION,
     ClipError,
@@ -18,14 +20,12 @@ from eval.clip_fid.score import (
     score_disjoint_halves,
     score_rows,
 )
-from eval.evaluators.feature_set import FeatureSet
-from eval.evaluators.kinematic import KinematicDescriptor
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.sample_folder import SampleFolder
-from eval.samples.generated import Window, generate_fields, sample_fields, windows_of
-from eval.samples.real import NoRealMotionError, RealMotion, real_motion
-from eval.samples.remarks import set_remarks
-from eval.scoring.memorisation import SAMPLED_FPS
+from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
+from eval.sets.memorisation import SAMPLED_FPS
+from eval.sets.real import NoRealMotionError, RealMotion, real_motion
+from eval.sets.remarks import set_remarks
 from eval.tables.models import check_names, trained_models
 from eval.tables.nerm.clip_fid_column import (
     GENERATED_LOW,
@@ -40,15 +40,15 @@ from eval.tables.nerm.clip_fid_column import (
     ModelFields,
     framerate_label,
     make_column,
+    nearest_training_block,
     samples_at,
 )
-from eval.tables.nerm.nearest_training import nearest_training_block
+from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import Table, TableRequest
-from eval.tables.reported import SOURCES, reported_figures
+from motionkit.core.errors import MotionkitError
 from motionkit.core.files import require_no_link
 from motionkit.core.progress import OnProgress, task
-from motionkit.errors import MotionkitError
-from motionkit.motionfield import MotionField
+from motionkit.fields.motion_field import MotionField
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

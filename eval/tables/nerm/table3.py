@@ -6,23 +6,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eval.actions.protocol import ActionProtocol, find_action_protocol
+from eval.actions.recogniser import ActionRecogniser
 from eval.actions.recognisers import RecogniserSource, find_recogniser
+from eval.actions.scores import LabelledRecognition, score_actions
 from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, with_rotations
-from eval.evaluators.actions.recogniser import ActionRecogniser
-from eval.metrics.accuracy import accuracy
-from eval.metrics.kernel import kid
-from eval.protocols.actions import ActionProtocol, find_action_protocol
+from eval.metrics.actions import accuracy
+from eval.metrics.gaussian import kid
+from eval.metrics.replications import Score, Scores
 from eval.report.results import Block, Cell, Origin, Result, Row, environment
-from eval.samples.real import RealMotion, real_motion
-from eval.samples.sets import SampleSet
-from eval.scoring.actions import LabelledRecognition, score_actions
-from eval.scoring.scores import Score, Scores
-from eval.scoring.yardsticks import size_remarks
+from eval.sets.memorisation import size_remarks
+from eval.sets.real import RealMotion, real_motion
+from eval.sets.sets import SampleSet
 from eval.tables.models import check_names, trained_models
+from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import Table, TableRequest
-from eval.tables.reported import SOURCES, reported_figures
+from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
-from motionkit.errors import MotionkitError, UsageError
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -140,7 +140,7 @@ def _has_training(store: "Store") -> bool:
 
 
 def _long_enough(samples: SampleSet) -> SampleSet:
-    from eval.evaluators.motion_statistics import MIN_FRAMES
+    from eval.actions.linear import MIN_FRAMES
 
     return samples.select(np.flatnonzero(samples.num_frames >= MIN_FRAMES))
 

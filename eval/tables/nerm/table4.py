@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Int64
 
+from eval.reconstruction.errors import WindowErrors, mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Block, Cell, Result, Row, environment
-from eval.samples.real import of_split_and
+from eval.sets.real import of_split_and
 from eval.tables.models import reconstructor, trained_reconstructors
-from eval.tables.reconstruction_errors import WindowErrors, mpjpe_cell, mre_cell, window_errors
+from eval.tables.parts import reported_figures
 from eval.tables.registry import Table, TableRequest
-from eval.tables.reported import reported_figures
 from motionkit.clips.reconstruction import (
     ModelWindows,
     Reconstruction,
@@ -23,8 +23,8 @@ from motionkit.clips.reconstruction import (
     separate_windows,
 )
 from motionkit.clips.windows import PositionSource, Windows
-from motionkit.errors import UsageError
-from motionkit.motionfield import MotionField
+from motionkit.core.errors import UsageError
+from motionkit.fields.motion_field import MotionField
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -11,18 +11,18 @@ from functools import partial
 from statistics import fmean
 from typing import Any
 
-from eval.completing.encoders import INTERPOLATION, Completer, completer_of
-from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
+from eval.completion.blocks import Scope, value, with_pools
+from eval.completion.encoders import INTERPOLATION, Completer, completer_of
+from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
+from eval.completion.takes import NoTakesError, data_sets_of, nothing_at_all
 from eval.metrics.registry import find_metric
-from eval.protocols.interpolation import VERSION, InterpolationProtocol, scale_label
 from eval.report.results import Block, Cell, Result, Row, environment
-from eval.samples.real import of_split_and
-from eval.tables.pahires.blocks import Scope, value, with_pools
+from eval.sets.real import of_split_and
 from eval.tables.pahires.interpolation import caption, definition
-from eval.tables.pahires.measured_interpolation import Measured, measure_data_set
+from eval.tables.pahires.measured import Measured, measure_data_set
+from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import Table, TableRequest
-from eval.tables.reported import SOURCES, reported_figures
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 from motionkit.training.ablations import Ablation, Variant, find_ablations, run_name
 from motionkit.training.run import RunFolder
 

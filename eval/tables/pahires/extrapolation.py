@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from eval.completing.encoders import HOLD, INTERPOLATION
-from eval.protocols.inbetweening import EXTRAPOLATION_VERSION, continuations
+from eval.completion.encoders import HOLD, INTERPOLATION
+from eval.completion.protocol import EXTRAPOLATION_VERSION, continuations
 from eval.report.results import Result, environment
 from eval.tables.pahires.inbetweening import definition
 from eval.tables.pahires.window_rows import WindowTable, measure_table

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from eval.completing.encoders import INTERPOLATION
-from eval.protocols.inbetweening import INBETWEENING_VERSION, gaps
+from eval.completion.encoders import INTERPOLATION
+from eval.completion.protocol import INBETWEENING_VERSION, gaps
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.tables.pahires.window_rows import WindowTable, measure_table
+from eval.tables.parts import SOURCES, Reported, reported_figures
 from eval.tables.registry import Table, TableRequest
-from eval.tables.reported import SOURCES, Reported, reported_figures
 from motionkit.formats.bvh import lafan1
 
 _NAMES = {"hold": "zero velocity", "SLERP": "interpolation (SLERP)"}

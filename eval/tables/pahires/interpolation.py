@@ -5,15 +5,15 @@ from fractions import Fraction
 from functools import partial
 from typing import Any
 
-from eval.completing.encoders import INTERPOLATION, trained_completers
-from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
-from eval.protocols.interpolation import INTEGER_SCALES, OTHER_SCALES, VERSION, InterpolationProtocol, scale_label
+from eval.completion.blocks import Shown, blocks_of, with_pools
+from eval.completion.encoders import INTERPOLATION, trained_completers
+from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, VERSION, InterpolationProtocol, scale_label
+from eval.completion.takes import NoTakesError, data_sets_of, nothing_at_all
 from eval.report.results import Block, Cell, Result, Row, environment
-from eval.samples.real import of_split_and
-from eval.tables.pahires.blocks import Shown, blocks_of, with_pools
-from eval.tables.pahires.measured_interpolation import Measured, measure_data_set
+from eval.sets.real import of_split_and
+from eval.tables.pahires.measured import Measured, measure_data_set
+from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import Table, TableRequest
-from eval.tables.reported import SOURCES, reported_figures
 
 METRICS = {
     "psnr": "PSNR (dB)",

@@ -4,20 +4,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from eval.completing.encoders import Completer, trained_completers
-from eval.completing.inbetweening import METRICS, measure_windows, num_batches
-from eval.completing.scores import Scores
-from eval.completing.takes import NoTakesError, data_sets_of, nothing_at_all
-from eval.completing.windows import FPS, PoseWindows, data_set_windows, lafan1_windows, num_lafan1_takes
-from eval.protocols.inbetweening import Question
+from eval.completion.blocks import Scope, Shown, blocks_of, with_pools
+from eval.completion.encoders import Completer, trained_completers
+from eval.completion.inbetweening import METRICS, measure_windows, num_batches
+from eval.completion.protocol import Question
+from eval.completion.scores import Scores
+from eval.completion.takes import NoTakesError, data_sets_of, nothing_at_all
+from eval.completion.windows import FPS, PoseWindows, data_set_windows, lafan1_windows, num_lafan1_takes
 from eval.report.results import Block
-from eval.samples.real import of_split_and
-from eval.tables.pahires.blocks import Scope, Shown, blocks_of, with_pools
-from eval.tables.pahires.kept_scores import find_scores, keep_scores
+from eval.sets.real import of_split_and
+from eval.tables.pahires.measured import find_scores, keep_scores
 from eval.tables.registry import TableRequest
+from motionkit.complete.encoders import Task
+from motionkit.core.errors import MotionkitError
 from motionkit.core.progress import task
-from motionkit.encoders import Task
-from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from motionkit import kinematics
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
-from motionkit.formats.number_table import parse_number
-from motionkit.skeleton import MAX_JOINTS, Skeleton
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.skeleton import MAX_JOINTS, Skeleton
+from motionkit.formats.source import source_file
+from motionkit.formats.source.number_table import parse_number
 
 ROTATIONS = {"rx": "X", "ry": "Y", "rz": "Z"}
 INCH = 0.0254
@@ -66,7 +66,7 @@ def read_asf(path: Path, unit_metres: float | None = None) -> AsfSkeleton:
 
     Raises `FormatError` (`asf`, `not-what-it-says`, …) naming the line.
     """
-    return _parsed(sourcefile.read_bytes(path), path, unit_metres)
+    return _parsed(source_file.read_bytes(path), path, unit_metres)
 
 
 # All takes of a subject share one file.
@@ -75,11 +75,11 @@ def _parsed(data: bytes, path: Path, unit_metres: float | None) -> AsfSkeleton:
     parser = _Parser(path)
     if not re.search(rb"(?m)^[ \t]*:(bonedata|root)\b", data):
         raise FormatError(
-            f"looks like {sourcefile.describe_content(data)}, expected an ASF skeleton with :root and :bonedata",
+            f"looks like {source_file.describe_content(data)}, expected an ASF skeleton with :root and :bonedata",
             path=path,
             reason="not-what-it-says",
         )
-    for parser.line, line in enumerate(sourcefile.decode(data, path).splitlines(), start=1):
+    for parser.line, line in enumerate(source_file.decode(data, path).splitlines(), start=1):
         words = line.split("#", 1)[0].split()
         if words:
             parser.feed(words)

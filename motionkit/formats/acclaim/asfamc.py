@@ -14,14 +14,21 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from motionkit import kinematics
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.acclaim.asf import ROTATIONS, AsfSkeleton, read_asf
-from motionkit.formats.items import ReadOptions
-from motionkit.formats.number_table import INLINE_BYTES, Words, blocks, find_words, parse_number, to_numbers
-from motionkit.motion import Motion, Provenance
-from motionkit.timegrid import TimeGrid
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.source import source_file
+from motionkit.formats.source.number_table import (
+    INLINE_BYTES,
+    Words,
+    blocks,
+    find_words,
+    parse_number,
+    to_numbers,
+)
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,7 @@ def read_asfamc(path: Path, options: ReadOptions | None = None, skeleton_path: P
     `FormatError`; with the reason `no-framerate` where `options.fps` does not say the framerate, which AMC cannot.
     """
     options = options or ReadOptions()
-    data = sourcefile.read_bytes(path)
+    data = source_file.read_bytes(path)
     if options.fps is None:
         raise FormatError(
             "AMC files don't state their framerate; give it in the column 'fps' of an annotation CSV beside them, or "
@@ -65,7 +72,7 @@ def read_asfamc(path: Path, options: ReadOptions | None = None, skeleton_path: P
         sequence_id=path.stem,
         provenance=Provenance(
             source_path=path.name,
-            source_sha256=sourcefile.sha256(data),
+            source_sha256=source_file.sha256(data),
             source_format="asfamc",
             operations=tuple(operations),
         ),
@@ -105,7 +112,7 @@ def parse_amc(data: bytes, path: Path) -> AmcTable:
     start = re.search(rb"(?m)^[ \t]*\d+[ \t]*\r?$", data)
     if start is None or b":FULLY-SPECIFIED" not in data[: start.start()].upper():
         raise FormatError(
-            f"looks like {sourcefile.describe_content(data)}, expected an AMC file with :FULLY-SPECIFIED and frames",
+            f"looks like {source_file.describe_content(data)}, expected an AMC file with :FULLY-SPECIFIED and frames",
             path=path,
             reason="not-what-it-says",
         )

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.core.sealed import unsealed, write_json
-from motionkit.errors import FormatError
-from motionkit.formats import body_frame, clock, sourcefile
+from motionkit.core.checksums import unsealed, write_json
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.plain_text import parse_json, shown
+from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
 from motionkit.formats.arrays import npy
-from motionkit.formats.items import ReadOptions
-from motionkit.motion import Motion, Provenance
-from motionkit.plain_text import parse_json, shown
-from motionkit.skeleton import STANDARD_SKELETONS, Skeleton
-from motionkit.timegrid import TimeGrid, format_fps, parse_fps
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.source import body_frame, clock, source_file
 
 MANIFEST = "motions.json"
 LAYOUT_BY_JOINTS = {21: "kit21", 22: "smpl22", 24: "smpl22"}
@@ -59,7 +59,7 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
             path=path,
             reason="no-framerate",
         )
-    data = sourcefile.read_bytes(path)
+    data = source_file.read_bytes(path)
     positions = npy.read_npy(path, data, (None, None, 3))
     skeleton = _skeleton(positions.shape[1], manifest, path)
     # Without that file there is no place in which another framerate could be stated.
@@ -80,7 +80,7 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
         sequence_id=path.stem,
         provenance=Provenance(
             source_path=path.name,
-            source_sha256=sourcefile.sha256(data),
+            source_sha256=source_file.sha256(data),
             source_format="joints-npy",
             stated_fps="" if manifest.fps is None else format_fps(manifest.fps),
             operations=tuple(operations),
@@ -110,7 +110,7 @@ def read_manifest(path: Path) -> Manifest:
     if not path.is_file():
         return Manifest()
     try:
-        value = unsealed(parse_json(sourcefile.decode(sourcefile.read_bytes(path), path)))
+        value = unsealed(parse_json(source_file.decode(source_file.read_bytes(path), path)))
         fps = value.get("fps")
         manifest = Manifest(
             None if fps is None else parse_fps(fps), str(value.get("layout", "")), float(value.get("unit_metres", 1.0))

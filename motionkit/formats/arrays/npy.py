@@ -7,11 +7,42 @@ import re
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
-from motionkit.formats.arrays.plausible import checked_numbers
+from motionkit.core.errors import FormatError
+from motionkit.formats.source import source_file
+
+# A kilometre in millimetres.
+MAX_NUMBER = 1e6
+# Quaternions of float16 are off unit length by 1e-3.
+MAX_LENGTH_ERROR = 0.01
+
+
+def checked_numbers(array: np.ndarray, path: Path, name: str = "") -> Float32[np.ndarray, "..."]:
+    """An array as float32, frames first; raises `FormatError` (`nan`, `range`) with the first frame that is none."""
+    if array.dtype == np.float16:
+        array = array.astype(np.float32)  # a million is beyond what float16 can be compared with
+    rows = array.reshape(len(array), -1)
+    for reason, bad in (("nan", ~np.isfinite(rows)), ("range", (rows > MAX_NUMBER) | (rows < -MAX_NUMBER))):
+        if bad.any():
+            frame = int(np.flatnonzero(bad.any(axis=1))[0])
+            value = rows[frame][bad[frame]][0]
+            message = f"{name}{': ' if name else ''}{value} where a number of a body was expected"
+            raise FormatError(message, path=path, reason=reason, frame=frame)
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def checked_rotations(rotations: Float[np.ndarray, "frames joints 4"], path: Path, name: str) -> None:
+    """Raise `FormatError` (`range`) where a quaternion's length is off 1 by more than 0.01."""
+    error = np.abs(np.linalg.norm(rotations, axis=-1) - 1.0).max(axis=1)
+    if error.max() > MAX_LENGTH_ERROR:
+        raise FormatError(
+            f"{name}: a quaternion's length is off 1 by {error.max():.3g}, expected unit quaternions",
+            path=path,
+            reason="range",
+            frame=int(np.argmax(error > MAX_LENGTH_ERROR)),
+        )
+
 
 MAGIC = b"\x93NUMPY"
 HEADER_BYTES = 10_000
@@ -56,7 +87,7 @@ def parse_npy(
     """
     if not data.startswith(MAGIC):
         raise FormatError(
-            f"looks like {sourcefile.describe_content(data)}, expected a .npy array",
+            f"looks like {source_file.describe_content(data)}, expected a .npy array",
             path=path,
             reason="not-what-it-says",
         )

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.core.errors import FormatError
 from motionkit.formats.arrays import npy, pickled_data
+from motionkit.formats.source import source_file
 
 # Deflate reaches 1,032 at most, on constant bytes; arrays of measurements stay below 10. Small members may be constant.
 MAX_RATIO = 200
@@ -53,7 +53,7 @@ def open_archive(path: Path, data: bytes) -> NpzArchive:
     """The archive in a file's bytes; raises `FormatError` (`not-what-it-says`, `truncated`, `duplicate-key`)."""
     if not data.startswith(b"PK\x03\x04"):
         raise FormatError(
-            f"looks like {sourcefile.describe_content(data)}, expected an .npz archive",
+            f"looks like {source_file.describe_content(data)}, expected an .npz archive",
             path=path,
             reason="not-what-it-says",
         )
@@ -171,7 +171,7 @@ def _checked_info(archive: NpzArchive, key: str) -> zipfile.ZipInfo:
             path=archive.path,
             reason="truncated",
         )
-    if info.file_size > max(HARMLESS_BYTES, MAX_RATIO * info.compress_size) or info.file_size > sourcefile.MAX_BYTES:
+    if info.file_size > max(HARMLESS_BYTES, MAX_RATIO * info.compress_size) or info.file_size > source_file.MAX_BYTES:
         raise FormatError(
             f"{key}: {info.compress_size} bytes that claim to unpack to {info.file_size}",
             path=archive.path,

@@ -20,9 +20,9 @@ from typing import IO, Any, cast
 
 import numpy as np
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.core.errors import FormatError
 from motionkit.formats.arrays import npy
+from motionkit.formats.source import source_file
 
 CONSTANTS = frozenset(
     (
@@ -78,7 +78,7 @@ def read_pickled_dict(path: Path) -> dict[str, Any]:
 
     Raises `FormatError` (`pickle`) where the object is no dictionary or holds other things than plain data.
     """
-    if path.stat().st_size > sourcefile.MAX_BYTES:
+    if path.stat().st_size > source_file.MAX_BYTES:
         raise FormatError("too large, expected at most 4 GB", path=path, reason="too-large")
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
         head = io.BytesIO(mapped[: npy.HEADER_BYTES])

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.core.errors import FormatError
 from motionkit.formats.arrays import npy, npz_archive
+from motionkit.formats.source import source_file
 
 SHOWN_ARRAYS = 8
 POSE_VECTOR_WIDTHS = {263: "HumanML3D", 251: "KIT-ML"}
@@ -61,7 +61,7 @@ def _arrays(path: Path) -> dict[str, _Array] | None:
             return None if header is None else {"": _Array(header[0], header[2])}
         case ".npz":
             try:
-                archive = npz_archive.open_archive(path, sourcefile.read_bytes(path))
+                archive = npz_archive.open_archive(path, source_file.read_bytes(path))
                 headers = {name: npz_archive.read_header(archive, name) for name in sorted(archive.members)}
             except FormatError:
                 return None

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from motionkit.blocks import Blocks
-from motionkit.errors import FormatError
-from motionkit.formats import number_table
+from motionkit.core.blocks import Blocks
+from motionkit.core.errors import FormatError
 from motionkit.formats.bvh.text import BvhText
-from motionkit.formats.file_parts import FileParts
-from motionkit.formats.number_table import TablePart
+from motionkit.formats.source import number_table
+from motionkit.formats.source.number_table import TablePart
+from motionkit.formats.source.source_file import FileParts
 
 FRAMES_AT_ONCE = 512
 BLOCKS_KEPT = 6

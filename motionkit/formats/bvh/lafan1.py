@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from motionkit import kinematics
+from motionkit.core import kinematics
+from motionkit.core.motion import Motion
 from motionkit.formats.bvh import motion as bvh
-from motionkit.formats.items import ReadOptions
-from motionkit.motion import Motion
+from motionkit.formats.scan.items import ReadOptions
 
 THEMES = (
     *("aiming", "dance", "fallAndGetUp", "fight", "fightAndSports", "ground", "jumps", "multipleActions", "obstacles"),

@@ -14,20 +14,20 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from motionkit import kinematics
-from motionkit.errors import FormatError
-from motionkit.formats import body_frame, clock, number_table
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.skeletons.families import with_layout_map
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.bvh import channels as bvh_channels
 from motionkit.formats.bvh.channels import ChannelPose
 from motionkit.formats.bvh.tables import parts_of, read_tables
 from motionkit.formats.bvh.text import read_head, stated_fps
-from motionkit.formats.file_parts import FileParts
-from motionkit.formats.items import ReadOptions
-from motionkit.formats.joint_channels import joint_channels
-from motionkit.motion import Motion, Provenance
-from motionkit.skeleton import Skeleton
-from motionkit.skeletons.families import with_layout_map
-from motionkit.timegrid import TimeGrid
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.source import body_frame, clock, number_table
+from motionkit.formats.source.joint_channels import joint_channels
+from motionkit.formats.source.source_file import FileParts
 
 # Bones that change by less are noise of printed digits; a bone that changes by more is not rigid.
 RIGID_METRES = 1e-3

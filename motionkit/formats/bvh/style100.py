@@ -13,13 +13,13 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.core.plain_text import shown
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.bvh import motion as bvh
-from motionkit.formats.items import ReadOptions
-from motionkit.motion import Motion
-from motionkit.plain_text import shown
-from motionkit.timegrid import TimeGrid
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.source import source_file
 
 CUTS_FILE = "Frame_Cuts.csv"
 STYLE_COLUMN = "STYLE_NAME"
@@ -109,7 +109,7 @@ def _cut(table: Path, style: str, kind: str, path: Path) -> tuple[int, int]:
 @lru_cache(maxsize=8)
 def _cuts(table: Path, modified: int) -> Cuts:
     # All cuts of a table by style (lower case) and kind; read once for the takes of a corpus.
-    text = sourcefile.decode(sourcefile.read_bytes(table), table)
+    text = source_file.decode(source_file.read_bytes(table), table)
     reader = csv.DictReader(text.splitlines(), restkey="")
     cuts: dict[tuple[str, str], tuple[int, int]] = {}
     try:

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float64
 
-from motionkit.formats import number_table
 from motionkit.formats.bvh.text import BvhText
-from motionkit.formats.file_parts import FileParts
-from motionkit.formats.number_table import TablePart
-from motionkit.formats.sizes import check_size
+from motionkit.formats.source import number_table
+from motionkit.formats.source.number_table import TablePart
+from motionkit.formats.source.sizes import check_size
+from motionkit.formats.source.source_file import FileParts
 
 FRAMES_AT_ONCE = 4096
 

@@ -1,16 +1,181 @@
 """A BVH file as text: the head with its hierarchy, the clock, and the lines of numbers, each still as written."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
-from motionkit.formats.bvh.hierarchy import BvhHierarchy, parse_hierarchy
-from motionkit.formats.file_parts import PART_BYTES, FileParts
-from motionkit.timegrid import parse_fps
+from motionkit.core.errors import FormatError
+from motionkit.core.plain_text import whole_number
+from motionkit.core.skeleton import MAX_JOINTS
+from motionkit.core.timegrid import parse_fps
+from motionkit.formats.source import source_file
+from motionkit.formats.source.number_table import parse_number
+from motionkit.formats.source.source_file import PART_BYTES, FileParts
+
+CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("position", "rotation")}
+
+
+@dataclass
+class BvhJoint:
+    """One joint as written: `position_columns` maps an axis 0…2 to its column, `rotation_columns` follow `order`."""
+
+    name: str
+    parent: int
+    offset: tuple[float, float, float] | None = None
+    has_channels: bool = False
+    position_columns: dict[int, int] = field(default_factory=dict)
+    rotation_columns: list[int] = field(default_factory=list)
+    order: str = ""
+    end_site: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class BvhHierarchy:
+    """The joints in file order (parents first) and the number of channels of one frame."""
+
+    joints: tuple[BvhJoint, ...]
+    num_channels: int
+
+
+def parse_hierarchy(text: str, path: Path) -> BvhHierarchy:
+    """Read the lines from HIERARCHY up to MOTION; raises `FormatError` (`hierarchy`, `channels`) naming the line."""
+    try:
+        return parsed(text)
+    except FormatError:
+        # The same complaint, about this file: what failed is not kept.
+        return _Parser(path).parse(text)
+
+
+@lru_cache(maxsize=64)
+def parsed(text: str) -> BvhHierarchy:
+    """A hierarchy that may have been read before: the takes of a corpus share theirs, to the letter."""
+    return _Parser(Path()).parse(text)
+
+
+class _Parser:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.line = 0
+        self.joints: list[BvhJoint] = []
+        self.num_channels = 0
+        self.open: list[int] = []  # joints whose braces are open; −1 stands for an End Site
+        self.pending: int | None = None  # what the next "{" opens
+
+    def parse(self, text: str) -> BvhHierarchy:
+        """Feed all lines, then check that nothing is missing."""
+        for self.line, line in enumerate(text.splitlines(), start=1):
+            self.feed(line.strip())
+        if self.open or self.pending is not None:
+            raise self.fault("the hierarchy ends inside a joint, expected '}'")
+        if not self.joints:
+            raise self.fault("no ROOT joint in the hierarchy")
+        return BvhHierarchy(tuple(self.joints), self.num_channels)
+
+    def fault(self, message: str, reason: str = "hierarchy") -> FormatError:
+        """A complaint about the current line."""
+        return FormatError(message, path=self.path, reason=reason, line=self.line)
+
+    def feed(self, line: str) -> None:
+        """One line, which may hold braces as well."""
+        for part in re.split(r"([{}])", line) if "{" in line or "}" in line else (line,):
+            match part.strip():
+                case "":
+                    continue
+                case "{":
+                    self.open_brace()
+                case "}":
+                    self.close_brace()
+                case statement:
+                    self.statement(statement)
+
+    def open_brace(self) -> None:
+        """Enter the joint or End Site that was just named."""
+        if self.pending is None:
+            raise self.fault("'{' without a joint before it")
+        self.open.append(self.pending)
+        self.pending = None
+
+    def close_brace(self) -> None:
+        """Leave a joint or End Site, which must be complete by now."""
+        if not self.open or self.pending is not None:
+            raise self.fault("'}' without a '{' before it")
+        joint = self.open.pop()
+        if joint >= 0 and self.joints[joint].offset is None:
+            raise self.fault(f"joint {self.joints[joint].name!r} has no OFFSET")
+
+    def statement(self, line: str) -> None:
+        """ROOT, JOINT, End Site, OFFSET or CHANNELS."""
+        keyword, _, rest = line.replace("\t", " ").partition(" ")
+        rest = rest.strip()
+        match keyword.upper():
+            case "HIERARCHY" if not self.joints:
+                return
+            case "ROOT" | "JOINT":
+                self.begin_joint(keyword.upper(), rest)
+            case "END":
+                if not self.open or self.open[-1] < 0:
+                    raise self.fault("an End Site outside a joint")
+                self.pending = -1
+            case "OFFSET":
+                self.offset(rest.split())
+            case "CHANNELS":
+                self.channels(rest.split())
+            case _:
+                raise self.fault(f"{line[:40]!r}, expected ROOT, JOINT, End Site, OFFSET, CHANNELS, '{{' or '}}'")
+
+    def begin_joint(self, keyword: str, name: str) -> None:
+        """Start a joint; its name may hold spaces and colons."""
+        if self.pending is not None or (keyword == "JOINT") != bool(self.open) or (self.open and self.open[-1] < 0):
+            where = "inside the ROOT" if keyword == "JOINT" else "once, as the outermost joint"
+            raise self.fault(f"{keyword} {name!r} is out of place: a {keyword} belongs {where}")
+        if keyword == "ROOT" and self.joints:
+            raise self.fault(f"a second ROOT {name!r}: one skeleton to a file is expected")
+        if len(self.joints) >= MAX_JOINTS:
+            raise self.fault(f"more than {MAX_JOINTS} joints")
+        self.joints.append(BvhJoint(name or f"joint{len(self.joints)}", self.open[-1] if self.open else -1))
+        self.pending = len(self.joints) - 1
+
+    def offset(self, words: list[str]) -> None:
+        """OFFSET of a joint or of an End Site."""
+        if not self.open or self.pending is not None:
+            raise self.fault("OFFSET outside a joint")
+        if len(words) != 3:
+            raise self.fault(f"OFFSET with {len(words)} numbers, expected 3")
+        x, y, z = (parse_number(word, self.path, self.line) for word in words)
+        if self.open[-1] >= 0:
+            self.joints[self.open[-1]].offset = (x, y, z)
+        else:
+            owner = self.joints[self.open[-2]]
+            if owner.end_site is None:
+                owner.end_site = (x, y, z)
+
+    def channels(self, words: list[str]) -> None:
+        """CHANNELS n name…, in any order."""
+        if not self.open or self.open[-1] < 0 or self.pending is not None:
+            raise self.fault("CHANNELS outside a joint", "channels")
+        joint = self.joints[self.open[-1]]
+        if joint.has_channels:
+            raise self.fault(f"joint {joint.name!r} has CHANNELS twice", "channels")
+        joint.has_channels = True
+        if not words or whole_number(words[0]) != len(words) - 1:
+            raise self.fault(f"CHANNELS {' '.join(words)[:60]!r}: expected a count and that many names", "channels")
+        for word in words[1:]:
+            axis, kind = CHANNELS.get(word) or CHANNELS.get(word[:1].upper() + word[1:].lower(), ("", ""))
+            if not axis or (kind == "position" and "XYZ".index(axis) in joint.position_columns):
+                raise self.fault(f"channel {word!r}: expected each of {', '.join(CHANNELS)} at most once", "channels")
+            if kind == "position":
+                joint.position_columns["XYZ".index(axis)] = self.num_channels
+            else:
+                joint.rotation_columns.append(self.num_channels)
+                joint.order += axis
+            self.num_channels += 1
+        if len(joint.order) > 3:
+            raise self.fault(
+                f"joint {joint.name!r} has {len(joint.order)} rotation channels, expected at most 3", "channels"
+            )
+
 
 LARGEST_HEAD = 64 << 20
 _MOTION = re.compile(rb"(?m)^[ \t]*MOTION[ \t]*\r?$")
@@ -55,21 +220,21 @@ def split_text(data: bytes, path: Path) -> BvhText:
     head = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
     if not head[:9].upper().startswith(b"HIERARCHY"):
         raise FormatError(
-            f"looks like {sourcefile.describe_content(data)}, expected a BVH file that begins with HIERARCHY",
+            f"looks like {source_file.describe_content(data)}, expected a BVH file that begins with HIERARCHY",
             path=path,
             reason="not-what-it-says",
             line=1,
         )
     motion = _MOTION.search(data)
     if motion is None:
-        hierarchy = parse_hierarchy(sourcefile.decode(data, path), path)
+        hierarchy = parse_hierarchy(source_file.decode(data, path), path)
         raise FormatError(
             f"the file ends after the hierarchy of {len(hierarchy.joints)} joints, expected MOTION",
             path=path,
             reason="truncated",
             line=data.count(b"\n") + 1,
         )
-    hierarchy = parse_hierarchy(sourcefile.decode(data[: motion.start()], path), path)
+    hierarchy = parse_hierarchy(source_file.decode(data[: motion.start()], path), path)
     if not hierarchy.num_channels:
         raise FormatError("no joint has CHANNELS, so nothing moves", path=path, reason="channels")
     position, frames, frame_time, frame_time_line = motion.end(), "", "", 0
@@ -78,7 +243,7 @@ def split_text(data: bytes, path: Path) -> BvhText:
         end = data.find(b"\n", position)
         end = len(data) if end < 0 else end
         line += 1
-        words = sourcefile.decode(data[position:end], path).strip()
+        words = source_file.decode(data[position:end], path).strip()
         key, colon, value = words.partition(":")
         if words:
             match " ".join(key.lower().split()) if colon else "":

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.core.errors import FormatError
+from motionkit.formats.source import source_file
 
 BLOCK = 512
 KEY = 0x50
@@ -62,7 +62,7 @@ def parse_c3d(data: bytes, path: Path) -> C3dFile:
     """Read a whole file; raises `FormatError` (`not-what-it-says`, `truncated`, `parameters`, `no-frames` …)."""
     if len(data) < BLOCK or data[1] != KEY or data[0] == 0:
         short = data[:1] != b"\0" and len(data) > 1 and data[1] == KEY
-        found = f"{len(data)} bytes" if short else f"looks like {sourcefile.describe_content(data)}"
+        found = f"{len(data)} bytes" if short else f"looks like {source_file.describe_content(data)}"
         raise FormatError(
             f"{found}, expected a C3D file",
             path=path,

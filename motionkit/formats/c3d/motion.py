@@ -13,18 +13,76 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32, Float64, Int64
 
-from motionkit.errors import FormatError
-from motionkit.formats import clock, sourcefile
-from motionkit.formats.bvh import channels as bvh_channels
-from motionkit.formats.c3d import gaps as marker_gaps
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.timegrid import TimeGrid, parse_fps
+from motionkit.formats.bvh import channels
 from motionkit.formats.c3d.container import C3dFile, parse_c3d
-from motionkit.formats.c3d.gaps import Block
-from motionkit.formats.items import ReadOptions
-from motionkit.motion import Motion, Provenance
-from motionkit.skeleton import Skeleton
-from motionkit.timegrid import TimeGrid, parse_fps
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.source import clock, source_file
+
+# Ends of stretches are looked for on a grid of so many steps; a take has some hundred markers that come and go.
+GRID_STEPS = 256
+
+Runs = tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"]]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Frames [start, stop) and the markers that are seen throughout, short gaps aside; empty where there are none."""
+
+    start: int
+    stop: int
+    markers: Bool[np.ndarray, "markers"]
+
+
+def runs_of(mask: Bool[np.ndarray, "frames markers"]) -> Runs:
+    """Marker, first frame, and frame after the last of every run of True, by marker."""
+    edges = np.zeros((mask.shape[1], len(mask) + 2), np.int8)
+    edges[:, 1:-1] = mask.T
+    change = np.diff(edges, axis=1)
+    marker, start = np.nonzero(change == 1)
+    return marker, start, np.nonzero(change == -1)[1]
+
+
+def largest_block(missing: Bool[np.ndarray, "frames markers"], max_gap: int) -> Block:
+    """The stretch of frames with most markers × frames, of markers without a gap longer than `max_gap` frames in it.
+
+    Exact for takes of up to 256 frames; in longer ones the ends are looked for on a grid of 256 steps and then moved
+    out as far as the markers that were found allow.
+    """
+    num_frames, num_markers = missing.shape
+    marker, start, stop = _visible_runs(missing, max_gap)
+    grid = np.unique(np.linspace(0, num_frames, min(num_frames, GRID_STEPS) + 1).astype(np.int64))
+    first, last = np.searchsorted(grid, start), np.searchsorted(grid, stop, side="right") - 1
+    within = first < last
+    # counts[a, b]: markers with a run that begins by grid step a and ends no sooner than b.
+    counts = np.zeros((len(grid), len(grid)), np.int64)
+    np.add.at(counts, (first[within], last[within]), 1)
+    counts = np.cumsum(np.cumsum(counts, axis=0)[:, ::-1], axis=1)[:, ::-1]
+    best = int(np.argmax(counts * np.maximum(grid[None, :] - grid[:, None], 0)))
+    low, high = divmod(best, len(grid))
+    covers = within & (first <= low) & (last >= high)
+    kept = np.zeros(num_markers, np.bool_)
+    kept[marker[covers]] = True
+    if low >= high or not covers.any():
+        return Block(0, 0, np.zeros(num_markers, np.bool_))
+    return Block(int(start[covers].max()), int(stop[covers].min()), kept)
+
+
+def _visible_runs(missing: Bool[np.ndarray, "frames markers"], max_gap: int) -> Runs:
+    # Runs of frames in which a marker is seen, gaps of up to `max_gap` frames aside.
+    marker, start, stop = runs_of(missing)
+    never = np.asarray(missing.all(axis=0), np.bool_)
+    long = (stop - start > max_gap) | never[marker]
+    steps = np.zeros((missing.shape[1], len(missing) + 1), np.int64)
+    steps[marker[long], start[long]] += 1
+    steps[marker[long], stop[long]] -= 1
+    return runs_of(np.cumsum(steps, axis=1)[:, :-1].T == 0)
+
 
 UNITS = {"mm": 0.001, "cm": 0.01, "dm": 0.1, "m": 1.0, "in": 0.0254, "inch": 0.0254, "ft": 0.3048}
 # Linear filling of 0.1 s is off by a·t²/8: 6 mm at 5 m/s².
@@ -62,7 +120,7 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     remains.
     """
     options = options or ReadOptions()
-    data = sourcefile.read_bytes(path)
+    data = source_file.read_bytes(path)
     file = parse_c3d(data, path)
     stated = file.numbers("POINT:RATE")
     rate = stated[0] if stated else file.header_rate
@@ -86,7 +144,7 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
         sequence_id=path.stem,
         provenance=Provenance(
             source_path=path.name,
-            source_sha256=sourcefile.sha256(data),
+            source_sha256=source_file.sha256(data),
             source_format="c3d",
             subject=subjects[0] if len(subjects) == 1 else "",
             stated_fps=f"POINT:RATE {rate:g}",
@@ -122,7 +180,7 @@ def _labelled(file: C3dFile, path: Path) -> _Markers:
         operations.append(f"no positions, left out: {_some(modelled)}")
     if not kept:
         raise FormatError("no point is a labelled marker", path=path, reason="no-markers")
-    names, renamed = bvh_channels.unique_names(_without_subject([labels[point] for point in kept]))
+    names, renamed = channels.unique_names(_without_subject([labels[point] for point in kept]))
     points = file.points[:, kept]
     positions = points[..., :3].copy()
     if np.isinf(positions).any():
@@ -140,7 +198,7 @@ def _without_subject(labels: list[str]) -> list[str]:
 
 def _without_gaps(markers: _Markers, fps: Fraction, path: Path) -> _Markers:
     missing = np.isnan(markers.positions[..., 0])
-    block = marker_gaps.largest_block(missing, int(MAX_GAP_SECONDS * fps))
+    block = largest_block(missing, int(MAX_GAP_SECONDS * fps))
     gap = f"{float(MAX_GAP_SECONDS):g} s"
     if block.start == block.stop:
         raise FormatError(
@@ -173,7 +231,7 @@ def _filled(
             kept[frames, marker, axis] = np.interp(frames + block.start, seen, positions[seen, marker, axis])
     if not gone.any():
         return kept, []
-    _, start, stop = marker_gaps.runs_of(gone)
+    _, start, stop = runs_of(gone)
     return kept, [
         f"gaps filled linearly: {int(gone.sum())} positions of {int(gone.any(axis=0).sum())} markers, the longest "
         f"{int((stop - start).max())} frames"

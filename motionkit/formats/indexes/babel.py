@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from motionkit.errors import FormatError
-from motionkit.formats.cuts import TimeCut
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Caption
 from motionkit.formats.indexes.entries import (
     Entry,
     Index,
@@ -21,7 +21,7 @@ from motionkit.formats.indexes.entries import (
     source_parts,
     unique,
 )
-from motionkit.motion import Caption
+from motionkit.formats.scan.cuts import TimeCut
 
 NAME = "babel"
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
+from motionkit.core.errors import FormatError
 from motionkit.formats.indexes import babel, humanml3d_index, tmr_annotations
 from motionkit.formats.indexes.entries import Index
+from motionkit.formats.source import source_file
 
 # What has to be read of a JSON index to know its first value, whose captions may be long.
 HEAD_BYTES = 1 << 16
@@ -26,7 +26,7 @@ def read_index(path: Path) -> Index:
     Bad entries become its `problems`. Raises `FormatError` (`index`, `encoding`, `empty`, `unreadable`) for a file that
     is none.
     """
-    head = sourcefile.read_bytes(path)[:HEAD_BYTES].decode("utf-8-sig", errors="replace")
+    head = source_file.read_bytes(path)[:HEAD_BYTES].decode("utf-8-sig", errors="replace")
     if humanml3d_index.recognise(head):
         return humanml3d_index.read_humanml3d_index(path)
     first = _first_value(head)
@@ -34,7 +34,7 @@ def read_index(path: Path) -> Index:
         if recognise(first):
             return read(path)
     raise FormatError(
-        f"looks like {sourcefile.describe_content(head.encode())}, expected an index: HumanML3D's index.csv (columns "
+        f"looks like {source_file.describe_content(head.encode())}, expected an index: HumanML3D's index.csv (columns "
         f"{', '.join(humanml3d_index.COLUMNS)}), TMR's annotations (path, annotations) or BABEL's labels (feat_p)",
         path=path,
         reason="index",

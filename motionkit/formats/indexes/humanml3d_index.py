@@ -9,11 +9,10 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
-from motionkit.formats.cuts import StepCut
-from motionkit.formats.indexes.datasets import Dataset, dataset_of
-from motionkit.formats.indexes.entries import Entry, Index, sequence_name, source_parts, unique
+from motionkit.core.errors import FormatError
+from motionkit.formats.indexes.entries import Dataset, Entry, Index, dataset_of, sequence_name, source_parts, unique
+from motionkit.formats.scan.cuts import StepCut
+from motionkit.formats.source import source_file
 
 NAME = "humanml3d"
 COLUMNS = ("source_path", "start_frame", "end_frame", "new_name")
@@ -36,7 +35,7 @@ def read_humanml3d_index(path: Path) -> Index:
 
     Raises `FormatError` (`index`, `encoding`, `empty`) for a file that is no such table.
     """
-    text = sourcefile.decode(sourcefile.read_bytes(path), path)
+    text = source_file.decode(source_file.read_bytes(path), path)
     reader = csv.DictReader(text.splitlines(keepends=True), restkey=EXTRA, strict=True)
     entries: list[Entry] = []
     problems: list[FormatError] = []

@@ -8,16 +8,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from motionkit.errors import FormatError, UsageError
-from motionkit.formats.cuts import PublishedCut, StepCut
-from motionkit.formats.folders import walk
+from motionkit.core.errors import FormatError, UsageError
+from motionkit.core.motion import Caption
 from motionkit.formats.indexes.catalogue import read_index
-from motionkit.formats.indexes.datasets import Key, dataset_of, file_key
-from motionkit.formats.indexes.entries import Entry, Index
-from motionkit.formats.items import IndexOptions, ScanResult, SourceItem
+from motionkit.formats.indexes.entries import Entry, Index, Key, dataset_of, file_key
 from motionkit.formats.pose_folders import texts
-from motionkit.formats.pose_folders.splits import SPLITS, read_splits
-from motionkit.motion import Caption
+from motionkit.formats.pose_folders.texts import SPLITS, read_splits
+from motionkit.formats.scan.cuts import PublishedCut, StepCut
+from motionkit.formats.scan.folders import walk
+from motionkit.formats.scan.items import IndexOptions, ScanResult, SourceItem
 
 MIRROR = "M"
 

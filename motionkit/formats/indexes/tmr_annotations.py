@@ -7,8 +7,8 @@ https://github.com/Mathux/AMASS-Annotation-Unifier (README), https://github.com/
 from pathlib import Path
 from typing import Any
 
-from motionkit.errors import FormatError
-from motionkit.formats.cuts import TimeCut
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Caption
 from motionkit.formats.indexes.entries import (
     Entry,
     Index,
@@ -18,7 +18,7 @@ from motionkit.formats.indexes.entries import (
     source_parts,
     unique,
 )
-from motionkit.motion import Caption
+from motionkit.formats.scan.cuts import TimeCut
 
 MIRROR = "M"
 # Durations in the file are rounded, to a millisecond or to some ten digits.

@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.errors import FormatError
 from motionkit.core.files import naming
-from motionkit.errors import FormatError
-from motionkit.formats import clock, sourcefile
+from motionkit.core.moments import Moments, merge, moments
+from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import joints_npy, npy
-from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
 from motionkit.formats.pose_folders import texts
-from motionkit.formats.pose_folders.splits import SPLITS, read_splits
-from motionkit.moments import Moments, merge, moments
-from motionkit.motion import Caption, Motion, Provenance
-from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.timegrid import TimeGrid
+from motionkit.formats.pose_folders.texts import SPLITS, read_splits
+from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem
+from motionkit.formats.source import clock, source_file
 
 JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER = "new_joints", "new_joint_vecs", "texts"
 
@@ -121,7 +121,7 @@ def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMA
     The framerate is the published one unless the folder's `motions.json` (formats/joints_npy.py) or `options` say
     another. The published 6D rotations have lost their twist and are not offered as rotations. Raises `FormatError`.
     """
-    data = sourcefile.read_bytes(item.path)
+    data = source_file.read_bytes(item.path)
     operations: list[str] = []
     if item.path.parent.name == VECTORS_FOLDER:
         vectors = npy.read_npy(item.path, data, (None, layout.num_values))
@@ -148,7 +148,7 @@ def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMA
         sequence_id=item.sequence_id,
         provenance=Provenance(
             source_path=item.path.name,
-            source_sha256=sourcefile.sha256(data),
+            source_sha256=source_file.sha256(data),
             source_format=layout.name,
             stated_fps=str(float(stated)),
             operations=tuple(operations),

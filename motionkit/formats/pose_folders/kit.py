@@ -7,11 +7,11 @@ makes such a body 1.7 m tall. Source: https://github.com/EricGuo5513/HumanML3D, 
 from fractions import Fraction
 from pathlib import Path
 
-from motionkit.formats.items import ReadOptions, ScanResult, SourceItem
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import KIT21
 from motionkit.formats.pose_folders import humanml3d
 from motionkit.formats.pose_folders.humanml3d import Layout
-from motionkit.motion import Motion
-from motionkit.skeleton import KIT21
+from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem
 
 BODY_HEIGHT_METRES = 1.7
 UNIT_METRES = BODY_HEIGHT_METRES / 1000.0

@@ -4,12 +4,12 @@
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from motionkit.errors import FormatError
-from motionkit.formats import sourcefile
-from motionkit.motion import Caption
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Caption
+from motionkit.formats.source import source_file
 
 
 def read_texts(path: Path) -> tuple[Caption, ...]:
@@ -17,7 +17,7 @@ def read_texts(path: Path) -> tuple[Caption, ...]:
 
     Raises `FormatError` (`text`, `encoding`, `empty`) naming the line.
     """
-    text = sourcefile.decode(sourcefile.read_bytes(path), path)
+    text = source_file.decode(source_file.read_bytes(path), path)
     return tuple(_caption(line, path, number) for number, line in enumerate(text.split("\n"), start=1) if line.strip())
 
 
@@ -52,3 +52,35 @@ def _caption(line: str, path: Path, number: int) -> Caption:
         return Caption(parts[0], tokens=parts[1])
     start, end = max(0.0, min(start, end)), max(start, end)
     return Caption(parts[0], start, end, parts[1])
+
+
+SPLITS = ("train", "val", "test")
+
+
+def read_splits(folder: Path, known: Collection[str], where: str) -> tuple[dict[str, str], list[FormatError]]:
+    """Split by name, and a warning (`split-without-motion`) for each file with names that `where` does not know.
+
+    Where none of a file's names is known, the warning shows one of each side: they are spelled differently, or the
+    files are another corpus's.
+    """
+    splits: dict[str, str] = {}
+    warnings: list[FormatError] = []
+    for split in SPLITS:
+        path = folder / f"{split}.txt"
+        names = _lines(path)
+        splits |= dict.fromkeys(names, split)
+        absent = [name for name in names if name not in known]
+        if absent:
+            message = f"lists {len(absent):,} sequences that {where} has not, first {absent[0][:40]!r}"
+            if len(absent) == len(names) and known:
+                message = f"none of its {len(names):,} names is in {where}: it lists {absent[0][:40]!r}, "
+                message += f"{where} has {next(iter(known))[:40]!r}; so nothing is of the split {split}"
+            warnings.append(FormatError(message, path=path, reason="split-without-motion"))
+    return splits, warnings
+
+
+def _lines(path: Path) -> list[str]:
+    if not path.is_file():
+        return []
+    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    return [line.strip() for line in lines if line.strip()]

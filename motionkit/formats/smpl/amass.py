@@ -12,16 +12,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from motionkit import kinematics
-from motionkit.errors import FormatError
-from motionkit.formats import body_frame, clock, sourcefile
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
-from motionkit.formats.items import ReadOptions, SourceItem
-from motionkit.formats.smpl.body import Body, mean_body, own_body
-from motionkit.formats.smpl.layouts import BODY, LAYOUTS, POSE_PARTS, SMPLH, PoseLayout
-from motionkit.motion import Motion, Provenance
-from motionkit.timegrid import TimeGrid, parse_fps
+from motionkit.formats.scan.items import ReadOptions, SourceItem
+from motionkit.formats.smpl.body import BODY, LAYOUTS, POSE_PARTS, SMPLH, Body, PoseLayout, mean_body, own_body
+from motionkit.formats.source import body_frame, clock, source_file
 
 MOTION_NAMES = ("_poses", "_stageii")
 FRAMERATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
@@ -59,7 +58,7 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     Raises `FormatError`, with the reason `no-framerate` where nothing says one, `framerate` where it is none.
     """
     path = item.path
-    data = sourcefile.read_bytes(path)
+    data = source_file.read_bytes(path)
     archive = npz_archive.open_archive(path, data)
     poses, layout = _read_poses(archive)
     trans = npz_archive.read_numbers(archive, "trans", (len(poses), 3))
@@ -80,7 +79,7 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
         sequence_id=item.sequence_id,
         provenance=Provenance(
             source_path=path.name,
-            source_sha256=sourcefile.sha256(data),
+            source_sha256=source_file.sha256(data),
             source_format="amass",
             subject="" if path.parent == item.root else path.parent.name,
             stated_fps=stated_fps,

@@ -15,16 +15,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from motionkit import kinematics
-from motionkit.errors import FormatError
-from motionkit.formats import clock, sourcefile
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
-from motionkit.formats.items import ReadOptions
-from motionkit.formats.smpl.body import Body, mean_body, own_body
-from motionkit.formats.smpl.layouts import SMPL
-from motionkit.motion import Motion, Provenance
-from motionkit.timegrid import TimeGrid
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.smpl.body import SMPL, Body, mean_body, own_body
+from motionkit.formats.source import clock, source_file
 
 FPS = Fraction(30)
 NUM_BETAS = 10
@@ -91,7 +90,7 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
             reason="pickle",
         )
     name = _parse_name(path)
-    data = sourcefile.read_bytes(path)
+    data = source_file.read_bytes(path)
     archive = npz_archive.open_archive(path, data)
     pose = npz_archive.read_numbers(archive, "pose", (None, 3 * SMPL.num_joints))
     body = _body(archive, len(pose), options)
@@ -121,7 +120,7 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
         sequence_id=path.stem,
         provenance=Provenance(
             source_path=path.name,
-            source_sha256=sourcefile.sha256(data),
+            source_sha256=source_file.sha256(data),
             source_format="uestc",
             subject=f"p{name.subject:03}",
             stated_fps=str(FPS),

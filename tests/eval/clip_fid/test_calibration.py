@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from eval.clip_fid.calibration import Graded, calibrate
+from eval.clip_fid.kinematic import fit_kinematic
 from eval.clip_fid.score import PoseRange, Protocol
-from eval.evaluators.kinematic import fit_kinematic
-from eval.metrics.interval import Estimate
-from eval.samples.sets import SampleSet, sample_set
-from motionkit.skeleton import SMPL22
+from eval.metrics.checks import Estimate
+from eval.sets.sets import SampleSet, sample_set
+from motionkit.core.skeleton import SMPL22
 
 FPS = Fraction(40)
 PROTOCOL = Protocol(sizes=PoseRange(16, 32), num_clips=400, replications=2, detailed_replications=0)

@@ -19,7 +19,7 @@ from eval.clip_fid.score import (
     score_disjoint_halves,
     score_rows,
 )
-from eval.samples.sets import SampleSet, sample_set
+from eval.sets.sets import SampleSet, sample_set
 
 FPS = Fraction(60)
 SMALL = Protocol(num_clips=400, replications=3, detailed_replications=1)

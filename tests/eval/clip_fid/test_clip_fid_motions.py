@@ -7,11 +7,11 @@ import pytest
 
 import motionkit as mk
 from eval import clip_fid
-from eval.clip_fid import feature_sources
-from eval.clip_fid.feature_sources import kinematic_source
+from eval.clip_fid import features
+from eval.clip_fid.features import kinematic_source
 from eval.clip_fid.score import ClipError, Protocol, score_rows
-from eval.samples.sets import sample_set
-from motionkit.motionfield import to_motion
+from eval.sets.sets import sample_set
+from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import ACTIONS, make_body, perform
 
 # The same definition on fewer clips; the descriptor's fit on all of its 8,192 takes seconds.
@@ -21,7 +21,7 @@ FEW = {"clips": 256, "replications": 3}
 @pytest.fixture(autouse=True)
 def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fit the descriptor on few clips."""
-    monkeypatch.setattr(feature_sources, "FIT_CLIPS", 512)
+    monkeypatch.setattr(features, "FIT_CLIPS", 512)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from eval.metrics.diversity import diversity
+from eval.metrics.actions import diversity
 
 RNG = np.random.default_rng
 

@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpmath import matrix, mp
 
-from eval.metrics.frechet import fid, fid_infinity, frechet_distance
-from eval.metrics.gaussian import FeatureSums, Gaussian, feature_sums, fit_gaussian
+from eval.metrics.gaussian import FeatureSums, Gaussian, feature_sums, fid, fid_infinity, fit_gaussian, frechet_distance
 
 
 def two_sets(seed: int, num_samples: int = 300, num_features: int = 12) -> tuple[np.ndarray, np.ndarray]:

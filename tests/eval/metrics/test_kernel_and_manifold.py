@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.metrics import kernel, manifold
-from eval.metrics.kernel import kid
-from eval.metrics.manifold import prdc
+from eval.metrics import gaussian, neighbours
+from eval.metrics.gaussian import kid
+from eval.metrics.neighbours import prdc
 
 
 def kid_by_pairs(x: np.ndarray, y: np.ndarray) -> float:
@@ -50,8 +50,8 @@ def test_blocks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> Non
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=(100, 4)), rng.normal(size=(90, 4)) + 0.5
     whole = kid(x, y), prdc(x, y)
-    monkeypatch.setattr(kernel, "BLOCK_ROWS", 7)
-    monkeypatch.setattr(manifold, "BLOCK_ROWS", 7)
+    monkeypatch.setattr(gaussian, "BLOCK_ROWS", 7)
+    monkeypatch.setattr(neighbours, "BLOCK_ROWS", 7)
     assert kid(x, y) == pytest.approx(whole[0], rel=1e-12)
     assert prdc(x, y) == whole[1]
 

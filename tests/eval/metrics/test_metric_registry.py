@@ -6,9 +6,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from eval.metrics.checks import MeanSums
 from eval.metrics.r_precision import r_precision
 from eval.metrics.registry import METRICS, MeanStream, Metric, find_metric
-from eval.metrics.streaming import MeanSums
 
 MEANS = [metric for metric in METRICS if metric.weight is not None]
 FIRST_ARGUMENTS = {

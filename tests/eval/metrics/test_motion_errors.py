@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from eval.metrics.bone_lengths import bone_length_error, bone_length_variation
-from eval.metrics.contact import contact_consistency
-from eval.metrics.derivatives import acceleration_error, jerk_error, velocity_error
-from eval.metrics.foot_skating import skating_ratio, skating_speed
-from eval.metrics.reconstruction import rotation_angle_error
+from eval.metrics.feet import contact_consistency, skating_ratio, skating_speed
+from eval.metrics.reconstruction import (
+    acceleration_error,
+    bone_length_error,
+    bone_length_variation,
+    jerk_error,
+    rotation_angle_error,
+    velocity_error,
+)
 from motionkit.features.native import vectors
 
 HUMANML3D_CONTACTS = slice(259, 263)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.metrics.nearest import nearest_rows
+from eval.metrics.neighbours import nearest_rows
 
 
 @settings(max_examples=20)

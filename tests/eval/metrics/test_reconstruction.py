@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import procrustes
 from scipy.spatial.transform import Rotation
 
-from eval.metrics.interval import estimate
+from eval.metrics.checks import estimate
 from eval.metrics.reconstruction import mean_vector_distance, mpjpe_global, mpjpe_procrustes, mpjpe_root_aligned, mre
 
 

@@ -7,8 +7,7 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from eval.metrics.inbetweening import l2p, l2q, l2q_as_signed
-from eval.metrics.npss import npss, npss_weight
+from eval.metrics.inbetweening import l2p, l2q, l2q_as_signed, npss, npss_weight
 from eval.metrics.signal import psnr, ssim, to_unit_range
 
 

@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
-from eval.metrics.accuracy import accuracy
-from eval.metrics.diversity import diversity, diversity_with_replacement
-from eval.metrics.multimodality import multimodality, multimodality_shared_pairs
+from eval.metrics.actions import (
+    accuracy,
+    diversity,
+    diversity_with_replacement,
+    multimodality,
+    multimodality_shared_pairs,
+)
 
 
 def test_diversity_of_all_samples_is_the_pairs_that_the_generator_draws() -> None:

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from eval.clip_fid.calibration import CLEAN, DISJOINT, FLAT, level_name
-from eval.corruptions import families
-from eval.report.calibration_figure import calibration_figure
+from eval.report.curves import calibration_figure
 from eval.report.figures import save
 from eval.report.results import Block, Cell, Result, ResultError, Row
+from eval.sets.corruptions import families
 
 COLUMNS = ("40 fps", "120 fps")
 

@@ -1,4 +1,4 @@
-from eval.report.cost_curves import CostCurve, cost_curve_of, cost_figure
+from eval.report.curves import CostCurve, cost_curve_of, cost_figure
 from eval.report.results import Block, Cell, Result, Row
 
 COLUMNS = ("CPU seconds a motion", "seconds a motion", "clip-FID, 60 fps")

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from eval.report import figures
-from motionkit.motionfield import to_motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.skeleton import SMPL22
+from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import make_body, perform
 
 

@@ -12,8 +12,8 @@ import pytest
 from eval.commands.report import report
 from eval.report.render import format_cell, format_number, to_csv, to_html, to_latex, to_markdown
 from eval.report.results import Block, Cell, Result, ResultError, Row, find_results, read_result, write_result
-from motionkit.core.sealed import write_json
-from motionkit.errors import DamagedFileError
+from motionkit.core.checksums import write_json
+from motionkit.core.errors import DamagedFileError
 
 
 @pytest.fixture

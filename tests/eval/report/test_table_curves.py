@@ -1,6 +1,6 @@
+from eval.report.curves import panels_of
 from eval.report.figures import curves_figure
 from eval.report.results import Block, Cell, Result, Row
-from eval.report.table_curves import panels_of
 
 COLUMNS = ("20 fps", "120 fps")
 PAPER = Block("the paper", COLUMNS, (Row("MDM (paper)", "paper", {"20 fps": Cell(0.5), "120 fps": Cell(8.4)}),))

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.sample_folder.name_pattern import ANY, DIGIT_FIELDS, FIELDS, parse_name_pattern
+from eval.sample_folder.manifest import ANY, DIGIT_FIELDS, FIELDS, parse_name_pattern
 
 EXPRESSIONS = {field: r"\d+" if field in DIGIT_FIELDS else ".*?" if field == ANY else ".+?" for field in FIELDS}
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from eval.sample_folder import SampleFolder, SampleFolderError, SampleOptions, read_sample_folder
-from motionkit.errors import FormatError
-from motionkit.moments import moments
-from tests.eval.sample_folder import published_layouts as published
+from motionkit.core.errors import FormatError
+from motionkit.core.moments import moments
+from tests.helpers import published_layouts as published
 
 AT_20 = SampleOptions(Fraction(20))
 IN_FILE_ORDER = (0, 3, 1, 4, 2, 5)  # prompt by prompt, where the published order is repetition by repetition

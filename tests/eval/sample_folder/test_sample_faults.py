@@ -9,13 +9,12 @@ import pytest
 
 from eval.sample_folder import SampleFolder, SampleFolderError, SampleOptions, read_sample_folder
 from eval.sample_folder.arrays import read_stored, split_motions
-from eval.sample_folder.manifest import read_manifest
-from eval.sample_folder.name_pattern import parse_name_pattern
+from eval.sample_folder.manifest import parse_name_pattern, read_manifest
 from eval.sample_folder.vectors import root_disagreement
-from motionkit.errors import FormatError
+from motionkit.core.errors import FormatError
+from motionkit.core.moments import moments
 from motionkit.features.layout import vector_layout
-from motionkit.moments import moments
-from tests.eval.sample_folder import published_layouts as published
+from tests.helpers import published_layouts as published
 
 JOINTS = published.motions()[0]
 

@@ -4,10 +4,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.baselines.upsampled import upsampled_positions
 from eval.sample_folder.folder import FIRST_CAPACITY, Packer, Rows, SampleText
-from motionkit.resample import resample_positions
-from tests.eval.sample_folder import published_layouts as published
+from eval.sets.upsampled import upsampled_positions
+from motionkit.fields.resample import resample_positions
+from tests.helpers import published_layouts as published
 
 
 def test_rows_grow_and_keep_what_they_hold() -> None:

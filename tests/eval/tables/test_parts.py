@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from eval.metrics.streaming import MeanSums
+from eval.metrics.checks import MeanSums
 from eval.report.results import Cell
-from eval.tables.pahires.kept_scores import find_scores, keep_scores
+from eval.tables.pahires.measured import find_scores, keep_scores
 from eval.tables.parts import Part, find_part, keep_part
-from motionkit.core.sealed import read_json, write_json
+from motionkit.core.checksums import read_json, write_json
 
 TERMS = {"store": "abc"}
 PART = Part({"a": {"x": Cell(1.5, None, {"weight": 4.0})}}, ("b: no takes",))

@@ -2,7 +2,7 @@
 
 from importlib.resources import files
 
-from eval.tables.reported import SOURCES, reported_figures
+from eval.tables.parts import SOURCES, reported_figures
 
 
 def test_table_2_of_nerm() -> None:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from eval.samples.sets import SampleSet, sample_set
+from eval.sets.sets import SampleSet, sample_set
 from eval.text_motion.embedding_cache import Embedder, fingerprint_of
-from motionkit.motion import Caption
+from motionkit.core.motion import Caption
 
 
 class Counting:

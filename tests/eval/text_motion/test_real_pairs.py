@@ -5,13 +5,13 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.protocols.text_motion import LengthRule, find_text_motion_protocol
-from eval.samples.real import NoRealMotionError
+from eval.sets.real import NoRealMotionError
+from eval.text_motion.protocol import LengthRule, find_text_motion_protocol
 from eval.text_motion.real_pairs import captioned_motions, limited, middle
-from motionkit.motion import Caption, Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.timegrid import TimeGrid
 
 CROPPED = LengthRule(1.0, 3.0, "cropped")
 

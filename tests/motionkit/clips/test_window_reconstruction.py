@@ -5,9 +5,9 @@ import pytest
 
 from motionkit.clips.reconstruction import comparable, separate_windows, window_truth
 from motionkit.clips.windows import cut_windows
-from motionkit.features import field as field_vectors
-from motionkit.skeleton import SMPL22
-from tests.nerm.corpus import analytic_positions, analytic_source
+from motionkit.core.skeleton import SMPL22
+from motionkit.features import field
+from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 
 PAIRS = SMPL22.left_right_pairs
 
@@ -19,7 +19,7 @@ def test_the_truth_at_a_lower_framerate_is_the_motion_itself(fps: int) -> None:
     truth = window_truth(source, windows, 0, Fraction(fps))
     assert len(truth) == 4 * fps + 1
     expected = analytic_positions(np.arange(4 * fps + 1) / fps, 0)[None]
-    expected = field_vectors.to_window(expected, windows.yaw[:1], windows.origin[:1])[0]
+    expected = field.to_window(expected, windows.yaw[:1], windows.origin[:1])[0]
     np.testing.assert_allclose(truth, expected, atol=2e-3)
 
 

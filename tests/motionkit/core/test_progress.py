@@ -4,8 +4,7 @@ import logging
 
 import pytest
 
-from motionkit.core.progress import Progress, ignore, task, tracked
-from motionkit.core.warn import warn
+from motionkit.core.progress import Progress, ignore, task, tracked, warn
 
 
 def test_a_task_reports_its_state_after_every_change() -> None:

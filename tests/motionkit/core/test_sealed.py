@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.core.sealed import CHECKSUM, read_json, sealed, unsealed, write_json
-from motionkit.errors import DamagedFileError
+from motionkit.core.checksums import CHECKSUM, read_json, sealed, unsealed, write_json
+from motionkit.core.errors import DamagedFileError
 
 DOCUMENT = {"name": "nano", "steps": 1200, "rate": 1e-3, "parts": {"b": [1, None], "a": "ü"}, "done": True}
 MEND = "train it again"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from motionkit.core.errors import LinkError
 from motionkit.core.files import (
     create,
     naming,
@@ -19,7 +20,6 @@ from motionkit.core.files import (
     whole_file,
     write_whole,
 )
-from motionkit.errors import LinkError
 
 
 def test_the_file_appears_with_its_whole_content(tmp_path: Path) -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.core.folders import LOCK, whole_folder
-from motionkit.errors import LinkError, UsageError
-from tests.killing import killed_before
+from motionkit.core.errors import LinkError, UsageError
+from motionkit.core.files import LOCK, whole_folder
+from tests.helpers.killing import killed_before
 
 
 def _names(folder: Path) -> list[str]:

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.export.catalogue import EXPORTS
 from motionkit.export.run import ExportReport, export
 from motionkit.export.selection import Selection
-from motionkit.motion import Caption, Motion, Provenance
-from motionkit.motionfield import to_motion
+from motionkit.fields.motion_field import to_motion
 from motionkit.store import Store, StoreWriter
-from motionkit.store.ingest import ingest
+from motionkit.store.ingest.ingest import ingest
 from motionkit.synthetic import make_body, perform
 
 RATES = (Fraction(30), Fraction(60000, 1001), Fraction(120))

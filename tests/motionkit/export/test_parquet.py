@@ -9,13 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.export import parquet as export_parquet
-from motionkit.formats import parquet_schema
-from motionkit.motion import Motion, Provenance
-from motionkit.skeleton import SMPL22
+from motionkit.formats import parquet as parquet_schema
 from motionkit.store import Store, StoreWriter
-from motionkit.timegrid import TimeGrid
 
 
 @pytest.fixture

@@ -6,15 +6,15 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from motionkit.features import humanml3d, humanml3d_processing
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import map_joints
+from motionkit.core.timegrid import TimeGrid
+from motionkit.features import humanml3d
 from motionkit.features.statistics import Statistics, check_statistics
+from motionkit.fields.resample import resample
 from motionkit.formats.pose_folders.kit import UNIT_METRES
-from motionkit.motion import Motion
-from motionkit.resample import resample
-from motionkit.skeleton import SMPL22
-from motionkit.skeletons.mapping import map_joints
 from motionkit.store import Store, StoreWriter
-from motionkit.timegrid import TimeGrid
 
 
 @pytest.mark.parametrize(("name", "joints", "size"), [("humanml3d", 22, 263), ("kit", 21, 251)])
@@ -26,8 +26,8 @@ def test_the_folder_is_the_published_pipeline(store, export_as, name, joints, si
     for index, sequence in enumerate(("take 0", "take 1", "take 2")):
         motion = resample(store.read(index), fps)
         layout = "smpl22" if joints == 22 else "kit21"
-        target = humanml3d_processing.standard_bone_lengths(layout) * np.float32(1 if joints == 22 else 1000)
-        expected = humanml3d.vectors(humanml3d_processing.process(map_joints(motion, layout), layout, target), layout)
+        target = humanml3d.standard_bone_lengths(layout) * np.float32(1 if joints == 22 else 1000)
+        expected = humanml3d.vectors(humanml3d.process(map_joints(motion, layout), layout, target), layout)
         vectors = np.load(out / "new_joint_vecs" / f"{sequence}.npy")
         assert vectors.shape == (motion.num_frames - 1, size)
         np.testing.assert_array_equal(vectors, expected)
@@ -110,7 +110,7 @@ def test_what_is_too_short_or_has_no_legs_is_left_out(tmp_path, export_as):
 
 
 def test_the_published_clip_gives_the_published_vectors(golden_humanml3d, tmp_path, export_as):
-    from motionkit.store.ingest import ingest
+    from motionkit.store.ingest.ingest import ingest
 
     ingest([golden_humanml3d], tmp_path / "golden", num_workers=1)
     out = export_as(Store.open(tmp_path / "golden"), "humanml3d").folder

@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import SMPL22
 from motionkit.features import field
-from motionkit.skeleton import SMPL22
 
 coordinates = st.floats(-5, 5, width=32)
 windows = arrays(np.float32, (2, 3, 22, 3), elements=coordinates)

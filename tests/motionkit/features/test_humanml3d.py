@@ -2,13 +2,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reference import plain_vectors
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
+from motionkit.core.kinematics import forward_kinematics
 from motionkit.features import field, humanml3d
-from motionkit.features import humanml3d_processing as processing
 from motionkit.features.layout import LAYOUTS, PoseLayout, vector_layout
-from motionkit.kinematics import forward_kinematics
+from tests.helpers.reference_features import plain_vectors
 
 
 def wandering_body(body: PoseLayout, num_frames: int, seed: int) -> np.ndarray:
@@ -67,17 +66,17 @@ def test_published_clip(golden_humanml3d: Path) -> None:
 
 @pytest.mark.parametrize("name", list(LAYOUTS))
 def test_positions_come_back(name: str) -> None:
-    joints = processing.process(wandering_body(LAYOUTS[name], 120, seed=2), name)
+    joints = humanml3d.process(wandering_body(LAYOUTS[name], 120, seed=2), name)
     assert np.allclose(humanml3d.positions(humanml3d.vectors(joints, name), name), joints[:-1], atol=2e-5)
 
 
 @pytest.mark.parametrize("name", list(LAYOUTS))
 def test_processing_leaves_one_skeleton_on_the_floor_at_the_origin_facing_z(name: str) -> None:
     raw = wandering_body(LAYOUTS[name], 30, seed=3)
-    target = 1.3 * processing.standard_bone_lengths(name)
-    joints = processing.process(raw, name, target)
+    target = 1.3 * humanml3d.standard_bone_lengths(name)
+    joints = humanml3d.process(raw, name, target)
     for pose in joints[[0, 17]]:
-        assert np.allclose(processing.bone_lengths(pose, name), target, atol=1e-5)
+        assert np.allclose(humanml3d.bone_lengths(pose, name), target, atol=1e-5)
     assert joints[..., 1].min() == pytest.approx(0, abs=1e-6)
     assert np.allclose(joints[0, 0, [0, 2]], 0, atol=1e-6)
     assert field.heading(joints[0]) == pytest.approx(0, abs=1e-5)
@@ -87,7 +86,7 @@ def test_a_body_that_faces_nowhere_is_not_turned() -> None:
     joints = wandering_body(LAYOUTS["smpl22"], 3, seed=5)
     for right, left in ((2, 1), (17, 16)):
         joints[0, right] = joints[0, left]
-    assert np.array_equal(processing.facing_forward(joints, "smpl22"), joints)
+    assert np.array_equal(humanml3d.facing_forward(joints, "smpl22"), joints)
 
 
 def test_degenerate_bones_give_finite_rotations() -> None:

@@ -3,9 +3,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from motionkit.core.kinematics import forward_kinematics
 from motionkit.features import humanml3d, native
 from motionkit.features.layout import LAYOUTS, SMPL22_LAYOUT
-from motionkit.kinematics import forward_kinematics
 
 SECONDS = 5
 PART = SMPL22_LAYOUT.vector

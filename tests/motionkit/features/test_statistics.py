@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motionkit.core.moments import moments
 from motionkit.features import statistics
 from motionkit.features.layout import vector_layout
-from motionkit.moments import moments
 
 PART = vector_layout(22)
 

@@ -15,12 +15,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from motionkit.errors import FormatError
-from motionkit.formats.registry import FORMATS, ReadOptions, read, scan
-from motionkit.motion import Motion
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.formats.scan.scanner import FORMATS, ReadOptions, read, scan
 from motionkit.quality import measure
-from tests.motionkit.formats.damage import damaged, damaged_archive
-from tests.motionkit.formats.every_format import SOURCES
+from tests.helpers.damage import damaged, damaged_archive
+from tests.helpers.every_format import SOURCES
 
 OPTIONS = ReadOptions(fps=Fraction(30), unit_metres=1.0)
 # `MOTIONKIT_FUZZ_EXAMPLES=5000 pytest tests/motionkit/formats/test_every_format.py` hunts for longer.
@@ -201,7 +201,7 @@ def test_names_that_are_not_utf8_are_told(tmp_path):
         path.rename(tmp_path / os.fsdecode(b"caf\xe9.bvh"))
     except OSError:
         pytest.skip("this file system refuses names that are not UTF-8")
-    from motionkit.store.ingest import ingest
+    from motionkit.store.ingest.ingest import ingest
 
     SOURCES["csv"](tmp_path)
     report = ingest([tmp_path], tmp_path / "store", num_workers=1)

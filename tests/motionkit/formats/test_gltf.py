@@ -7,12 +7,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from motionkit.formats.gltf.bone_mesh import bone_meshes
-from motionkit.formats.gltf.motion import write_gltf
-from motionkit.kinematics import forward_kinematics
-from motionkit.motion import Caption, Motion
-from motionkit.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.timegrid import TimeGrid
+from motionkit.core.kinematics import forward_kinematics
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.formats.gltf import bone_meshes, write_gltf
 
 pygltflib = pytest.importorskip("pygltflib")
 

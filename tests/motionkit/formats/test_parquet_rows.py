@@ -8,14 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from motionkit.errors import FormatError
-from motionkit.formats import parquet_schema
-from motionkit.formats.items import ReadOptions
-from motionkit.formats.registry import read, scan
-from motionkit.motion import Caption, Motion
-from motionkit.skeleton import SMPL22
-from motionkit.skeletons.mapping import map_joints
-from motionkit.timegrid import TimeGrid
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import map_joints
+from motionkit.core.timegrid import TimeGrid
+from motionkit.formats import parquet
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.scan.scanner import read, scan
 
 LEAST = {"sequence_id": "a", "joint_positions": np.arange(132, dtype=np.float32), "num_joints": 22, "fps": 59.94}
 
@@ -69,7 +69,7 @@ def test_a_skeleton_comes_back_with_the_users_own_map(tmp_path):
     layout_map = json.dumps({"name": "mine", "requires": ["My pelvis"], "smpl22": rows}, sort_keys=True)
     skeleton = replace(SMPL22, name="mine", joint_names=tuple(rows.values()), layout_map=layout_map)
     motion = Motion(np.ones((2, 22, 3), np.float32), skeleton, TimeGrid(Fraction(30), 2), sequence_id="a")
-    after = read_one(save(tmp_path / "mine", parquet_schema.row_of(motion)))
+    after = read_one(save(tmp_path / "mine", parquet.row_of(motion)))
     assert after.skeleton == skeleton and after.skeleton.layout_map == layout_map
     np.testing.assert_array_equal(map_joints(after, "smpl22"), motion.joint_positions)
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import motionkit as mk
-from motionkit.formats.gltf import motion as gltf
+from motionkit.fields.motion_field import to_motion
+from motionkit.formats import gltf
 from motionkit.formats.writing import WRITERS
-from motionkit.motionfield import to_motion
 from motionkit.synthetic import make_body, perform
 
 

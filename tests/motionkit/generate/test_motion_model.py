@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import motionkit as mk
-from motionkit import generation
+from motionkit.generate import models
 from motionkit.training import loaders
-from tests.scripted_model import ScriptedModel
+from tests.helpers.scripted_model import ScriptedModel
 
 
-def script(request: generation.GenerationRequest, chance: tuple[int, int]):
+def script(request: models.GenerationRequest, chance: tuple[int, int]):
     """A body that moves along z at a speed that its text, seed and number give."""
     speed = len(request.text) + 0.1 * chance[0] + 0.01 * chance[1]
     body = np.random.default_rng(0).normal(size=(22, 3))
@@ -23,15 +23,15 @@ def script(request: generation.GenerationRequest, chance: tuple[int, int]):
 class Drawing(ScriptedModel):
     """Draws a length of 1.5 s where none is asked for, and knows no "fly"."""
 
-    def generate(self, requests, *, seed, sampling=generation.SamplingOptions(), first=0):
+    def generate(self, requests, *, seed, sampling=models.SamplingOptions(), first=0):
         self.sampling = sampling
         requests = [
-            request if request.duration_seconds else generation.GenerationRequest(1.5, request.text, request.action)
+            request if request.duration_seconds else models.GenerationRequest(1.5, request.text, request.action)
             for request in requests
         ]
         return super().generate(requests, seed=seed, sampling=sampling, first=first)
 
-    def check(self, request, sampling=generation.SamplingOptions()):
+    def check(self, request, sampling=models.SamplingOptions()):
         if "fly" in (request.text, request.action):
             raise mk.UsageError("it cannot fly")
 
@@ -121,7 +121,7 @@ def loads(run: Path) -> Drawing:
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two models, each of one stage of its own name."""
     entries = EntryPoints(EntryPoint(name, f"{__name__}:loads", "motionkit.models") for name in ("first", "other"))
-    for module in (generation, loaders):
+    for module in (models, loaders):
         monkeypatch.setattr(module, "entry_points", lambda **chosen: entries.select(**chosen))
 
 

@@ -7,21 +7,13 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from motionkit.motion import Motion
-from motionkit.motionfield import to_motion
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.timegrid import TimeGrid
 from motionkit.quality import measure
-from motionkit.skeleton import SMPL22, Skeleton
-from motionkit.synthetic import draw_body, perform
-from motionkit.timegrid import TimeGrid
+from tests.helpers.synthetic_capture import capture
 
 RATES = (Fraction(30), Fraction(60000, 1001), Fraction(120), Fraction(250))
-
-
-def capture(fps: Fraction, action: str = "walk", seconds: float = 6.0, noise: float = 0.0, seed: int = 0) -> Motion:
-    rng = np.random.default_rng([seed, 5])
-    motion = to_motion(perform(rng, draw_body(rng, "somebody"), [action], seconds), fps)
-    shaken = motion.joint_positions + noise * rng.standard_normal(motion.joint_positions.shape)
-    return replace(motion, joint_positions=shaken.astype(np.float32))
 
 
 def altered(motion: Motion, positions: np.ndarray) -> Motion:

@@ -5,13 +5,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from test_measure import capture
 
-from motionkit.interpolation.fields import interpolate
-from motionkit.motion import Motion
-from motionkit.motionfield import to_motion
+from motionkit.core.motion import Motion
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.interpolation.interpolators import interpolate
+from motionkit.fields.motion_field import to_motion
 from motionkit.quality import measure
-from motionkit.timegrid import TimeGrid
+from tests.helpers.synthetic_capture import capture
 
 # Noise as marker capture has it, so that nothing is smoother than a capture.
 NOISE = 0.0005

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.motion import Caption, Motion, Provenance
-from motionkit.skeleton import SMPL22, Skeleton
+from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store import StoreWriter
-from motionkit.timegrid import TimeGrid
 
 MakeMotion = Callable[..., Motion]
 

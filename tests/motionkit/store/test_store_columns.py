@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.store.columns import array_of, table_of
+from motionkit.store.codec import array_of, table_of
 from motionkit.store.schema import SEQUENCES, SKELETONS
 
 

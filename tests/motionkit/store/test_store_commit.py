@@ -15,15 +15,15 @@ from pathlib import Path
 import pytest
 
 from motionkit.core import files
-from motionkit.errors import StoreError
+from motionkit.core.errors import StoreError
 from motionkit.store import Store, StoreWriter
+from motionkit.store.life.removal import remove
+from motionkit.store.life.rewrite import compact, migrate
+from motionkit.store.life.splits import split
 from motionkit.store.lock import LOCK_FILE
 from motionkit.store.manifest import read_manifest
-from motionkit.store.removal import remove
-from motionkit.store.rewrite import compact, migrate
-from motionkit.store.splits import split
 from motionkit.store.validate import faults
-from tests.motionkit.store.signed_again import sign
+from tests.helpers.signed_again import sign
 
 # The renames of one append that fills two parts: part, part, manifest (the commit), sequences, skeletons.
 NUM_RENAMES = 5
@@ -78,11 +78,11 @@ CHILD = textwrap.dedent(
     from fractions import Fraction
     from pathlib import Path
     import numpy as np
-    from motionkit.motion import Motion
-    from motionkit.skeleton import SMPL22
+    from motionkit.core.motion import Motion
+    from motionkit.core.skeleton import SMPL22
     from motionkit.core import files
     from motionkit.store import StoreWriter
-    from motionkit.timegrid import TimeGrid
+    from motionkit.core.timegrid import TimeGrid
 
     store, moment = Path(sys.argv[1]), sys.argv[2]
     def die(): os.kill(os.getpid(), signal.SIGKILL)
@@ -123,8 +123,8 @@ REWRITER = textwrap.dedent(
     import os, signal, sys
     from pathlib import Path
     from motionkit.core import files
-    from motionkit.store.removal import remove
-    from motionkit.store.rewrite import compact, migrate
+    from motionkit.store.life.removal import remove
+    from motionkit.store.life.rewrite import compact, migrate
 
     store, what, left = Path(sys.argv[1]), sys.argv[2], [int(sys.argv[3])]
     rename = files.replace
@@ -153,7 +153,7 @@ def test_a_killed_change(small_store, make_motion, what, moment, committed):
     if what == "compact":
         append_two_parts(small_store, make_motion)
     if what == "migrate":
-        shutil.copytree(Path(__file__).parent / "stores" / "v1", small_store, dirs_exist_ok=True)
+        shutil.copytree(Path(__file__).parent / "life" / "stores" / "v1", small_store, dirs_exist_ok=True)
     before = Store.open(small_store)
     arguments = [sys.executable, "-c", REWRITER, str(small_store), what, str(moment)]
     assert subprocess.run(arguments, check=False).returncode == -9
@@ -230,9 +230,9 @@ FULL = textwrap.dedent(
     """
     import resource, signal, sys
     from pathlib import Path
-    from motionkit.errors import MotionkitError
-    from motionkit.store.removal import remove
-    from motionkit.store.rewrite import compact, merge
+    from motionkit.core.errors import MotionkitError
+    from motionkit.store.life.removal import remove
+    from motionkit.store.life.rewrite import compact, merge
 
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     store, what, most = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
@@ -290,11 +290,11 @@ WRITER = textwrap.dedent(
     from fractions import Fraction
     from pathlib import Path
     import numpy as np
-    from motionkit.errors import StoreError
-    from motionkit.motion import Motion
-    from motionkit.skeleton import SMPL22
+    from motionkit.core.errors import StoreError
+    from motionkit.core.motion import Motion
+    from motionkit.core.skeleton import SMPL22
     from motionkit.store import StoreWriter
-    from motionkit.timegrid import TimeGrid
+    from motionkit.core.timegrid import TimeGrid
 
     store, name = Path(sys.argv[1]), sys.argv[2]
     frames = np.zeros((3, 22, 3), np.float32)

@@ -2,15 +2,15 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from motionkit.store import Store
 from motionkit.store.schema import SEGMENTS, SEQUENCES
+from tests.helpers.repository import REPOSITORY
 
-PAGE = Path(__file__).parents[3] / "docs" / "store.md"
+PAGE = REPOSITORY / "docs" / "store.md"
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.errors import LinkError, MotionkitError
+from motionkit.core.errors import LinkError, MotionkitError
 from motionkit.store import Store, StoreWriter
-from motionkit.store.cache import open_cache
-from motionkit.store.removal import remove
-from motionkit.store.rewrite import compact, merge, migrate
-from motionkit.store.splits import split
-from motionkit.store.summary import summarise
+from motionkit.store.cache.positions import open_cache
+from motionkit.store.life.removal import remove
+from motionkit.store.life.rewrite import compact, merge, migrate
+from motionkit.store.life.splits import split
+from motionkit.store.reports.summary import summarise
 from motionkit.store.validate import faults
 
 PART = "segments/part-00000.parquet"

@@ -12,18 +12,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from motionkit.checksums import sha256_of
-from motionkit.errors import StoreError
-from motionkit.motion import Motion
-from motionkit.store import Store, StoreWriter, segment_reader
+from motionkit.core.checksums import sha256_of
+from motionkit.core.errors import StoreError
+from motionkit.core.motion import Motion
+from motionkit.store import Store, StoreWriter, parts, segment_reader
 from motionkit.store import encode as encode_module
-from motionkit.store import parts as parts_module
 from motionkit.store.encode import encode
 from motionkit.store.manifest import read_manifest
 from motionkit.store.parts import read_footer
+from motionkit.store.reports.summary import summarise
 from motionkit.store.schema import KEY_COLUMNS, SEGMENTS
-from motionkit.store.summary import summarise
-from tests.motionkit.store.signed_again import describe
+from tests.helpers.signed_again import describe
 
 PART = "segments/part-00000.parquet"
 
@@ -33,7 +32,7 @@ PART = "segments/part-00000.parquet"
 def test_pyarrow_and_duckdb_read_what_was_written(takes, make_motion, monkeypatch) -> None:
     """Rows, nulls, keys and their statistics, whatever the lengths and wherever rotations are missing."""
     monkeypatch.setattr(encode_module, "RUN_FRAMES", 2 * 256)
-    monkeypatch.setattr(parts_module, "ROW_GROUP_SEGMENTS", 3)
+    monkeypatch.setattr(parts, "ROW_GROUP_SEGMENTS", 3)
     motions = [make_motion(f"m{i}", count, rotations=rotations) for i, (count, rotations) in enumerate(takes)]
     with tempfile.TemporaryDirectory() as folder:
         with StoreWriter.create(Path(folder) / "store") as writer:

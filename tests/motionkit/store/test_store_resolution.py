@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.store.resolution import RESOLUTION_BITS, rounded
-from motionkit.timegrid import TimeGrid
+from motionkit.store.schema import RESOLUTION_BITS, rounded
 
 GRID = 2.0**-RESOLUTION_BITS
 finite = st.floats(width=32, allow_nan=False, allow_infinity=False)

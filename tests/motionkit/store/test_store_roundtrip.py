@@ -13,12 +13,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from motionkit.errors import StoreError
-from motionkit.motion import Motion
-from motionkit.skeleton import KIT21, SMPL22, Feet, Skeleton
-from motionkit.store import RefusedMotion, Store, StoreWriter
-from motionkit.store import encode as encode_module
-from motionkit.store import parts as parts_module
+from motionkit.core.errors import StoreError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
+from motionkit.store import RefusedMotion, Store, StoreWriter, encode, parts
 from motionkit.store.schema import FLOAT_COLUMNS, KEY_COLUMNS
 
 
@@ -46,8 +44,8 @@ frame_counts = st.lists(
 @given(counts=frame_counts, cut=st.integers(0, 12), rates=st.data())
 def test_any_lengths_come_back(counts, cut, rates, make_motion, monkeypatch):
     """Whatever the lengths, however they fall on segments, pages, row groups, parts and appends."""
-    monkeypatch.setattr(encode_module, "RUN_FRAMES", 2 * 256)
-    monkeypatch.setattr(parts_module, "ROW_GROUP_SEGMENTS", 3)
+    monkeypatch.setattr(encode, "RUN_FRAMES", 2 * 256)
+    monkeypatch.setattr(parts, "ROW_GROUP_SEGMENTS", 3)
     fps = rates.draw(st.fractions(min_value=1, max_value=1000, max_denominator=1001))
     motions = [
         make_motion(f"m{i}", count, fps=fps, rotations=i % 3 == 0, skeleton=KIT21 if i % 4 == 1 else SMPL22)

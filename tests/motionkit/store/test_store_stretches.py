@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.errors import FormatError, StoreError
-from motionkit.formats.items import ReadOptions, SourceItem
-from motionkit.store import Store, stretches
-from motionkit.store.ingest import ingest
-from motionkit.store.stretches import NumberedItem, ReadSequence, cut, read_stretch
+from motionkit.core.errors import FormatError, StoreError
+from motionkit.formats.scan.items import ReadOptions, SourceItem
+from motionkit.store import Store
+from motionkit.store.ingest import stretches
+from motionkit.store.ingest.ingest import ingest
+from motionkit.store.ingest.stretches import NumberedItem, ReadSequence, cut, read_stretch
 
 BVH = """HIERARCHY
 ROOT Hips
@@ -148,7 +149,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from motionkit.store import stretches
-from motionkit.store.ingest import ingest
+from motionkit.store.ingest.ingest import ingest
 
 folder, store, when = map(Path, sys.argv[1:])
 marker, finish, read = folder.parent / "died", stretches.PartWriter.finish, stretches.read

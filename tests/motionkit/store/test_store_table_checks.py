@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motionkit.errors import MotionkitError, StoreError
+from motionkit.core.errors import MotionkitError, StoreError
 from motionkit.store import Store, StoreWriter
-from motionkit.store.cache import open_cache
-from motionkit.store.removal import remove
-from motionkit.store.rewrite import compact, merge
+from motionkit.store.cache.positions import open_cache
+from motionkit.store.life.removal import remove
+from motionkit.store.life.rewrite import compact, merge
 from motionkit.store.validate import faults
-from tests.motionkit.store.signed_again import describe, rewrite, sign, with_column, with_number, with_value
+from tests.helpers.signed_again import describe, rewrite, sign, with_column, with_number, with_value
 
 SEQUENCES, SKELETONS, PART = "sequences.parquet", "skeletons.parquet", "segments/part-00000.parquet"
 USES: dict[str, Callable[[Path], object]] = {

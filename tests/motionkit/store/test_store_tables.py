@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from motionkit.store.tables import read_table
+from motionkit.store.reader import read_table
 
 
 def test_no_thread_keeps_the_content_after_the_call(small_store: Path) -> None:

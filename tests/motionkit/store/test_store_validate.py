@@ -5,12 +5,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from motionkit.errors import StoreError
+from motionkit.core.errors import StoreError
 from motionkit.store import StoreWriter
-from motionkit.store.removal import remove
-from motionkit.store.rewrite import compact
+from motionkit.store.life.removal import remove
+from motionkit.store.life.rewrite import compact
 from motionkit.store.validate import faults
-from tests.motionkit.store.signed_again import rewrite, sign, with_broken_text, with_number, with_value
+from tests.helpers.signed_again import rewrite, sign, with_broken_text, with_number, with_value
 
 PART = "segments/part-00000.parquet"
 

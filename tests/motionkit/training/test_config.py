@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 from motionkit.training.config import apply_overrides, flatten, from_plain, setting_text, to_plain
 
 

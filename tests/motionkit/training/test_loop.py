@@ -8,12 +8,18 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from motionkit.core.errors import DamagedFileError
 from motionkit.core.progress import Progress
-from motionkit.errors import DamagedFileError
 from motionkit.training.loop import train_loop
-from motionkit.training.randomness import seeded_initialisation, step_generator
 from motionkit.training.run import RunError, StageFolder
-from motionkit.training.schedule import WeightAverage, rate_factor, scale_rates, set_rate
+from motionkit.training.schedule import (
+    WeightAverage,
+    rate_factor,
+    scale_rates,
+    seeded_initialisation,
+    set_rate,
+    step_generator,
+)
 from motionkit.training.tensors import (
     CheckpointError,
     load_optimizer_tensors,

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from motionkit.errors import DamagedFileError, LinkError
+from motionkit.core.errors import DamagedFileError, LinkError
 from motionkit.training.metrics_log import NOTHING_LOGGED, MetricsLog
 from motionkit.training.run import StageFolder
 

@@ -4,7 +4,7 @@ from functools import partial
 import pytest
 import torch
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 from motionkit.training import precision as precision_module
 from motionkit.training.config import Precision
 from motionkit.training.precision import autocast, compile_each, float32_products, has_bfloat16, with_precision_of

@@ -4,7 +4,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 from motionkit.training.ranks import ALONE, DealtRows, Ranks, joined_ranks, present_ranks
 
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
+from motionkit.core.checksums import write_json
+from motionkit.core.errors import DamagedFileError, LinkError, UsageError
 from motionkit.core.files import remove_entry, temporary_name, write_whole
-from motionkit.core.sealed import write_json
-from motionkit.errors import DamagedFileError, LinkError, UsageError
-from motionkit.training.device import resolve_device
+from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunError, RunFolder, commit, copy_stage
 from motionkit.training.stage import Stage, StageContext, choose_stages
 

@@ -12,7 +12,7 @@ from safetensors import safe_open
 from safetensors.numpy import save as save_arrays
 from safetensors.torch import save_file
 
-from motionkit.errors import DamagedFileError
+from motionkit.core.errors import DamagedFileError
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 from motionkit.training.tensors import load_tensors, save_tensors
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from motionkit.errors import DamagedFileError
+from motionkit.core.errors import DamagedFileError
 from motionkit.training.tensors import CheckpointError, load_tensors, rebuilding
 
 TENSORS = {"weight": torch.zeros(3, 2), "bias": torch.zeros(3)}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from motionkit.errors import LinkError
+from motionkit.core.errors import LinkError
 from motionkit.training.text_embeddings import embed_texts
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from motionkit.errors import UsageError
+from motionkit.core.errors import UsageError
 from motionkit.training import text_encoders
 from motionkit.training.text_encoders import TextEncoder, load_text_encoder
 

@@ -10,12 +10,12 @@ import typer
 from typer.testing import CliRunner
 
 from motionkit.cli import train as train_module
-from motionkit.errors import UsageError
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store import StoreWriter
 from motionkit.store.manifest import read_manifest
-from motionkit.timegrid import TimeGrid
 from motionkit.training.run import RunError
 from motionkit.training.stage import Stage, StageContext
 

@@ -6,18 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.errors import UsageError
-from motionkit.resample import resample_positions
-from motionkit.training.randomness import step_generator
+from motionkit.core.errors import UsageError
+from motionkit.fields.resample import resample_positions
+from motionkit.training.schedule import step_generator
 from motionkit.training.tensors import save_tensors
-from nerm.codebook.network import CodebookNetwork, Quantiser
-from nerm.codebook.saved import load_codes
+from nerm.codebook.network import CodebookNetwork, Quantiser, load_codes
 from nerm.codebook.training import CodebookTraining, perplexity
-from nerm.codebook.vector_file import open_vectors, prepare_vectors
-from nerm.codebook.vectors import codebook_vectors, joint_positions_block
+from nerm.codebook.vectors import codebook_vectors, joint_positions_block, open_vectors, prepare_vectors
 from nerm.recipes import paper
-from nerm.settings.codebook import CodebookConfig
-from tests.nerm.corpus import analytic_positions, analytic_source
+from nerm.settings import CodebookConfig
+from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 
 SMALL = CodebookConfig(
     width=24, code_dimension=16, num_codes=32, batch=16, steps=40, window_frames=16, rate=2e-3, rate_drop_at=1000

@@ -11,17 +11,16 @@ import pytest
 import torch
 
 import nerm.stages.codebook
-from motionkit.motionfield import to_motion
+from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import make_body, perform
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors
-from nerm.codebook.network import CodebookNetwork
+from nerm.codebook.network import CodebookNetwork, load_codes
 from nerm.codebook.published import PUBLISHED, load_published
-from nerm.codebook.saved import load_codes
 from nerm.recipes import nano
-from nerm.settings.codebook import CodebookConfig
+from nerm.settings import CodebookConfig
 from nerm.stages.codebook import train_codebook
 
 SMALL = CodebookConfig(width=10, code_dimension=8, num_codes=24)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from motionkit.core import files
-from nerm.codebook import vector_file
-from nerm.codebook.vector_file import open_vectors, prepare_vectors, remove_vectors, table_of
-from nerm.settings.codebook import CodebookConfig
-from tests.nerm.corpus import analytic_source
+from nerm.codebook import vectors
+from nerm.codebook.vectors import open_vectors, prepare_vectors, remove_vectors, table_of
+from nerm.settings import CodebookConfig
+from tests.helpers.nerm_corpus import analytic_source
 
 SMALL = CodebookConfig(window_frames=16)
 
@@ -88,7 +88,7 @@ def test_a_disk_that_fills_while_the_table_is_written_leaves_nothing_that_stops_
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch, pytest.raises(OSError, match=r"No space left.*vectors\.json"):
-        patch.setattr(vector_file, "write_json", full)
+        patch.setattr(vectors, "write_json", full)
         _prepare(path)
     assert [entry.name for entry in tmp_path.iterdir()] == ["vectors.f32"]
     _prepare(path)

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from nerm.conditions.batch import ConditionLayout, Conditions
+from nerm.conditions import ConditionLayout, Conditions
 from nerm.denoiser.network import Denoiser, step_features
-from nerm.latents.reach import ALWAYS, in_use
-from nerm.settings.denoiser import TransformerConfig
+from nerm.latents.posterior import ALWAYS, in_use
+from nerm.settings import TransformerConfig
 
 LAYOUT = ConditionLayout(text_dimension=3, actions=("a", "b", "c"))
 TINY = TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0)

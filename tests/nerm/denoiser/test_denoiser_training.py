@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.errors import MotionkitError
-from motionkit.generation import SamplingOptions
+from motionkit.core.errors import MotionkitError
+from motionkit.generate.models import SamplingOptions
 from motionkit.training.loop import train_loop
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.tensors import load_tensors, save_tensors
-from nerm.conditions.batch import NO_ACTION, Conditions
+from nerm.conditions import NO_ACTION, Conditions
 from nerm.denoiser.corpus import LatentCorpus, latent_corpus
-from nerm.denoiser.saved import load_denoiser, save_denoiser
-from nerm.denoiser.trained import TrainedDenoiser
+from nerm.denoiser.trained import TrainedDenoiser, load_denoiser, save_denoiser
 from nerm.denoiser.training import DenoiserTraining
-from nerm.settings.denoiser import DenoiserConfig, TransformerConfig
+from nerm.settings import DenoiserConfig, TransformerConfig
 
 TEXTS = ("a person walks", "someone is walking", "a jump")
 NETWORK = TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0, latent_tokens=2)

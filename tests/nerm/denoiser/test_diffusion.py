@@ -18,7 +18,7 @@ from nerm.denoiser.diffusion import (
     sample_ddpm,
     sampling_steps,
 )
-from nerm.settings.denoiser import DiffusionConfig
+from nerm.settings import DiffusionConfig
 
 
 def reference(config: DiffusionConfig, kind: str):

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from motionkit.clips.windows import Windows
-from nerm.denoiser.corpus_of_field import actions_of_windows, captions_of_windows
+from nerm.denoiser.corpus import actions_of_windows, captions_of_windows
 
 
 def caption(text, start=0.0, end=None):

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from nerm.denoiser.latent_space import kinds_of_numbers, measured_space, places_of, steps_of
 from nerm.latents.local import local_latents
-from nerm.latents.reach import first_read, in_use
-from nerm.settings.field import FieldConfig
+from nerm.latents.posterior import first_read, in_use
+from nerm.settings import FieldConfig
 
 CONFIG = FieldConfig(
     latent_layout="local",

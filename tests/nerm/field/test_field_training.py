@@ -8,17 +8,16 @@ import torch
 
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import cut_windows
+from motionkit.core.skeleton import SMPL22
 from motionkit.features import field as field_vectors
-from motionkit.skeleton import SMPL22
-from motionkit.training.randomness import step_generator
 from motionkit.training.run import StageFolder
+from motionkit.training.schedule import step_generator
 from motionkit.training.tensors import CheckpointError, save_tensors
 from nerm.field.encoding import effect_of_numbers, encode_by_optimisation, starting_latents
-from nerm.field.saved import load_field, save_field
-from nerm.field.trained import TrainedField
+from nerm.field.trained import TrainedField, load_field, save_field
 from nerm.field.training import FieldTraining
-from nerm.settings.field import FieldConfig
-from tests.nerm.corpus import FPS, analytic_positions, analytic_source
+from nerm.settings import FieldConfig
+from tests.helpers.nerm_corpus import FPS, analytic_positions, analytic_source
 
 SMALL = FieldConfig(
     max_duration_seconds=4.0,

@@ -10,17 +10,17 @@ import torch
 
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import cut_windows
-from motionkit.completion import complete, observed_errors
-from motionkit.motion import Motion
-from motionkit.motionfield import MotionEncoder, Observation, Poses, joint_velocities, to_motion
-from motionkit.skeleton import KIT21, SMPL22
-from motionkit.timegrid import TimeGrid
-from motionkit.training.randomness import step_generator
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import KIT21, SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.completion import complete, observed_errors
+from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, joint_velocities, to_motion
 from motionkit.training.run import RunError
+from motionkit.training.schedule import step_generator
 from nerm.field.motion_encoder import NermEncoder, load
 from nerm.field.trained import TrainedField
 from nerm.field.training import FieldTraining
-from tests.nerm.corpus import analytic_positions, analytic_source
+from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 from tests.nerm.field.test_field_training import SMALL
 
 SECONDS = 11.0

@@ -3,11 +3,17 @@ from dataclasses import replace
 import pytest
 import torch
 
-from nerm.coordinates.attention import CodebookCoordinateAttention
-from nerm.coordinates.fourier import FourierFeatures, distinct, frame_numbers, framerate_number, rounded_up
+from nerm.coordinates import (
+    CodebookCoordinateAttention,
+    FourierFeatures,
+    distinct,
+    frame_numbers,
+    framerate_number,
+    rounded_up,
+)
 from nerm.field.network import FieldNetwork
 from nerm.recipes import RECIPES
-from nerm.settings.field import FieldConfig
+from nerm.settings import FieldConfig
 
 TINY = FieldConfig(
     latent_dimension=32,

@@ -8,9 +8,9 @@ import torch
 
 from nerm.field.network import FieldNetwork
 from nerm.latents.local import local_latents
-from nerm.latents.reach import first_read, in_use
+from nerm.latents.posterior import first_read, in_use
 from nerm.recipes import demo, paper
-from nerm.settings.field import FieldConfig
+from nerm.settings import FieldConfig
 
 ONE_BANK = FieldConfig(
     latent_layout="local",

@@ -1,7 +1,7 @@
 import torch
 from torch.distributions import Normal, kl_divergence
 
-from nerm.latents import posterior as latents
+from nerm.latents import posterior
 from nerm.latents.posterior import RowAdam, sample_posterior
 
 
@@ -36,7 +36,7 @@ def test_a_row_s_steps_do_not_depend_on_when_they_come() -> None:
 def test_kl_is_that_of_normal_distributions() -> None:
     mean, log_variance = torch.randn(5, 7), torch.randn(5, 7)
     expected = kl_divergence(Normal(mean, torch.exp(0.5 * log_variance)), Normal(0.0, 1.0)).mean()
-    torch.testing.assert_close(latents.kl_divergence(mean, log_variance), expected)
+    torch.testing.assert_close(posterior.kl_divergence(mean, log_variance), expected)
 
 
 def test_samples_have_the_posterior_s_mean_and_deviation() -> None:

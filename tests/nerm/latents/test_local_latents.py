@@ -6,15 +6,15 @@ import torch
 
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import cut_windows
-from motionkit.skeleton import SMPL22
+from motionkit.core.skeleton import SMPL22
 from motionkit.training.config import apply_overrides
-from nerm.latents.body_path import measured_heading, path_speed, placed, relative_to, turned
+from nerm.latents.knots import measured_heading, path_speed, placed, relative_to, turned
 from nerm.latents.linear_fit import LinearModel, held
 from nerm.latents.local import LocalLatents, local_latents
-from nerm.pose_vectors.scaling import measure_scaling
+from nerm.pose_vectors.convention import measure_scaling
 from nerm.recipes import paper
-from nerm.settings.field import FieldConfig
-from tests.nerm.corpus import MemorySource, analytic_positions, analytic_source
+from nerm.settings import FieldConfig
+from tests.helpers.nerm_corpus import MemorySource, analytic_positions, analytic_source
 
 BANKED = FieldConfig(
     max_duration_seconds=4.0,

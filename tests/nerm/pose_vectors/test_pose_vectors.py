@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit import kinematics
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.reconstruction import window_truth
 from motionkit.clips.windows import cut_windows
-from motionkit.errors import UsageError
+from motionkit.core import kinematics
+from motionkit.core.errors import UsageError
+from motionkit.core.mirror import mirror_positions
+from motionkit.core.skeleton import SMPL22
 from motionkit.features import field, native
-from motionkit.mirror import mirror_positions
-from motionkit.motionfield import to_motion
-from motionkit.skeleton import SMPL22
-from motionkit.store.derived import derived_rows
+from motionkit.fields.motion_field import to_motion
+from motionkit.store.cache.derived import derived_rows
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import make_body, perform
@@ -24,7 +24,7 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from nerm.field.motion_encoder import encode_windows
-from nerm.field.saved import load_field
+from nerm.field.trained import load_field
 from nerm.pose_vectors.choice import training_vectors
 from nerm.pose_vectors.convention import PoseVectors
 from nerm.pose_vectors.native import NativeVectors

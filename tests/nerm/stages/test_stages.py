@@ -4,20 +4,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from eval.reconstruction.errors import DISTANCE
 from eval.tables.nerm.table4 import build_table4
-from eval.tables.reconstruction_errors import DISTANCE
 from eval.tables.registry import TableRequest
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
-from motionkit.timegrid import TimeGrid
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import StageContext
-from nerm.field.saved import load_field
+from nerm.field.trained import load_field
 from nerm.recipes import NermConfig, demo
 from nerm.stages import CODEBOOK, FIELD
-from tests.nerm.corpus import analytic_positions
+from tests.helpers.nerm_corpus import analytic_positions
 
 TINY = [
     "codebook.steps=10",

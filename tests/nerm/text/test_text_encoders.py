@@ -12,14 +12,14 @@ import torch
 from safetensors.numpy import load_file, save_file
 
 import nerm.text.encoders
-from motionkit.errors import MissingExtraError, MotionkitError
+from motionkit.core.errors import MissingExtraError, MotionkitError
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.text_encoders import load_text_encoder
 from nerm.recipes import nano
 from nerm.stages import DENOISER
 from nerm.text.encoders import load_transformers
-from nerm.text.folder import folder_fingerprint
+from nerm.text.pretrained import folder_fingerprint
 from nerm.text.sentence import MINILM_SHA256, minilm_folder, verify_checksum
 
 transformers = pytest.importorskip("transformers", reason="needs the extra motionkit[text]")

@@ -8,23 +8,23 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.trust.fuzz.target import Make, Target, named
-from motionkit.errors import FormatError, MotionkitError
-from motionkit.formats.framerate_rules import read_rules
+from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.skeletons.families import read_skeleton_map
+from motionkit.export.player.page import check_places
+from motionkit.export.player.takes import take_of
 from motionkit.formats.indexes.catalogue import read_index
-from motionkit.formats.items import IndexOptions, ReadOptions
-from motionkit.formats.registry import FORMATS, read, scan
-from motionkit.formats.smpl.layouts import LAYOUTS
-from motionkit.player.page import check_places
-from motionkit.player.take import take_of
+from motionkit.formats.scan.framerate_rules import read_rules
+from motionkit.formats.scan.items import IndexOptions, ReadOptions
+from motionkit.formats.scan.scanner import FORMATS, read, scan
+from motionkit.formats.smpl.body import LAYOUTS
+from motionkit.generate.prompts import read_prompts
 from motionkit.quality import measure
-from motionkit.skeletons.families import read_skeleton_map
-from motionkit.viewing.sources import find_sources
-from nerm.generation.prompts import read_prompts
-from tests.motionkit.formats.amass_samples import smplh_fields, stageii_fields, write_amass
-from tests.motionkit.formats.every_format import SOURCES, bodies, write_arrays, write_text
-from tests.motionkit.formats.samples import bvh_text, write_asfamc
-from tests.motionkit.formats.side_files import BESIDE, RULES
-from tests.motionkit.test_skeleton_families import robot_map
+from motionkit.view.job import find_sources
+from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
+from tests.helpers.every_format import SOURCES, bodies, write_arrays, write_text
+from tests.helpers.format_samples import bvh_text, write_asfamc
+from tests.helpers.side_files import BESIDE, RULES
+from tests.motionkit.core.skeletons.test_skeleton_families import robot_map
 
 STATED = ReadOptions(fps=Fraction(30), unit_metres=1.0)
 # Formats whose files do not say how fast they are, or how long a unit is.
@@ -117,7 +117,7 @@ def _indexed(name: str, content: bytes) -> Make:
 
 
 def _body_model(folder: Path) -> None:
-    from tests.motionkit.formats.test_body_models import write_body_model
+    from tests.motionkit.formats.smpl.test_body_models import write_body_model
 
     write_body_model(folder / "models" / "smpl" / "SMPL_NEUTRAL.npz", LAYOUTS["smpl"])
     write_amass(folder / "take_poses.npz", smplh_fields(3, 72, gender=np.array("neutral"), betas=np.zeros(10)))

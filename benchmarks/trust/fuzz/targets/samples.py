@@ -8,16 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.trust.fuzz.target import Make, Target, every_file, named
-from eval.evaluators.actions.gru import load_gru
-from eval.evaluators.actions.gru_kinds import HUMANACT12
-from eval.evaluators.guo.evaluator import load_guo
-from eval.evaluators.guo.files import GuoFiles
-from eval.evaluators.guo.networks import GuoWidths
+from eval.actions.gru import HUMANACT12, load_gru
 from eval.report.render import to_csv, to_html, to_latex, to_markdown
 from eval.report.results import Block, Cell, Result, ResultError, Row, find_results, write_result
 from eval.sample_folder import SampleOptions, read_sample_folder
 from eval.sample_folder.findings import lines, summarise
-from tests.eval.sample_folder import published_layouts as published
+from eval.text_motion.guo.evaluator import load_guo
+from eval.text_motion.guo.kind import GuoFiles
+from eval.text_motion.guo.networks import GuoWidths
+from tests.helpers import published_layouts as published
 
 SMALL = GuoWidths(movement=6, motion=5, text=4, shared=3)
 
@@ -78,7 +77,7 @@ def _result(folder: Path) -> None:
 
 
 def _guo(folder: Path) -> None:
-    from tests.published_guo import write_archive, write_glove
+    from tests.helpers.published_guo import write_archive, write_glove
 
     write_archive(folder / "t2m", SMALL)
     write_glove(folder / "glove")
@@ -89,7 +88,7 @@ def _load_guo(folder: Path) -> None:
 
 
 def _gru(folder: Path) -> None:
-    from tests.eval.evaluators.actions.test_gru_recogniser import random_weights
+    from tests.eval.actions.test_gru_recogniser import random_weights
 
     random_weights(folder / "gru.tar", HUMANACT12)
 

@@ -14,19 +14,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from benchmarks.trust.fuzz.target import Target, named
-from motionkit.core.sealed import sealed
-from motionkit.errors import MotionkitError, StoreError
-from motionkit.motion import Caption, Motion
-from motionkit.skeleton import KIT21, SMPL22
+from motionkit.core.checksums import sealed
+from motionkit.core.errors import MotionkitError, StoreError
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import KIT21, SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store
-from motionkit.store.cache import open_cache
-from motionkit.store.quality_report import report_quality
+from motionkit.store.cache.positions import open_cache
+from motionkit.store.reports.quality import report_quality
+from motionkit.store.reports.summary import summarise
 from motionkit.store.schema import CACHE_FOLDER, MANIFEST_FILE, SEGMENTS_FOLDER
-from motionkit.store.summary import summarise
 from motionkit.store.validate import faults
 from motionkit.store.writer import StoreWriter
-from motionkit.timegrid import TimeGrid
-from tests.motionkit.formats.every_format import bodies
+from tests.helpers.every_format import bodies
 
 TABLES = named("manifest.json", "sequences.parquet", "skeletons.parquet")
 

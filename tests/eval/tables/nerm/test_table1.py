@@ -13,20 +13,19 @@ import pytest
 from eval.commands.eval import evaluate
 from eval.report.render import to_latex, to_markdown
 from eval.report.results import Result, read_result, write_result
-from eval.samples.real import NoRealMotionError
-from eval.samples.sets import SampleSet
+from eval.sets.real import NoRealMotionError
+from eval.sets.sets import SampleSet
 from eval.tables import registry
-from eval.tables import text_motion_sources as sources
-from eval.tables.nerm import table1
+from eval.tables.nerm import table1, text_motion
+from eval.tables.nerm.text_motion import FLOOR, ORACLE, title_of
 from eval.tables.registry import TableRequest
-from eval.tables.text_motion_blocks import FLOOR, ORACLE, title_of
-from motionkit.errors import MotionkitError, UsageError
-from motionkit.generation import GenerationRequest
-from motionkit.motion import Caption, Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
-from motionkit.timegrid import TimeGrid
-from tests.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
+from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 
 TAKES = 70
 TOP1, TOP3, FID, MM_DIST = (title_of(name) for name in ("r_precision_top1", "r_precision_top3", "fid", "mm_dist"))
@@ -94,7 +93,7 @@ def models(run: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, ScriptedMode
     """`nano` listens to its captions, `nano-fixed` doesn't."""
     made = {"nano": ScriptedModel(listens), "nano-fixed": ScriptedModel(ignores)}
     install_models(monkeypatch, lambda folder: made[folder.name])
-    monkeypatch.setattr(sources, "_native", lambda request: Shapes())
+    monkeypatch.setattr(text_motion, "_native", lambda request: Shapes())
     return made
 
 
@@ -271,7 +270,7 @@ def test_an_evaluator_that_cannot_read_the_captions_leaves_the_others(
         def embed_texts(self, captions: Sequence[Caption]) -> np.ndarray:
             raise MotionkitError("captions have no word/POS tokens")
 
-    monkeypatch.setattr(sources, "_guo", lambda request, leak: Deaf())
+    monkeypatch.setattr(text_motion, "_guo", lambda request, leak: Deaf())
     result = build(store, tmp_path / "results", run, features=("guo", "native"))
     assert [block.provenance["evaluator"] for block in result.blocks[:2]] == ["shapes", "shapes"]
     assert "evaluator 'deaf': captions have no word/POS tokens" in result.missing

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.clip_fid import feature_sources
+from eval.clip_fid import features
 from eval.clip_fid.score import PoseRange, Protocol
 from eval.report.results import Result
 from eval.tables.nerm import clip_fid_column, table2
 from eval.tables.registry import TableRequest, find_table, installed_tables
-from motionkit.errors import UsageError
-from motionkit.generation import GenerationRequest
-from motionkit.motion import Caption, Motion
-from motionkit.skeleton import SMPL22
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
-from motionkit.timegrid import TimeGrid
-from tests.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
+from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 
 FPS = (Fraction(20), Fraction(60))
 NERM, NERM_SLERP = "NeRM", "NeRM generated at 20 fps, SLERP"
@@ -62,7 +62,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def few_clips_in_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(feature_sources, "FIT_CLIPS", 1000)
+    monkeypatch.setattr(features, "FIT_CLIPS", 1000)
 
 
 def build(store: Path, folder: Path, **changes: object) -> Result:

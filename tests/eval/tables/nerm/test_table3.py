@@ -11,26 +11,26 @@ import pytest
 import torch
 
 from eval.actions.sets import NoActionsError, known_actions, with_rotations
-from eval.evaluators.actions.stgcn_network import StgcnNetwork
-from eval.evaluators.guo.files import GuoFiles
+from eval.actions.uestc import StgcnNetwork
 from eval.report.render import to_markdown
 from eval.report.results import Result, read_result, write_result
-from eval.samples.sets import sample_set
+from eval.sets.sets import sample_set
 from eval.tables.nerm import table3
 from eval.tables.registry import TableRequest
-from motionkit import kinematics
-from motionkit.errors import UsageError
+from eval.text_motion.guo.kind import GuoFiles
+from motionkit.core import kinematics
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.smpl import uestc
-from motionkit.formats.smpl.layouts import SMPL
-from motionkit.generation import GenerationRequest
-from motionkit.motion import Motion
-from motionkit.skeleton import SMPL22
+from motionkit.formats.smpl.body import SMPL
+from motionkit.generate.models import GenerationRequest
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
-from motionkit.timegrid import TimeGrid
-from tests.acting import ACTIONS, acted, acted_at
-from tests.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
+from tests.helpers.acting import ACTIONS, acted, acted_at
+from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 
 EACH = 12
 FPS = Fraction(20)

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eval.completing.encoders import HOLD, Completer
-from eval.completing.scores import Scores, pooled, scores_of
+from eval.completion.blocks import Scope, Shown, blocks_of, with_pools
+from eval.completion.encoders import HOLD, Completer
+from eval.completion.scores import Scores, pooled, scores_of
+from eval.metrics.checks import MeanSums
 from eval.metrics.registry import MeanStream, find_metric
-from eval.metrics.streaming import MeanSums
-from eval.tables.pahires.blocks import Scope, Shown, blocks_of, with_pools
-from eval.tables.pahires.kept_scores import find_scores, keep_scores
+from eval.tables.pahires.measured import find_scores, keep_scores
 
 SHOWN = Shown(("×2",), {"psnr": "PSNR (dB)", "mpjpe_global": "MPJPE (cm)"}, {"psnr": {"mpjpe_global": "joints (cm)"}})
 

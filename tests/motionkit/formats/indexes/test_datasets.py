@@ -2,7 +2,7 @@
 
 import pytest
 
-from motionkit.formats.indexes.datasets import dataset_of, file_key
+from motionkit.formats.indexes.entries import dataset_of, file_key
 
 
 @pytest.mark.parametrize(

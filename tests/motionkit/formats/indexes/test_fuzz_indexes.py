@@ -6,7 +6,7 @@ from pathlib import Path
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from motionkit.errors import FormatError
+from motionkit.core.errors import FormatError
 from motionkit.formats.indexes.catalogue import read_index
 
 HEADER = b"source_path,start_frame,end_frame,new_name\n"

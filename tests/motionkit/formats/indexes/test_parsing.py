@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.errors import FormatError
-from motionkit.formats.cuts import StepCut, TimeCut
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Caption
 from motionkit.formats.indexes.catalogue import read_index
-from motionkit.formats.indexes.datasets import stem
-from motionkit.formats.indexes.entries import Index
-from motionkit.motion import Caption
+from motionkit.formats.indexes.entries import Index, stem
+from motionkit.formats.scan.cuts import StepCut, TimeCut
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 

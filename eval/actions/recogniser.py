@@ -1,0 +1,83 @@
+"""What accuracy and the action task's FID, Diversity and MultiModality need of a recogniser of actions."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64
+
+from eval.sets.sets import SampleSet
+from motionkit.core.errors import MotionkitError
+
+
+@dataclass(frozen=True, eq=False)
+class Recognition:
+    """What a recogniser says of motions: a feature vector and a score per action for each, in the set's order."""
+
+    features: Float64[np.ndarray, "sequences features"]
+    scores: Float64[np.ndarray, "sequences actions"]
+
+
+@runtime_checkable
+class ActionRecogniser(Protocol):
+    """Tells which of its actions a motion shows; a motion's row depends on that motion alone."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of everything that the numbers depend on: definition, weights, settings."""
+        ...
+
+    @property
+    def fps(self) -> Fraction | None:
+        """The only framerate at which motions may be given; None where any may."""
+        ...
+
+    @property
+    def actions(self) -> tuple[str, ...]:
+        """Names of the actions, in the order of the scores."""
+        ...
+
+    def recognise(self, samples: SampleSet) -> Recognition:
+        """Features and scores of every sequence. Raises `MotionkitError` for a framerate or skeleton it cannot take."""
+        ...
+
+
+def check_fps(recogniser: ActionRecogniser, samples: SampleSet) -> None:
+    """Raise `MotionkitError` for motions of another framerate than the recogniser's only one."""
+    if recogniser.fps not in (None, samples.fps):
+        raise MotionkitError(
+            f"{samples.name}: motions at {samples.fps} fps, but the recogniser {recogniser.name!r} was trained at "
+            f"{recogniser.fps} fps and has no notion of time; resample them first"
+        )
+
+
+def clip_frames(num_frames: int, clip_length: int) -> Int64[np.ndarray, "clip"]:
+    """Which frames of a motion make its clip: the middle ones, or all of them and then the last one again and again.
+
+    The published evaluations take a random stretch of a longer motion; the middle makes a motion's numbers its own.
+    Sources: action-to-motion, dataProcessing/dataset.py; ACTOR, src/datasets/dataset.py.
+    """
+    first = max(0, num_frames - clip_length) // 2
+    return np.minimum(first + np.arange(clip_length), num_frames - 1)
+
+
+def middle(positions: Float32[np.ndarray, "frames joints 3"], longest: int) -> Float32[np.ndarray, "clip joints 3"]:
+    """The middle `longest` frames of a motion, all of a shorter one."""
+    first = max(0, len(positions) - longest) // 2
+    return positions[first : first + longest]
+
+
+def clip_rows(samples: SampleSet, clip_length: int) -> Int64[np.ndarray, "sequences clip"]:
+    """Rows of `samples` that make each sequence's clip; see `clip_frames`."""
+    return np.stack(
+        [
+            int(start) + clip_frames(int(length), clip_length)
+            for start, length in zip(samples.start_row, samples.num_frames, strict=True)
+        ]
+    )

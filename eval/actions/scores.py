@@ -1,0 +1,109 @@
+"""The action task's numbers from what a recogniser says of real and generated motions."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from threadpoolctl import threadpool_limits
+
+from eval.actions.protocol import ActionProtocol
+from eval.actions.recogniser import Recognition
+from eval.metrics.actions import (
+    accuracy,
+    diversity,
+    diversity_with_replacement,
+    multimodality_by_class,
+    multimodality_by_class_with_replacement,
+)
+from eval.metrics.gaussian import fit_gaussian, frechet_distance
+from eval.metrics.replications import Scores, Tally
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledRecognition:
+    """What a recogniser says of motions whose actions are known: `labels` index its actions."""
+
+    recognition: Recognition
+    labels: Int[np.ndarray, "labels"]
+
+    def __post_init__(self) -> None:
+        if not len(self.recognition.features) == len(self.recognition.scores) == len(self.labels):
+            raise ValueError(
+                f"{len(self.recognition.features)} rows of features, {len(self.recognition.scores)} of scores and "
+                f"{len(self.labels)} labels: one each for every motion"
+            )
+
+    def select(self, rows: Int[np.ndarray, "chosen"]) -> "LabelledRecognition":
+        """Some of the motions."""
+        recognition = Recognition(self.recognition.features[rows], self.recognition.scores[rows])
+        return LabelledRecognition(recognition, self.labels[rows])
+
+
+def score_actions(
+    references: Mapping[str, Float[np.ndarray, "_samples features"]],
+    draws: Sequence[LabelledRecognition],
+    protocol: ActionProtocol,
+    seed: int,
+    on_replication: Callable[[], None] = lambda: None,
+) -> Scores:
+    """Accuracy, FID, Diversity and MultiModality of generated (or real) motions under a protocol.
+
+    `references` are features of real motions by set: "train" and "test" give `fid_train` and `fid_test`, "" gives
+    `fid`. `draws` are independent sets of motions, each with its own seed; replication r takes draw r modulo their
+    number, so with fewer draws than replications the interval holds less than the protocol means, and a remark says so.
+    Where a draw holds more motions than the protocol counts, each replication takes a random choice of them. Raises
+    `ValueError` where nothing is given, numbers of features differ, or something is not finite.
+    """
+    if not draws:
+        raise ValueError("there is no set of motions to score")
+    if unknown := set(references) - {"", "train", "test"}:
+        raise ValueError(f'references are named "", "train" or "test", not {sorted(unknown)}')
+    tally = Tally()
+    # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
+    with threadpool_limits(1, "blas"):
+        gaussians = {name: fit_gaussian(features) for name, features in references.items()}
+        for replication in range(protocol.replications):
+            rng = np.random.default_rng((seed, replication))
+            motions = _chosen(draws[replication % len(draws)], protocol, rng, tally)
+            features, labels = motions.recognition.features, motions.labels
+            tally.add("accuracy", accuracy(motions.recognition.scores, labels))
+            fitted = fit_gaussian(features) if gaussians else None
+            for name, gaussian in gaussians.items():
+                assert fitted is not None
+                tally.add(f"fid_{name}" if name else "fid", frechet_distance(gaussian, fitted))
+            if protocol.pairs == "different":
+                tally.add("diversity", diversity(features, rng, protocol.diversity_pairs))
+                tally.add(
+                    "multimodality_by_class",
+                    multimodality_by_class(features, labels, rng=rng, num_pairs=protocol.class_pairs),
+                )
+            else:
+                tally.add(
+                    "diversity_with_replacement", diversity_with_replacement(features, rng, protocol.diversity_pairs)
+                )
+                tally.add(
+                    "multimodality_by_class_with_replacement",
+                    multimodality_by_class_with_replacement(features, labels, rng=rng, num_pairs=protocol.class_pairs),
+                )
+            on_replication()
+    tally.remark_on_draws(len(draws), protocol.replications)
+    sizes = {f"real ({name})" if name else "real": len(features) for name, features in references.items()}
+    counted = min(len(draws[0].labels), protocol.num_motions or len(draws[0].labels))
+    return tally.scores(protocol.name, sizes | {"generated": counted, "draws": len(draws)}, protocol.remarks)
+
+
+def _chosen(
+    draw: LabelledRecognition, protocol: ActionProtocol, rng: np.random.Generator, tally: Tally
+) -> LabelledRecognition:
+    """As many motions as the protocol counts."""
+    wanted, there = protocol.num_motions, len(draw.labels)
+    if wanted is None or there == wanted:
+        return draw
+    if there < wanted:
+        tally.remark(
+            f"protocol {protocol.name!r} counts {wanted:,} motions, here are {there:,}: "
+            "FIDs of different N do not compare"
+        )
+        return draw
+    return draw.select(rng.choice(there, size=wanted, replace=False))

@@ -1,0 +1,148 @@
+"""The feature sets that can be had: the kinematic descriptor always, the learned evaluator where a run holds one."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from eval.clip_fid.feature_set import FeatureSet
+from eval.clip_fid.kinematic import BLOCKS, VERSION, KinematicDescriptor, fit_kinematic
+from eval.clip_fid.score import REAL, Protocol, draw_clips, gather_clips, place_clips
+from eval.sets.sets import SampleSet
+from eval.text_motion.guo.kind import GuoFiles
+from motionkit.core.errors import MotionkitError, UsageError
+
+FIT_CLIPS = 8192
+NATIVE_REPLICATIONS = 5
+FIT_REPLICATION = 1_000_000
+"""The descriptor's fit draws from a stream that no replication of an evaluation uses."""
+
+
+@dataclass(frozen=True)
+class FeatureSource:
+    """A kind of features; `fit` gives the feature set for one framerate from the real training set at it.
+
+    `parts` are slices of its features whose own FID is worth printing beside the total; `max_replications` bounds what
+    slow features cost; `remark_at` is what a table must say of them at a framerate, empty for nothing.
+    """
+
+    name: str
+    title: str
+    fit: Callable[[SampleSet], FeatureSet]
+    parts: Mapping[str, slice] = field(default_factory=dict)
+    note: str = ""
+    max_replications: int | None = None
+    remark_at: Callable[[Fraction], str] = lambda fps: ""
+
+    def protocol(self, asked: Protocol) -> Protocol:
+        """The protocol as asked for, with no more replications than these features can afford."""
+        if self.max_replications is None or asked.replications <= self.max_replications:
+            return asked
+        return replace(asked, replications=self.max_replications)
+
+
+def feature_sources(
+    run: Path | None, wanted: Sequence[str] | None, missing: list[str], guo: GuoFiles | None = None
+) -> list[FeatureSource]:
+    """All feature sets there are, or the `wanted` ones; what is not there is named in `missing`.
+
+    Guo's evaluator is there where its files are named. Raises `UsageError` for a name that is unknown, and for `guo`
+    without files, and what the last refused one raised where none of the `wanted` is there.
+    """
+    known: dict[str, Callable[[], FeatureSource]] = {
+        "kinematic": kinematic_source,
+        "native": partial(native_source, run),
+    }
+    if guo is not None:
+        known["guo"] = partial(guo_source, guo)
+    elif wanted is not None and "guo" in wanted:
+        raise UsageError("--evaluator guo needs its weights: --weights finest.tar (docs/evaluators.md)")
+    unknown = [name for name in wanted or () if name not in known]
+    if unknown:
+        raise UsageError(f"there is no feature set {unknown[0]!r}: {', '.join(known)}")
+    sources: list[FeatureSource] = []
+    refused: MotionkitError | None = None
+    for name, make in known.items():
+        if wanted is not None and name not in wanted:
+            continue
+        try:
+            sources.append(make())
+        except MotionkitError as error:
+            missing.append(f"features {name!r}: {error}")
+            refused = error
+    if wanted and not sources and refused is not None:
+        raise refused
+    return sources
+
+
+def kinematic_source() -> FeatureSource:
+    """The kinematic descriptor, fitted at each framerate on the training motion."""
+    return FeatureSource(
+        name="kinematic",
+        title=f"clip-FID on the kinematic descriptor ({VERSION})",
+        fit=fit_on,
+        parts={"slip": BLOCKS["slip"]},
+        note=(
+            "Each of the descriptor's 5 blocks has a total variance of 1 on real training clips, so 1 is the variance "
+            "of a whole block. At high framerates clip-FID partly measures capture noise: removing what real captures "
+            "hold above 20 Hz already costs many times the floor."
+        ),
+    )
+
+
+def native_source(run: Path | None) -> FeatureSource:
+    """The learned evaluator of a run. Raises `RunError` where the run has none."""
+    from eval.native_evaluator.evaluator import load_native
+
+    if run is None:
+        raise MotionkitError("the learned evaluator belongs to a run, and none was given")
+    evaluator = load_native(run)
+    return FeatureSource(
+        name="native",
+        title="clip-FID on the learned native-rate evaluator",
+        fit=lambda train: evaluator,
+        note=(
+            f"Features of the run's evaluator, a network trained on this store; at most {NATIVE_REPLICATIONS} "
+            "replications, for it costs several times the descriptor. Its numbers are its own: they compare with no "
+            "other evaluator's."
+        ),
+        max_replications=NATIVE_REPLICATIONS,
+        remark_at=evaluator.remark_at,
+    )
+
+
+def guo_source(files: GuoFiles) -> FeatureSource:
+    """A published evaluator at its own framerate. Raises `MotionkitError` where its files are not what they must be."""
+    from eval.text_motion.guo.evaluator import load_guo
+
+    evaluator = load_guo(files)
+
+    def at_its_framerate(train: SampleSet) -> FeatureSet:
+        evaluator.check_fps(train.fps, train.name)
+        return evaluator
+
+    return FeatureSource(
+        name="guo",
+        title=f"clip-FID on the {evaluator.name} evaluator of {evaluator.kind.dataset}",
+        fit=at_its_framerate,
+        note=(
+            f"At {float(evaluator.fps):g} fps alone, at most {NATIVE_REPLICATIONS} replications. This evaluator was "
+            "trained to match motions with sentences: it scores upsampled and smoothed motion much like clean motion. "
+            "Clips of m poses are m − 1 frames of pose vectors. These are not the FIDs of whole motions that papers "
+            "print."
+        ),
+        max_replications=NATIVE_REPLICATIONS,
+    )
+
+
+def fit_on(train: SampleSet, seed: int = 0) -> KinematicDescriptor:
+    """Fit the kinematic descriptor on random clips of a training set."""
+    protocol = Protocol(num_clips=FIT_CLIPS, seed=seed)
+    places = place_clips(draw_clips(protocol, train.fps, FIT_REPLICATION, REAL), train)
+    sizes = np.unique(places.num_poses).tolist()
+    return fit_kinematic(
+        (gather_clips(train, places.first_row[places.num_poses == size], size) for size in sizes), train.fps
+    )

@@ -1,0 +1,1 @@
+"""PA-HiRes' tasks: interpolation, in-betweening, extrapolation."""

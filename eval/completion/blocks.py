@@ -1,0 +1,100 @@
+"""Blocks of the completion tables: rows by the form of their answer, on every data set and on all of them together."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from eval.completion.encoders import Completer
+from eval.completion.scores import Scores, pooled
+from eval.metrics.registry import find_metric
+from eval.report.results import Block, Cell, Row
+
+UNITS = {"mpjpe_global": 100.0}
+PLAIN = "plain"
+# What a title says of the rows of a form; corrections stand with what they correct.
+FORMS = {"": "", PLAIN: ", plain answers"}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a table shows of its rows: blocks by metric, with their titles, and further metrics of a block by title."""
+
+    columns: tuple[str, ...]
+    metrics: Mapping[str, str]
+    details: Mapping[str, Mapping[str, str]]
+
+
+@dataclass(frozen=True, eq=False)
+class Scope:
+    """Clips that figures are means over: a data set's, or those of several."""
+
+    label: str
+    fps: Fraction
+    rows: Mapping[str, Scores]
+    note: str = ""
+
+
+def with_pools(scopes: Sequence[Scope], noun: str) -> list[Scope]:
+    """Before all others those of a framerate together, wherever several have it; `noun` is what is pooled (clips)."""
+    pools = []
+    for fps in dict.fromkeys(scope.fps for scope in scopes):
+        same = [scope for scope in scopes if scope.fps == fps]
+        if len(same) > 1:
+            names = ", ".join(scope.label for scope in same)
+            note = f"All {noun} of {names}: each counts alike, and is scaled as in its own data set's block."
+            rows = pooled([scope.rows for scope in same])
+            pools.append(Scope(f"all data sets, {float(fps):g} fps", fps, rows, note))
+    return [*pools, *scopes]
+
+
+def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: Shown) -> list[Block]:
+    """Blocks of every scope; what the rows are is said in the first block of each form.
+
+    Trained rows whose answer is a pose as it is (form `plain`) stand in blocks of their own. Rows that need no training
+    are in both.
+    """
+    blocks: list[Block] = []
+    told: set[str] = set()
+    for scope in scopes:
+        for form, of_form in _by_form([each for each in completers if each.name in scope.rows]).items():
+            for metric, title in shown.metrics.items():
+                notes = form not in told and metric == next(iter(shown.metrics))
+                blocks.append(
+                    Block(
+                        f"{scope.label}{FORMS[form]}: {title}",
+                        shown.columns,
+                        tuple(
+                            Row(each.name, "ours", _cells(scope.rows[each.name], metric, shown), each.note * notes)
+                            for each in of_form
+                        ),
+                        lower_is_better=find_metric(metric).higher_is_better is False,
+                        note=scope.note,
+                    )
+                )
+            told.add(form)
+    return blocks
+
+
+def _by_form(completers: Sequence[Completer]) -> dict[str, list[Completer]]:
+    """Rows of each form's blocks; corrections and rows of unknown form share theirs, which is there in any case."""
+    forms: dict[str, list[Completer]] = {"": [each for each in completers if each.form != PLAIN]}
+    if any(each.form == PLAIN for each in completers):
+        forms[PLAIN] = [each for each in completers if not each.trained or each.form == PLAIN]
+    return forms
+
+
+def _cells(scores: Scores, metric: str, shown: Shown) -> dict[str, Cell]:
+    further = shown.details.get(metric, {})
+    return {
+        column: Cell(
+            value(scores, metric, column),
+            None,
+            {title: value(scores, name, column) for name, title in further.items()},
+        )
+        for column in shown.columns
+    }
+
+
+def value(scores: Scores, metric: str, column: str) -> float:
+    """A figure in the unit that tables show it in."""
+    return UNITS.get(metric, 1.0) * scores[metric][column].mean

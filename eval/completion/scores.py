@@ -1,0 +1,132 @@
+"""What a row scores: means by metric and by column, which can be joined with those of other clips."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+
+from eval.completion.takes import TrueClips
+from eval.metrics.checks import MeanSums
+from eval.metrics.registry import MeanStream
+from eval.metrics.signal import to_unit_range
+from motionkit.core.moments import stream
+from motionkit.core.skeleton import SMPL22
+from motionkit.features import rotation_rows
+
+# By metric, then by what was asked (a scale, a length). All these metrics are means over clips, frames or true power,
+# so their sums over several data sets are those of all clips together.
+Scores = Mapping[str, Mapping[str, MeanSums]]
+
+
+def scores_of(streams: Mapping[str, Mapping[str, MeanStream]], metrics: Sequence[str]) -> Scores:
+    """What the streams have seen; they are by column, then by metric."""
+    return {name: {column: of_column[name].sums for column, of_column in streams.items()} for name in metrics}
+
+
+def pooled(groups: Sequence[Mapping[str, Scores]]) -> dict[str, Scores]:
+    """Scores of all groups' clips together, for the rows that every group has; rows in the first group's order."""
+    first, *others = groups
+    return {
+        name: reduce(_joined, (group[name] for group in groups))
+        for name in first
+        if all(name in group for group in others)
+    }
+
+
+def _joined(first: Scores, second: Scores) -> Scores:
+    return {
+        metric: {column: sums.merged(second[metric][column]) for column, sums in columns.items()}
+        for metric, columns in first.items()
+    }
+
+
+ROOT_PATH, ROOT_HEIGHT, ROOT_ROTATION, JOINT_ROTATIONS = slice(0, 3, 2), slice(1, 2), slice(3, 9), slice(9, None)
+GROUPS = (ROOT_PATH, ROOT_HEIGHT, ROOT_ROTATION, JOINT_ROTATIONS)
+# No number counts for more than one of this share of its group's deviation: the noise of joints that hardly turn would
+# be worth as much as a leg's swing.
+FLOOR_SHARE = 0.25
+# Less is no deviation but the rounding of float32: a leaf of the skeleton, which has no bone to turn.
+CONSTANT = 1e-5
+CLIPS_AT_ONCE = 512
+
+
+@dataclass(frozen=True, eq=False)
+class PoseScale:
+    """Mean and deviation of the numbers that vary; the others are left out of every figure."""
+
+    mean: Float64[np.ndarray, "numbers"]
+    std: Float64[np.ndarray, "numbers"]
+    varies: Bool[np.ndarray, "all_numbers"]
+
+    def unit_range(
+        self, vectors: Float32[np.ndarray, "clips frames all_numbers"]
+    ) -> Float64[np.ndarray, "clips frames numbers"]:
+        """0.5 + (x − μ)/(4σ) of the numbers that vary."""
+        return to_unit_range(vectors[..., self.varies], self.mean, self.std)
+
+
+@dataclass(frozen=True, eq=False)
+class ClipFrames:
+    """Where clips' own frames lie: under the root at the first frame, which faces Z+ there."""
+
+    yaw: Float64[np.ndarray, "clips"]
+    origin: Float64[np.ndarray, "clips 2"]
+
+    @classmethod
+    def of(cls, vectors: Float32[np.ndarray, "clips frames numbers"]) -> "ClipFrames":
+        """By the first frame, which is given in every table."""
+        return cls(rotation_rows.heading(vectors[:, 0], SMPL22), vectors[:, 0, (0, 2)].astype(np.float64))
+
+    def enter(
+        self, vectors: Float32[np.ndarray, "clips frames numbers"]
+    ) -> Float32[np.ndarray, "clips frames numbers"]:
+        """World → each clip's own frame."""
+        return rotation_rows.turned(vectors, self.yaw, self.origin)
+
+
+def measure_scale(clips: TrueClips) -> PoseScale:
+    """Mean and deviation of all frames of training clips, each clip in its own frame.
+
+    The root's x and z share a deviation; a number has at least a quarter of its group's (root mean square over those
+    that vary). Groups: the root's path, its height, its rotation, the joints' rotations.
+    """
+    parts = (slice(first, first + CLIPS_AT_ONCE) for first in range(0, clips.num_clips, CLIPS_AT_ONCE))
+    found = stream(_rows(clips, part) for part in parts)
+    variance = found.std**2
+    varies = variance > CONSTANT**2
+    variance[ROOT_PATH] = variance[ROOT_PATH].mean()
+    for group in GROUPS:
+        present = variance[group][varies[group]]
+        if present.size:
+            variance[group] = np.maximum(variance[group], FLOOR_SHARE**2 * present.mean())
+    return PoseScale(found.mean[varies], np.sqrt(variance[varies]), varies)
+
+
+def _rows(clips: TrueClips, part: slice) -> Float32[np.ndarray, "rows numbers"]:
+    vectors = clips.vectors(part)
+    own = ClipFrames.of(vectors).enter(vectors)
+    return own.reshape(-1, own.shape[-1])
+
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
+
+
+def told_split(store: "Store", clips: TrueClips, split: str) -> str:
+    """How many performers the takes of these clips have, and how many of them are in the training split too."""
+    rows = store.columns("source", "subject", "split")
+    chosen = rows.loc[sorted(set(clips.sequence_index.tolist()))]
+    if (chosen["subject"] == "").all():
+        return "the store does not know who performs, so the same people may be in the training split."
+    performers = set(zip(chosen["source"], chosen["subject"], strict=True))
+    training = rows[rows["split"] == "train"]
+    shared = performers & set(zip(training["source"], training["subject"], strict=True))
+    if not shared:
+        return f"{len(performers)} performers, none of whom is in the training split."
+    return (
+        f"{len(performers)} performers, {len(shared)} of whom are in the training split too, with other takes "
+        "(motionkit split holds out whole performers)."
+    )

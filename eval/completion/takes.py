@@ -1,0 +1,208 @@
+"""Data sets of a store as PA-HiRes' tables see them: real frames at the table's framerate, nothing interpolated."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64
+
+from eval.sets.real import of_split_and
+from motionkit.clips.temporal.corpus import open_takes
+from motionkit.clips.temporal.settings import TemporalSettings
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.kinematics import matrix_to_quaternion
+from motionkit.core.skeleton import SMPL22
+from motionkit.features import rotation_rows
+from motionkit.fields.motion_field import Observation, Poses
+from motionkit.store.cache.positions import open_cache
+from motionkit.store.cache.row_file import RowFile
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
+
+
+class NoTakesError(MotionkitError):
+    """A data set without what a table needs of it."""
+
+
+def nothing_at_all(absent: Mapping[str, str]) -> NoTakesError:
+    """The error of a table without any data set: why each is absent, a reason that all share told once."""
+    shared = dict.fromkeys(absent.values())
+    if len(shared) == 1:
+        return NoTakesError(next(iter(shared)))
+    return NoTakesError("; ".join(f"{label}: {reason}" for label, reason in absent.items()))
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """Sequences of a store by a column's value (lower case), at a framerate; `paper` is the paper's name for it."""
+
+    name: str
+    column: str
+    value: str
+    fps: Fraction
+    paper: str = ""
+
+    @property
+    def label(self) -> str:
+        """CMU, 30 fps."""
+        return f"{self.name}, {float(self.fps):g} fps"
+
+    def holds(self, store: "Store", sequence_index: Int64[np.ndarray, "sequences"]) -> np.ndarray:
+        """Which of these sequences belong to it."""
+        column = store.columns(self.column)[self.column].loc[sequence_index]
+        return np.asarray(column.str.lower() == self.value)
+
+
+# The paper's data sets at their framerates, and CMU at its native one beside them.
+PUBLISHED = (
+    DataSet("HumanML3D", "source_format", "humanml3d", Fraction(20), "HumanML3D"),
+    DataSet("LaFAN1", "source_format", "lafan1", Fraction(30), "LaFAN1"),
+    DataSet("CMU", "source", "cmu", Fraction(30), "CMU"),
+    DataSet("CMU", "source", "cmu", Fraction(120)),
+)
+USUAL_FPS = Fraction(30)
+
+
+def data_sets_of(store: "Store", fps: Sequence[Fraction] | None = None) -> list[DataSet]:
+    """The paper's data sets, then the store's other sources at 30 fps; all of them at `fps` where it is given."""
+    rows = store.columns("source", "source_format")
+    published = np.zeros(len(rows), dtype=bool)
+    for known in PUBLISHED:
+        published |= np.asarray(rows[known.column].str.lower() == known.value)
+    others = sorted({str(name) for name in rows["source"][~published]})
+    found = [*PUBLISHED, *(DataSet(name or "unnamed source", "source", name.lower(), USUAL_FPS) for name in others)]
+    if fps is None:
+        return found
+    rates = {(each.column, each.value, rate): replace(each, fps=rate, paper="") for each in found for rate in fps}
+    own = {(each.column, each.value, each.fps): each for each in found}
+    return [own.get(key, each) for key, each in rates.items()]
+
+
+@dataclass(frozen=True, eq=False)
+class TrueClips:
+    """Clips of B places in takes, all of one length: frames of the table's framerate from each one's first on.
+
+    Positions are the capture's in the 22-joint layout; rotations are the takes' rows (`rotation_rows`).
+    """
+
+    fps: Fraction
+    num_frames: int
+    rows: RowFile
+    positions: RowFile
+    first_row: Int64[np.ndarray, "clips"]
+    keep_every: Int64[np.ndarray, "clips"]
+    sequence_index: Int64[np.ndarray, "clips"]
+    num_short: int
+    num_other_fps: int
+
+    @property
+    def num_clips(self) -> int:
+        """Number of clips."""
+        return len(self.first_row)
+
+    @property
+    def num_takes(self) -> int:
+        """Number of takes that the clips come from."""
+        return len(np.unique(self.sequence_index))
+
+    def read(self, clips: slice) -> "TruePoses":
+        """The poses of some clips."""
+        frames = np.arange(self.num_frames) * self.keep_every[clips, None] + self.first_row[clips, None]
+        return TruePoses(self.fps, self.positions[frames], self.rows[frames])
+
+    def vectors(self, clips: slice) -> Float32[np.ndarray, "clips frames numbers"]:
+        """Rows alone, in the world's frame."""
+        frames = np.arange(self.num_frames) * self.keep_every[clips, None] + self.first_row[clips, None]
+        return self.rows[frames]
+
+
+@dataclass(frozen=True, eq=False)
+class TruePoses:
+    """World positions [clips, frames, 22, 3] in metres and rotation rows [clips, frames, 135] of clips at `fps`."""
+
+    fps: Fraction
+    joint_positions: Float32[np.ndarray, "clips frames joints 3"]
+    vectors: Float32[np.ndarray, "clips frames numbers"]
+
+    @property
+    def times_seconds(self) -> Float64[np.ndarray, "frames"]:
+        """Frame k is at k / fps."""
+        numbers = np.arange(self.vectors.shape[1], dtype=np.float64)
+        return np.asarray(numbers * self.fps.denominator / self.fps.numerator)
+
+    def local_rotations(self) -> Float32[np.ndarray, "clips frames joints 4"]:
+        """Unit quaternions."""
+        matrices = rotation_rows.closest_rotations(self.vectors[..., 3:])
+        return matrix_to_quaternion(matrices).astype(np.float32)
+
+    def frames(self, frames: slice) -> "TruePoses":
+        """Some frames of all clips."""
+        return TruePoses(self.fps, self.joint_positions[:, frames], self.vectors[:, frames])
+
+
+def observations(
+    poses: TruePoses, rotations: Float32[np.ndarray, "clips frames joints 4"], given: Int64[np.ndarray, "given"]
+) -> list[Observation]:
+    """What an encoder is told of each clip: the given frames at their true times."""
+    times = poses.times_seconds[given]
+    return [
+        Observation(times, Poses(positions[given], turned[given], positions[given, 0]), SMPL22)
+        for positions, turned in zip(poses.joint_positions, rotations, strict=True)
+    ]
+
+
+def open_clips(
+    store: "Store", data_set: DataSet, split: str, where: str | None, num_frames: int, every: int
+) -> TrueClips:
+    """Clips of `num_frames` frames from every `every`-th frame on, of the takes of one split ("all": any).
+
+    Raises `NoTakesError` where the data set has no take of that split, framerate and length, and what opening the
+    store's cache raises.
+    """
+    condition = of_split_and(split, where)
+    try:
+        takes = open_takes(store, TemporalSettings(where=condition or "", fps=str(data_set.fps)))
+    except UsageError as error:  # nothing of any data set
+        raise NoTakesError(str(error)) from None
+    belongs = data_set.holds(store, takes.sequence_index)
+    long_enough = belongs & (takes.num_frames >= num_frames)
+    if not long_enough.any():
+        raise NoTakesError(_told_missing(store, data_set, split, where, belongs, num_frames))
+    cache = open_cache(store, where=condition)
+    chosen = np.flatnonzero(long_enough)
+    counts = (takes.num_frames[chosen] - num_frames) // every + 1
+    take = np.repeat(chosen, counts)
+    number = np.arange(len(take)) - np.repeat(np.cumsum(counts) - counts, counts)
+    held = data_set.holds(store, cache.sequence_index.astype(np.int64))
+    return TrueClips(
+        fps=data_set.fps,
+        num_frames=num_frames,
+        rows=takes.rows,
+        positions=cache.rows,
+        first_row=takes.start_row[take] + number * every * takes.keep_every[take],
+        keep_every=takes.keep_every[take],
+        sequence_index=takes.sequence_index[take],
+        num_short=int(belongs.sum() - long_enough.sum()),
+        num_other_fps=int(held.sum() - belongs.sum()),
+    )
+
+
+def _told_missing(
+    store: "Store", data_set: DataSet, split: str, where: str | None, belongs: np.ndarray, num_frames: int
+) -> str:
+    of_split = "" if split == "all" else f" of split {split!r}"
+    restricted = f" where {where}" if where else ""
+    if belongs.any():
+        return (
+            f"none of the {int(belongs.sum())} takes{of_split}{restricted} has {num_frames} frames at "
+            f"{float(data_set.fps):g} fps"
+        )
+    every = store.select(None)
+    if not data_set.holds(store, every).any():
+        return (
+            f"the store has none of it (motionkit ingest; {data_set.column} = {data_set.value!r} is what is looked for)"
+        )
+    return f"no take{of_split}{restricted} has a framerate that is a whole multiple of {float(data_set.fps):g} fps"

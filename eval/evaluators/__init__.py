@@ -1,1 +1,0 @@
-"""Feature extractors and evaluator networks."""

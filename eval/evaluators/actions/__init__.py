@@ -1,1 +1,0 @@
-"""Recognisers of actions: fitted here, or published with weights of the user's."""

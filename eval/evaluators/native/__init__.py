@@ -1,1 +1,0 @@
-"""The learned evaluator at native framerates: network, training, features."""

@@ -1,0 +1,1 @@
+"""The learned evaluator that describes clips of any framerate."""

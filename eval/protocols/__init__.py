@@ -1,1 +1,0 @@
-"""Protocols: how published evaluations draw, pair and repeat, as data."""

@@ -1,0 +1,218 @@
+"""A result that sets seconds against quality (NeRM's Figure 8), as a curve over the seconds."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from eval.clip_fid.calibration import DISJOINT, FLAT, MAX_FLAT_RATIO, level_name
+from eval.report.figures import BLUE, CURVE_COLOURS, FRAMERATE_LABEL, GREY, MARKERS, Curve, Panel
+from eval.report.results import Block, Cell, Result, ResultError, Row
+from eval.sets.corruptions import Family, families
+
+
+@dataclass(frozen=True)
+class CostCurve:
+    """Points (seconds, value ± half-width) with a label each, and levels that cost nothing: (label, value)."""
+
+    title: str
+    x_label: str
+    y_label: str
+    labels: tuple[str, ...]
+    seconds: tuple[float, ...]
+    values: tuple[float, ...]
+    half_widths: tuple[float, ...]
+    levels: tuple[tuple[str, float], ...]
+
+
+def cost_curve_of(result: Result) -> CostCurve | None:
+    """The first block whose columns begin with seconds and end with a quality; None where there is no such block."""
+    for block in result.blocks:
+        points = _points(block)
+        if points and "seconds" in block.columns[0]:
+            seconds, quality = block.columns[0], block.columns[-1]
+            cells = [row.cells[quality] for row in points]
+            return CostCurve(
+                title=result.title,
+                x_label=seconds,
+                y_label=f"{quality} ({'lower' if block.lower_is_better else 'higher'} is better)",
+                labels=tuple(row.name for row in points),
+                seconds=tuple(row.cells[seconds].value for row in points),
+                values=tuple(cell.value for cell in cells),
+                half_widths=tuple(cell.ci95 or 0.0 for cell in cells),
+                levels=tuple(
+                    (row.name, row.cells[quality].value)
+                    for row in block.rows
+                    if row not in points and quality in row.cells
+                ),
+            )
+    return None
+
+
+def cost_figure(curve: CostCurve, width_inches: float = 6.4) -> Figure:
+    """Both axes begin at zero, so that distances are what they are; levels are dashed lines."""
+    figure = Figure(figsize=(width_inches, 0.65 * width_inches), layout="constrained")
+    axes = figure.subplots()
+    axes.errorbar(curve.seconds, curve.values, curve.half_widths, color=BLUE, marker="o", markersize=4.5, capsize=2.0)
+    for label, x, y in zip(curve.labels, curve.seconds, curve.values, strict=True):
+        axes.annotate(label, (x, y), xytext=(0, -6), textcoords="offset points", fontsize=7.5, rotation=-40, va="top")
+    for label, level in curve.levels:
+        axes.axhline(level, color=GREY, linewidth=0.8, linestyle="--")
+        axes.annotate(label, (0.0, level), xytext=(4, 2), textcoords="offset points", fontsize=7.5, color=GREY)
+    axes.set_xlim(0.0, 1.35 * max(curve.seconds))
+    axes.set_ylim(0.0, 1.15 * max((*curve.values, *(level for _, level in curve.levels))))
+    axes.set_xlabel(curve.x_label, fontsize=9)
+    axes.set_ylabel(curve.y_label, fontsize=9)
+    axes.set_title(curve.title, fontsize=9.5, loc="left")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=8)
+    return figure
+
+
+def _points(block: Block) -> Sequence[Row]:
+    """Rows that have both seconds and a quality."""
+    return [row for row in block.rows if block.columns[0] in row.cells and block.columns[-1] in row.cells]
+
+
+# "120 fps", "×2.4", "15 frames", "λ = 0.5": what comes before the number, the number, what comes after it.
+COLUMN = re.compile(r"(?P<before>×|\w+ = |)(?P<number>\d+(?:\.\d+)?)(?P<after> fps| frames|)")
+X_LABELS = {("", " fps"): FRAMERATE_LABEL, ("", " frames"): "frames asked for", ("×", ""): "scale"}
+
+
+def panels_of(result: Result, y_label: str = "lower is better") -> tuple[Panel, ...]:
+    """One panel per block, for numbers of different blocks can't be compared; ours first, the paper's after them.
+
+    `y_label` is that of the blocks in which lower is better; others have none. Blocks whose columns are not all values
+    of one quantity ("120 fps", "×4", "30 frames", "λ = 0.5") are left out.
+    """
+    ordered = sorted(filter(_quantity, result.blocks), key=_is_from_paper)
+    panels = (
+        Panel(
+            block.title,
+            y_label if block.lower_is_better else "",
+            _curves(block),
+            _quantity(block) or "",
+            from_zero=block.lower_is_better,
+        )
+        for block in ordered
+    )
+    return tuple(panel for panel in panels if panel.curves)
+
+
+def _quantity(block: Block) -> str | None:
+    """What the columns are values of, as an axis says it; None where they are not of one quantity."""
+    found = [COLUMN.fullmatch(column) for column in block.columns]
+    kinds = {None if match is None else (match["before"], match["after"]) for match in found}
+    kind = kinds.pop() if len(kinds) == 1 else None
+    if kind is None or kind == ("", ""):
+        return None
+    return X_LABELS.get(kind) or kind[0].removesuffix(" = ")
+
+
+def _is_from_paper(block: Block) -> bool:
+    return all(row.origin == "paper" for row in block.rows)
+
+
+def _curves(block: Block) -> tuple[Curve, ...]:
+    return tuple(_curve(row, block.columns) for row in block.rows if row.cells)
+
+
+def _curve(row: Row, columns: tuple[str, ...]) -> Curve:
+    present = [column for column in columns if column in row.cells]
+    cells = [row.cells[column] for column in present]
+    return Curve(
+        label=row.name.removesuffix(" (paper)"),
+        places=tuple(_number(column) for column in present),
+        values=tuple(cell.value for cell in cells),
+        half_widths=tuple(cell.ci95 or 0.0 for cell in cells),
+    )
+
+
+def _number(column: str) -> float:
+    match = COLUMN.fullmatch(column)
+    assert match is not None
+    return float(match["number"])
+
+
+PANEL_INCHES = (3.1, 3.3)
+
+
+def calibration_figure(result: Result) -> Figure:
+    """Scores of every level in multiples of the same-take floor, on a logarithmic axis, with 95 % intervals.
+
+    The shaded band is where a harmless transform must stay, the dotted lines are the floors of disjoint takes (P2).
+    Raises `ResultError` where the result is no calibration.
+    """
+    blocks = [block for block in result.blocks if block.provenance.get("shows") == "scores" and block.columns]
+    if not blocks:
+        raise ResultError(f"{result.title}: there is no calibration to draw in this result")
+    kinds = families()
+    width, height = PANEL_INCHES
+    size = (width * (len(kinds) + 1), height * len(blocks) + 0.7)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(len(blocks), len(kinds) + 1, squeeze=False, sharey="row")
+    for line, block in zip(grid, blocks, strict=True):
+        rows = {row.name: row for row in block.rows}
+        _draw_flat(line[0], block, [row for row in block.rows if row.name.startswith(FLAT)])
+        for axes, family in zip(line[1:], kinds, strict=True):
+            _draw_family(axes, block, rows, family)
+        for axes in line:
+            _finish(axes, block, rows)
+        line[0].set_ylabel(f"{block.provenance['features']}\nmultiples of the same-take floor", fontsize=9)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9, frameon=False)
+    return figure
+
+
+def _draw_flat(axes: Axes, block: Block, rows: Sequence[Row]) -> None:
+    for index, column in enumerate(block.columns):
+        _draw_curve(axes, index, column, [row.cells.get(column) for row in rows], line="")
+    labels = [row.name.removeprefix(FLAT) for row in rows]
+    axes.set_xticks(range(len(rows)), [_wrapped(label) for label in labels], fontsize=6.5, rotation=35, ha="right")
+    axes.set_title("harmless", fontsize=10, loc="left")
+
+
+def _draw_family(axes: Axes, block: Block, rows: dict[str, Row], family: Family) -> None:
+    """A family's levels from mild to severe; a level that is no damage at a framerate is left out of its curve."""
+    for index, column in enumerate(block.columns):
+        found = [rows.get(level_name(family, level)) for level in family.levels]
+        _draw_curve(axes, index, column, [row.cells.get(column) if row else None for row in found], line="-")
+    axes.set_xticks(range(len(family.levels)), [f"{level:g}" for level in family.levels], fontsize=8)
+    axes.set_xlabel(family.unit, fontsize=8.5)
+    axes.set_title(family.name, fontsize=10, loc="left")
+
+
+def _draw_curve(axes: Axes, index: int, column: str, cells: Sequence[Cell | None], line: str) -> None:
+    present = [(place, cell) for place, cell in enumerate(cells) if cell is not None]
+    if not present:
+        return
+    places = np.array([place for place, _ in present], dtype=np.float64)
+    values = np.array([cell.value for _, cell in present])
+    widths = np.array([cell.ci95 or 0.0 for _, cell in present])
+    colour, marker = CURVE_COLOURS[index % len(CURVE_COLOURS)], MARKERS[index % len(MARKERS)]
+    below = np.minimum(widths, 0.99 * values)
+    axes.errorbar(
+        places, values, yerr=np.stack((below, widths)), fmt=f"{line}{marker}", color=colour, label=column,
+        markersize=4, linewidth=1.4, elinewidth=1.0, capsize=2,
+    )  # fmt: skip
+
+
+def _finish(axes: Axes, block: Block, rows: dict[str, Row]) -> None:
+    axes.set_yscale("log")
+    axes.axhspan(1.0 / MAX_FLAT_RATIO, MAX_FLAT_RATIO, color=GREY, alpha=0.15, linewidth=0)
+    for index, column in enumerate(block.columns):
+        cell = rows[DISJOINT].cells.get(column) if DISJOINT in rows else None
+        if cell is not None:
+            axes.axhline(cell.value, color=CURVE_COLOURS[index % len(CURVE_COLOURS)], linestyle=":", linewidth=0.9)
+    axes.grid(axis="y", color="#E4E4E4", linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(axis="y", labelsize=8)
+
+
+def _wrapped(label: str, width: int = 20) -> str:
+    import textwrap
+
+    return "\n".join(textwrap.wrap(label, width))

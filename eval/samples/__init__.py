@@ -1,1 +1,0 @@
-"""Sample sets: motions of one framerate, real or generated, that tables compare."""

@@ -1,0 +1,1 @@
+"""Sets of motions that are compared: real, upsampled, generated, samples of other systems."""

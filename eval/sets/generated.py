@@ -1,0 +1,76 @@
+"""What a generative model makes for the captions and durations of a real set, as sample sets at any framerate."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from math import ceil
+
+import numpy as np
+
+from eval.sets.sets import SampleSet, sample_set
+from motionkit.fields.motion_field import MotionField, to_motion
+from motionkit.generate.models import GenerationRequest, GenerativeModel
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of one real sequence for which a motion is generated; `number` counts the sequence's windows from 0."""
+
+    sequence_id: str
+    number: int
+    request: GenerationRequest
+
+
+def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
+    """Requests with the captions, actions and durations of a real set: the model takes what it was trained with.
+
+    A sequence longer than the model can make becomes several windows of equal length with its caption, so that a
+    caption's share of the generated seconds is its share of the real ones.
+    """
+    windows: list[Window] = []
+    for index in range(real.num_sequences):
+        duration = float((int(real.num_frames[index]) - 1) / real.fps)
+        count = max(1, ceil(duration / max_duration_seconds - 1e-9))
+        text = real.captions[index] if real.captions else ""
+        action = real.actions[index] if real.actions else ""
+        request = GenerationRequest(duration / count, text, action)
+        windows.extend(Window(real.sequence_ids[index], number, request) for number in range(count))
+    return windows
+
+
+def chosen_windows(windows: Sequence[Window], seed: int, limit: int) -> list[Window]:
+    """All windows, or a random choice of `limit` where there are more, in their order."""
+    if len(windows) <= limit:
+        return list(windows)
+    picked = np.random.default_rng((seed, 7)).choice(len(windows), size=limit, replace=False)
+    return [windows[index] for index in np.sort(picked).tolist()]
+
+
+def generate_fields(
+    model: GenerativeModel, windows: Sequence[Window], seed: int, limit: int
+) -> dict[Window, MotionField]:
+    """One motion field per window, or for a random choice of `limit` windows where there are more."""
+    chosen = chosen_windows(windows, seed, limit)
+    fields = model.generate([window.request for window in chosen], seed=seed)
+    return dict(zip(chosen, fields, strict=True))
+
+
+def sample_fields(
+    fields: Mapping[Window, MotionField], sequence_ids: Sequence[str], fps: Fraction, name: str
+) -> SampleSet | None:
+    """Fields of the given sequences' windows, sampled at exactly fps; None where there are none.
+
+    Nothing is resampled: the field is asked for every instant.
+    """
+    wanted = set(sequence_ids)
+    chosen = [(window, field) for window, field in fields.items() if window.sequence_id in wanted]
+    if not chosen:
+        return None
+    return sample_set(
+        name,
+        fps,
+        [to_motion(field, fps).joint_positions for _, field in chosen],
+        [f"{window.sequence_id}#{window.number}" for window, _ in chosen],
+        [window.request.text for window, _ in chosen],
+        [window.request.action for window, _ in chosen],
+    )

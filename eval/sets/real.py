@@ -1,0 +1,123 @@
+"""Real motion as sample sets: the sequences of a store that were captured at s fps or faster, brought to s fps."""
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import Float32, Int64
+
+from eval.sets.sets import SampleSet, sample_set
+from motionkit.core.errors import MotionkitError
+from motionkit.core.skeleton import SMPL22
+from motionkit.fields.resample import resample_positions
+from motionkit.store.conditions import conjunction
+
+if TYPE_CHECKING:
+    from motionkit.store.cache.positions import PositionCache
+    from motionkit.store.reader import Store
+
+
+class NoRealMotionError(MotionkitError):
+    """A store without real motion at the framerate that was asked for."""
+
+
+@dataclass(eq=False)
+class RealMotion:
+    """Sequences at their native framerates; `at` resamples them once per framerate and keeps the result.
+
+    `positions` [rows, joints, 3] metres, 22 joints or KIT-ML's 21; sequence i is rows start_row[i] … + num_frames[i],
+    at fps[i].
+    """
+
+    name: str
+    positions: Float32[np.ndarray, "rows joints 3"]
+    start_row: Int64[np.ndarray, "sequences"]
+    num_frames: Int64[np.ndarray, "sequences"]
+    fps: tuple[Fraction, ...]
+    sequence_ids: tuple[str, ...]
+    captions: tuple[str, ...]
+    actions: tuple[str, ...]
+    _made: dict[tuple[Fraction, int], SampleSet] = field(default_factory=dict)
+
+    def sequence(self, index: int) -> Float32[np.ndarray, "frames joints 3"]:
+        """Native frames of one sequence."""
+        start = int(self.start_row[index])
+        return self.positions[start : start + int(self.num_frames[index])]
+
+    def indices_at(self, fps: Fraction, first_frame: int = 0) -> npt.NDArray[np.int64]:
+        """Sequences whose native framerate is at least `fps`, with two frames or more after the first ones.
+
+        Raises `NoRealMotionError` where fewer than two are.
+        """
+        chosen = [i for i, native in enumerate(self.fps) if native >= fps and self.num_frames[i] > first_frame + 1]
+        if len(chosen) < 2:
+            fastest = f"; the fastest has {float(max(self.fps)):.6g} fps" if self.fps else ""
+            raise NoRealMotionError(
+                f"{self.name}: {len(chosen)} of {len(self.fps)} sequences were captured at {float(fps):.6g} fps or "
+                f"faster, at least two are needed{fastest} (--fps)"
+            )
+        return np.array(chosen, dtype=np.int64)
+
+    def at(self, fps: Fraction, first_frame: int = 0) -> SampleSet:
+        """Every sequence of native rate ≥ fps at exactly fps, anti-aliased; slower ones are left out.
+
+        `first_frame` drops that many native frames first, which shifts the grid. Raises `NoRealMotionError` where
+        fewer than two sequences remain.
+        """
+        key = (fps, first_frame)
+        if key not in self._made:
+            chosen = self.indices_at(fps, first_frame).tolist()
+            self._made[key] = sample_set(
+                self.name,
+                fps,
+                [resample_positions(self.sequence(index)[first_frame:], self.fps[index], fps) for index in chosen],
+                [self.sequence_ids[index] for index in chosen],
+                [self.captions[index] for index in chosen],
+                [self.actions[index] for index in chosen],
+            )
+        return self._made[key]
+
+    def forget_all_but(self, fps: Fraction) -> None:
+        """Let go of what was made for other framerates: `at` makes it again."""
+        for key in [key for key in self._made if key[0] != fps]:
+            del self._made[key]
+
+
+def of_split(split: str) -> str:
+    """The SQL condition for the sequences of one split, whatever its name."""
+    quoted = split.replace("'", "''")
+    return f"split = '{quoted}'"
+
+
+def of_split_and(split: str, where: str | None) -> str | None:
+    """The SQL condition for the sequences of a split ("all": any) for which `where` holds too; None for all."""
+    return conjunction(None if split == "all" else of_split(split), where) or None
+
+
+def real_motion(store: "Store", split: str, where: str | None = None, layout: str = SMPL22.name) -> RealMotion:
+    """The sequences of one split of a store ("all": every one) for which `where` (SQL) holds, in a joint layout.
+
+    A sequence's caption is its first. Raises `UsageError` where the split is empty or its skeletons cannot be mapped.
+    """
+    from motionkit.store.cache.positions import open_cache
+
+    cache = open_cache(store, layout=layout, where=of_split_and(split, where))
+    return _from_cache(store, cache, split)
+
+
+def _from_cache(store: "Store", cache: "PositionCache", split: str) -> RealMotion:
+    table = store.columns("sequence_id", "captions", "action").loc[cache.sequence_index]
+    captions = tuple(str(found[0]["text"]) if len(found) else "" for found in table["captions"])
+    rates = zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)
+    return RealMotion(
+        name=f"real ({split})",
+        positions=cache.positions,
+        start_row=cache.start_row.astype(np.int64),
+        num_frames=cache.num_frames.astype(np.int64),
+        fps=tuple(Fraction(numerator, denominator) for numerator, denominator in rates),
+        sequence_ids=tuple(table["sequence_id"].astype(str)),
+        captions=captions,
+        actions=tuple(table["action"].astype(str)),
+    )

@@ -1,0 +1,148 @@
+"""Another system's samples as embeddings: repeated answers to one prompt become draws and MultiModality."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import Float64
+
+from eval.sample_folder import SampleFolder
+from eval.sets.sets import SampleSet
+from eval.text_motion.embedding_cache import Embedder, fingerprint_of_vectors
+from eval.text_motion.evaluator import PoseVectorEvaluator
+from eval.text_motion.protocol import TextMotionProtocol
+from eval.text_motion.real_pairs import MADE_OF_22, CaptionedMotions, as_kit_joints, kit_bone_lengths, middle
+from eval.text_motion.scores import TextMotionPairs
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Caption
+
+AS_VECTORS = "read as the pose vectors that they came as"
+BY_JOINTS = "read as pose vectors made of joint positions"
+AS_KIT_JOINTS = "of KIT-ML's joints as they came"
+
+
+@dataclass(frozen=True, eq=False)
+class SampleEmbeddings:
+    """`draws` are the k-th answers to every prompt, `real_rows` the real motions of these where a protocol pairs.
+
+    `remarks` says how motions reached an evaluator that reads pose vectors, and which have no real motion.
+    """
+
+    draws: tuple[TextMotionPairs, ...]
+    repeated: Float64[np.ndarray, "texts generations features"] | None
+    real_rows: npt.NDArray[np.int64] | None
+    remarks: tuple[str, ...] = ()
+
+
+def sample_embeddings(
+    folder: SampleFolder, real: CaptionedMotions, protocol: TextMotionProtocol, embedder: Embedder
+) -> SampleEmbeddings:
+    """Embed a folder's motions and captions; motions longer than the real ones may be are cropped like these.
+
+    A caption that the real set has too keeps its tokens. Where the protocol pairs motions with real ones, prompts whose
+    real motion does not take part are left out. Raises `SampleFolderError` where a caption is missing, and `UsageError`
+    where no sample says by its name or its caption which real motion it belongs to.
+    """
+    folder.require_captions()
+    fps = real.samples.fps
+    most_frames = protocol.lengths_at(fps).most_frames(fps)
+    samples = _cropped(folder.at(fps), most_frames)
+    captions = [real.known_captions.get(text, Caption(text)) for text in samples.captions]
+    motions, path = _embedded(folder, samples, real.samples, most_frames, embedder)
+    texts = embedder.texts(captions)
+    groups = [np.array(rows) for rows in samples.rows_by_group().values()]
+    repeated, remarks = _repeated(motions, groups), [path] if path else []
+    paired = None
+    if protocol.reference == "paired":
+        found = _real_rows(samples.select(np.array([rows[0] for rows in groups])), real)
+        paired = np.array([row for row in found if row is not None], dtype=np.int64)
+        if not len(paired):
+            raise UsageError(
+                f"protocol {protocol.name!r} compares with the real motions of the same texts; name the files after "
+                "the real sequences, or give them the captions of real sequences of this split"
+            )
+        if len(paired) < len(groups):
+            without = len(groups) - len(paired)
+            remarks.append(
+                f"{without:,} of {len(groups):,} have no real motion of their text that takes part: left out"
+            )
+        groups = [rows for rows, row in zip(groups, found, strict=True) if row is not None]
+    fewest = min(len(rows) for rows in groups)
+    firsts = [np.array([rows[number] for rows in groups]) for number in range(fewest)]
+    draws = tuple(TextMotionPairs(texts[rows], motions[rows]) for rows in firsts)
+    return SampleEmbeddings(draws, repeated, paired, tuple(remarks))
+
+
+def _embedded(
+    folder: SampleFolder, samples: SampleSet, real: SampleSet, most_frames: int, embedder: Embedder
+) -> tuple[Float64[np.ndarray, "motions features"], str]:
+    """Embeddings of a folder's motions: of its pose vectors, where it has what the evaluator reads, else of joints."""
+    evaluator = embedder.evaluator
+    if not isinstance(evaluator, PoseVectorEvaluator):
+        return embedder.motions(samples), ""
+    reason = _why_not_vectors(folder, evaluator)
+    if reason:
+        joints, of_what = _in_layout_of(real, folder, samples, most_frames)
+        return embedder.motions(joints), f"{BY_JOINTS}{of_what} ({reason})"
+    # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
+    lengths = np.minimum(folder.num_frames, most_frames - 1).tolist()
+    vectors = [
+        # Of a crop, what follows is the motion itself; the padding that was stored follows whole motions alone.
+        motion if length == frames else middle(motion[:frames], length)
+        for motion, length, frames in zip(folder.vectors, lengths, folder.num_frames.tolist(), strict=True)
+    ]
+    key = {"vectors": fingerprint_of_vectors(vectors), "lengths": lengths}
+    return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors, lengths)), AS_VECTORS
+
+
+def _in_layout_of(real: SampleSet, folder: SampleFolder, samples: SampleSet, most_frames: int) -> tuple[SampleSet, str]:
+    """A folder's motions in the joints of the real ones, and where they are KIT-ML's, how they became these."""
+    lengths = kit_bone_lengths(real)
+    if lengths is None:
+        return samples, ""
+    if folder.kit_joints and set(folder.fps) == {samples.fps}:
+        kept = [middle(motion, most_frames) for motion in folder.kit_joints]
+        return samples.with_positions(samples.name, samples.fps, kept), f" {AS_KIT_JOINTS}"
+    return as_kit_joints(samples, lengths), f", {MADE_OF_22}"
+
+
+def _why_not_vectors(folder: SampleFolder, evaluator: PoseVectorEvaluator) -> str:
+    """Why a folder's motions reach an evaluator of pose vectors by way of joints; empty where they need not."""
+    if not folder.vectors:
+        return "not all came as vectors of one size"
+    if folder.vectors[0].shape[1] != evaluator.vector_size:
+        return f"vectors of {folder.vectors[0].shape[1]} numbers, it reads {evaluator.vector_size}"
+    return "" if set(folder.fps) == {evaluator.fps} else f"vectors of another framerate than {evaluator.fps} fps"
+
+
+def _repeated(
+    motions: Float64[np.ndarray, "motions features"], groups: Sequence[npt.NDArray[np.int64]]
+) -> Float64[np.ndarray, "texts generations features"] | None:
+    """Motions of the prompts that were answered most often; None where none was answered twice."""
+    most = max(len(rows) for rows in groups)
+    if most < 2:
+        return None
+    return motions[np.stack([rows for rows in groups if len(rows) == most])]
+
+
+def _real_rows(samples: SampleSet, real: CaptionedMotions) -> list[int | None]:
+    """Which real motion each sample belongs to, each once, or None: by names where most fit, else by captions."""
+    by_name = {name: row for row, name in enumerate(real.samples.sequence_ids)}
+    stems = [name.rsplit("/", 1)[-1].rsplit(".", 1)[0] for name in samples.sequence_ids]
+    named = [by_name.get(name, by_name.get(stem)) for name, stem in zip(samples.sequence_ids, stems, strict=True)]
+    fitting = [row for row in named if row is not None]
+    if 2 * len(fitting) > len(named) and len(set(fitting)) == len(fitting):
+        return named
+    by_caption: dict[str, list[int]] = defaultdict(list)
+    for row in reversed(range(real.samples.num_sequences)):
+        by_caption[real.samples.captions[row]].append(row)
+    return [by_caption[text].pop() if by_caption[text] else None for text in samples.captions]
+
+
+def _cropped(samples: SampleSet, most_frames: int) -> SampleSet:
+    if int(samples.num_frames.max()) <= most_frames:
+        return samples
+    kept = [middle(sequence, most_frames) for sequence in samples.sequences()]
+    return samples.with_positions(samples.name, samples.fps, kept)

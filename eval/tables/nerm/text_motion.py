@@ -1,0 +1,222 @@
+"""The evaluators of text and motion that can be had: a run's own, or a published one where its files are named."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import partial
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from eval.metrics.checks import Estimate, estimate
+from eval.metrics.gaussian import fit_gaussian, frechet_distance
+from eval.metrics.r_precision import r_precision_both_ways
+from eval.metrics.registry import find_metric
+from eval.metrics.replications import Scores
+from eval.report.results import Block, Cell, Origin, Row
+from eval.tables.parts import SOURCES, reported_figures
+from eval.tables.registry import TableRequest
+from eval.text_motion.evaluator import TextMotionEvaluator
+from eval.text_motion.guo.kind import Padding
+from eval.text_motion.protocol import PADDING_LEAK, TextMotionProtocol, chosen_bugs
+from eval.text_motion.scores import TextMotionPairs
+from motionkit.core.errors import MotionkitError, UsageError
+
+DEFAULT = ("native",)
+
+
+def text_motion_evaluators(
+    request: TableRequest, protocol: TextMotionProtocol, missing: list[str]
+) -> list[TextMotionEvaluator]:
+    """The evaluators that were asked for, `native` where none was; one that cannot be had is named in `missing`.
+
+    Raises `UsageError` for a name that is no evaluator of text and motion, for a known bug that the protocol or the
+    evaluator does not have, and where not one can be had.
+    """
+    chosen_bugs(protocol.name, protocol.known_bugs, request.compat)
+    known: dict[str, Callable[[TableRequest], TextMotionEvaluator]] = {
+        "native": _native,
+        "guo": partial(_guo, leak=protocol.leak),
+    }
+    evaluators, reasons = [], []
+    for name in request.features or DEFAULT:
+        if name not in known:
+            raise UsageError(f"--evaluator {name}: not an evaluator of text and motion; give {', '.join(known)}")
+        try:
+            evaluators.append(known[name](request))
+        except MotionkitError as error:
+            reasons.append(f"evaluator {name!r}: {error}")
+    if not evaluators:
+        raise UsageError("; ".join(reasons))
+    missing.extend(reasons)
+    return evaluators
+
+
+def _native(request: TableRequest) -> TextMotionEvaluator:
+    from eval.native_evaluator.evaluator import load_native
+    from eval.native_evaluator.text_motion import NativeTextMotion
+
+    if PADDING_LEAK.name in request.compat:
+        raise UsageError(f"--compat {PADDING_LEAK.name} is a bug of Guo's evaluator: --evaluator guo --weights FILE")
+    if request.run is None:
+        raise MotionkitError("it belongs to a run, and none was given (motionkit train --stage evaluator)")
+    return NativeTextMotion(load_native(request.run))
+
+
+def _guo(request: TableRequest, leak: Padding) -> TextMotionEvaluator:
+    from eval.text_motion.guo.evaluator import load_guo
+
+    if request.guo is None:
+        raise UsageError("--evaluator guo needs its weights: --weights finest.tar (docs/evaluators.md)")
+    if request.guo.glove is None:
+        raise UsageError("--evaluator guo reads captions with GloVe's word vectors: --glove DIR (docs/evaluators.md)")
+    if PADDING_LEAK.name in request.compat and request.guo.padding == "masked":
+        return load_guo(replace(request.guo, padding=leak))
+    return load_guo(request.guo)
+
+
+ORACLE, FLOOR = "each motion on its caption's point", "real, disjoint halves"
+NOTES = {
+    ORACLE: "the ceiling of R-Precision: motions that share a caption cannot be told apart",
+    FLOOR: "FID between random halves of the real motions, split anew in every replication: what other motions reach",
+}
+DETAILS = ("fid_infinity", "kid")
+COUNT = "N"
+PRINTED_NOTES = (
+    "Theirs, not ours: another evaluator on other motions; FIDs compare under one evaluator, reference and N only. "
+    "NeRM's text does not say its N. MDM's FID is of 1,024 generated motions, T2M's of 4,640. MDM's R-Precision and "
+    "MultiModal Dist predate the correction of a bug in its captions' lengths (motion-diffusion-model #182), its "
+    "MultiModality that of #241. Empty cells are not printed or not legible in our copy. "
+)
+
+
+@dataclass(frozen=True)
+class ScoredRow:
+    """A row before it has cells."""
+
+    name: str
+    origin: Origin
+    scores: Scores
+    note: str = ""
+
+
+def title_of(name: str) -> str:
+    """A metric as a column's name, with the direction of better values: ↑, ↓, or → for as close to real as can be."""
+    metric = find_metric(name)
+    arrow = "→" if metric.higher_is_better is None else "↑" if metric.higher_is_better else "↓"
+    return f"{metric.title} {arrow}"
+
+
+def scored_blocks(
+    rows: Sequence[ScoredRow],
+    real: TextMotionPairs,
+    protocol: TextMotionProtocol,
+    seed: int,
+    head: str,
+    provenance: Mapping[str, str],
+) -> tuple[Block, Block]:
+    """All metrics with the protocol's direction of R-Precision, and R-Precision the other way round."""
+    texts_ask = [f"r_precision_top{rank}" for rank in (1, 2, 3)]
+    motions_ask = [f"{name}_motion_asks" for name in texts_ask]
+    shared = [remark for remark in rows[0].scores.remarks if all(remark in row.scores.remarks for row in rows)]
+    asked, turned = (texts_ask, motions_ask) if protocol.asks == "text" else (motions_ask, texts_ask)
+    every = [*asked, "mm_dist", "fid", "diversity", protocol.multimodality.metric]
+    oracle = _oracle(real, protocol, seed)
+    floor = {title_of("fid"): _cell(_halves(real, protocol, seed)), COUNT: Cell(len(real.motions) // 2)}
+    main = Block(
+        f"Table 1: {head}",
+        (*map(title_of, every), COUNT),
+        (
+            Row(ORACLE, "reference", {title_of(name): oracle[name] for name in asked}, NOTES[ORACLE]),
+            Row(FLOOR, "reference", floor, NOTES[FLOOR]),
+            *(_row(row, every, leaving_out=shared) for row in rows),
+        ),
+        lower_is_better=False,
+        note=". ".join(
+            (f"{COUNT}: motions of a row that count; FIDs of different {COUNT} do not compare", *map(_sentence, shared))
+        )
+        + ".",
+        provenance=provenance,
+    )
+    other_way = Block(
+        f"R-Precision the other way round: {head}",
+        (*map(title_of, turned), COUNT),
+        (
+            Row(ORACLE, "reference", {title_of(name): oracle[name] for name in turned}, NOTES[ORACLE]),
+            *(replace(_row(row, turned), note="") for row in rows),
+        ),
+        lower_is_better=False,
+        note="The reference code asks with a text for its motion; the NeRM paper's words, with a motion for its text.",
+        provenance=provenance,
+    )
+    return main, other_way
+
+
+def paper_block(fps: Fraction) -> Block:
+    """What the paper prints for the data set of this framerate."""
+    dataset = "KIT" if fps == Fraction(25, 2) else "HumanML3D"
+    figures = [figure for figure in reported_figures("nerm", "1") if figure.dataset == dataset]
+    names = [
+        name
+        for name in ("r_precision_top3", "mm_dist", "fid", "diversity", "multimodality")
+        if any(figure.metric == name for figure in figures)
+    ]
+    cells: dict[str, dict[str, Cell]] = {}
+    for figure in figures:
+        if figure.value is not None:
+            cells.setdefault(figure.method, {})[title_of(figure.metric)] = Cell(figure.value, figure.ci95)
+    return Block(
+        f"Printed in the NeRM paper ({dataset})",
+        tuple(map(title_of, names)),
+        tuple(Row(f"{method} (paper)", "paper", found) for method, found in cells.items()),
+        lower_is_better=False,
+        note=f"{PRINTED_NOTES}Source: {SOURCES['nerm']}.",
+    )
+
+
+def _sentence(remark: str) -> str:
+    return remark[0].upper() + remark[1:].rstrip(".")
+
+
+def _row(row: ScoredRow, names: Sequence[str], leaving_out: Sequence[str] = ()) -> Row:
+    values = row.scores.values
+    cells = {title_of(name): _cell(values[name].estimate) for name in names if name in values}
+    details = {find_metric(name).title: values[name].estimate.mean for name in DETAILS if name in values}
+    if "fid" in names and details:
+        fid = cells[title_of("fid")]
+        cells[title_of("fid")] = Cell(fid.value, fid.ci95, details)
+    sizes = row.scores.sizes
+    cells[COUNT] = Cell(sizes["generated"])
+    counted = f"N = {sizes['generated']:,} against {sizes['real']:,} real motions"
+    if "multimodality texts" in sizes:
+        counted += f", {sizes['multimodality generations']} motions of {sizes['multimodality texts']} texts"
+    remarks = [remark for remark in row.scores.remarks if remark not in leaving_out]
+    return Row(row.name, row.origin, cells, "; ".join((*([row.note] if row.note else []), counted, *remarks)))
+
+
+def _cell(value: Estimate) -> Cell:
+    """A value that no replication changes has no interval: the data were not drawn anew."""
+    drawn = value.replications > 1 and value.ci95 > 1e-9 * abs(value.mean)
+    return Cell(value.mean, value.ci95 if drawn else None)
+
+
+def _oracle(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> dict[str, Cell]:
+    """R-Precision of texts that stand for their own motions."""
+    found: dict[str, list[float]] = {}
+    for replication in range(protocol.replications):
+        rng = np.random.default_rng((seed, replication, 5))
+        both = r_precision_both_ways(real.texts, real.texts, rng=rng, pool=protocol.pool)
+        for suffix, direction in (("", both.text_asks), ("_motion_asks", both.motion_asks)):
+            for rank, share in enumerate(direction.top.tolist(), start=1):
+                found.setdefault(f"r_precision_top{rank}{suffix}", []).append(share)
+    return {name: _cell(estimate(values)) for name, values in found.items()}
+
+
+def _halves(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> Estimate:
+    values = []
+    with threadpool_limits(1, "blas"):
+        for replication in range(protocol.replications):
+            order = np.random.default_rng((seed, replication, 6)).permutation(len(real.motions))
+            first, second = order[: len(order) // 2], order[len(order) // 2 :]
+            values.append(frechet_distance(fit_gaussian(real.motions[first]), fit_gaussian(real.motions[second])))
+    return estimate(values)

@@ -1,0 +1,133 @@
+"""One data set's interpolation figures, row by row; what was measured before is read from RESULTS/parts."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eval.completion.blocks import Scope
+from eval.completion.encoders import Completer
+from eval.completion.interpolation import METRICS, InterpolationTask, measure_interpolation, num_batches
+from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
+from eval.completion.scores import Scores, measure_scale, told_split
+from eval.completion.takes import DataSet, NoTakesError, TrueClips, open_clips
+from eval.metrics.checks import MeanSums
+from eval.report.results import Cell
+from eval.tables.parts import Part, find_part, keep_part
+from eval.tables.registry import TableRequest
+from motionkit.core.progress import task, warn
+
+WEIGHT = "weight"
+
+
+def find_scores(
+    results: Path, name: str, terms: Mapping[str, Any], metrics: Collection[str], columns: Collection[str]
+) -> Scores | None:
+    """The scores of these metrics and columns that were kept for the terms; None where there are none."""
+    part = find_part(results, _name(name), terms)
+    if part is None:
+        return None
+    try:
+        return {metric: {column: _sums(part.rows[metric][column]) for column in columns} for metric in metrics}
+    except KeyError as error:
+        warn(f"a kept part of {name} lacks {error}: computing it anew")
+        return None
+
+
+def _sums(cell: Cell) -> MeanSums:
+    return MeanSums().added(cell.value, cell.details[WEIGHT])
+
+
+def keep_scores(results: Path, name: str, terms: Mapping[str, Any], scores: Scores) -> None:
+    """Write scores for `find_scores`: means, and the weights by which those of other clips join them."""
+    rows = {
+        metric: {column: Cell(sums.mean, None, {WEIGHT: sums.weight}) for column, sums in columns.items()}
+        for metric, columns in scores.items()
+    }
+    keep_part(results, _name(name), terms, Part(rows))
+
+
+def _name(table: str) -> str:
+    return f"{table}-means"
+
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One data set's figures by row, and what is to be said of it."""
+
+    data_set: DataSet
+    clips: TrueClips
+    rows: dict[str, Scores]
+    remarks: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+
+    @property
+    def scope(self) -> Scope:
+        """Its clips as blocks have them."""
+        return Scope(self.data_set.label, self.data_set.fps, self.rows)
+
+
+def measure_data_set(
+    store: "Store",
+    data_set: DataSet,
+    scales: Sequence[Fraction],
+    completers: Sequence[Completer],
+    protocol: InterpolationProtocol,
+    request: TableRequest,
+) -> Measured:
+    """A data set's figures: those that were measured before for the same terms are read from RESULTS/parts.
+
+    Raises `NoTakesError` where the compared split has no clip.
+    """
+    clips = open_clips(store, data_set, request.split, request.where, protocol.clip_frames, protocol.clip_frames)
+    remarks, missing = [], []
+    try:
+        training = open_clips(store, data_set, "train", None, protocol.clip_frames, protocol.clip_frames)
+    except NoTakesError:
+        training = clips
+        remarks.append(f"{data_set.label} has no training split: its deviations are those of the compared clips.")
+    terms = {
+        "version": VERSION,
+        "store": store.fingerprint,
+        "data set": [data_set.column, data_set.value, str(data_set.fps)],
+        "split": request.split,
+        "where": request.where,
+        "scales": [str(scale) for scale in scales],
+    }
+    rows: dict[str, Scores] = {}
+    for completer in completers:
+        of_row = {**terms, "encoder": completer.fingerprint}
+        kept = find_scores(request.results, "interpolation", of_row, METRICS, list(map(scale_label, scales)))
+        if kept is not None:
+            rows[completer.name] = kept
+    wanted = [completer for completer in completers if completer.name not in rows]
+    if wanted:
+        asked = InterpolationTask(clips, measure_scale(training), protocol)
+        note = f"{clips.num_clips} clips"
+        with task(request.on_progress, data_set.label, num_batches(clips), note=note) as work:
+            made, failed = measure_interpolation(asked, scales, wanted, work.advance)
+        for completer in wanted:
+            if completer.name in made:
+                scores = rows[completer.name] = made[completer.name]
+                keep_scores(request.results, "interpolation", {**terms, "encoder": completer.fingerprint}, scores)
+        missing += [f"{data_set.label}, {name}: {why}" for name, why in failed.items()]
+    remarks.append(_told_clips(data_set, clips))
+    remarks.append(f"{data_set.label}: {told_split(store, clips, request.split)}")
+    ordered = {completer.name: rows[completer.name] for completer in completers if completer.name in rows}
+    return Measured(data_set, clips, ordered, tuple(remarks), tuple(missing))
+
+
+def _told_clips(data_set: DataSet, clips: TrueClips) -> str:
+    left_out = {
+        f"shorter than {clips.num_frames} frames": clips.num_short,
+        "of framerates that are no multiple of the table's": clips.num_other_fps,
+    }
+    told = " and ".join(f"{count:,} {why}" for why, count in left_out.items() if count)
+    return f"{data_set.label}: {clips.num_clips:,} clips of {clips.num_takes:,} takes" + (
+        f"; left out are {told}." if told else "."
+    )

@@ -1,0 +1,70 @@
+"""What R-Precision, MultiModal Dist and the FID of whole motions need of an evaluator of text and motion."""
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from eval.sets.sets import SampleSet
+from motionkit.core.motion import Caption
+
+
+@runtime_checkable
+class TextMotionEvaluator(Protocol):
+    """Embeds whole motions and sentences in one space; distances there are Euclidean.
+
+    A motion's row depends on that motion alone: not on its batch, not on its place in it.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of everything that the numbers depend on: definition, weights, statistics, settings."""
+        ...
+
+    @property
+    def fps(self) -> Fraction | None:
+        """The only framerate at which motions may be given; None where any may."""
+        ...
+
+    @property
+    def layout(self) -> str:
+        """Joint layout of the motions that it reads: `smpl22` or `kit21`."""
+        ...
+
+    def remark_at(self, fps: Fraction) -> str:
+        """What a table must say of its numbers at a framerate; empty for nothing."""
+        ...
+
+    def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
+        """One row per sequence, in the order of the set. Raises `MotionkitError` for another framerate."""
+        ...
+
+    def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
+        """One row per caption, in order. Raises `MotionkitError` where one cannot be read."""
+        ...
+
+
+@runtime_checkable
+class PoseVectorEvaluator(TextMotionEvaluator, Protocol):
+    """One that reads pose vectors: motions that come as such reach it as they are, as in published comparisons."""
+
+    @property
+    def vector_size(self) -> int:
+        """Numbers of the pose vectors that it reads."""
+        ...
+
+    def embed_vectors(
+        self, motions: Sequence[Float32[np.ndarray, "_frames numbers"]], lengths: Sequence[int] | None = None
+    ) -> Float64[np.ndarray, "motions features"]:
+        """One row per motion given as pose vectors in their own units; what lies past `lengths` is padding.
+
+        Raises `MotionkitError` for what are none.
+        """
+        ...

@@ -1,0 +1,1 @@
+"""Guo et al.'s evaluator of text and motion."""

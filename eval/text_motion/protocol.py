@@ -1,0 +1,206 @@
+"""Protocols of text-to-motion: what each published evaluation draws, pairs, drops and repeats.
+
+Their sources were read, not run. What their loaders draw anew in every replication is not part of a protocol here: one
+of a motion's captions, and a random crop to a multiple of four frames.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from math import floor
+from typing import Literal
+
+from motionkit.core.errors import UsageError
+
+
+@dataclass(frozen=True)
+class KnownBug:
+    """A fault of published code that changes numbers; `part` is what has to know of it."""
+
+    name: str
+    part: Literal["scores", "evaluator"]
+    description: str
+
+
+FLOAT32_DISTANCES = KnownBug(
+    "float32-distances",
+    "scores",
+    "R-Precision and MM-Dist from √(a² + b² − 2ab) in float32: equal vectors give NaN, which ranks last and makes "
+    "MM-Dist NaN; ties go to the candidate that comes first",
+)
+NAN_IS_BEST = KnownBug(
+    "nan-is-best",
+    "scores",
+    "the same distances, and NaN becomes 0: a distance that cannot be computed is the best match",
+)
+PADDING_LEAK = KnownBug(
+    "padding-leak",
+    "evaluator",
+    "the motion encoder's last valid step sees three frames past a motion's end, whatever stands there",
+)
+KNOWN_BUGS = (FLOAT32_DISTANCES, NAN_IS_BEST, PADDING_LEAK)
+
+
+def chosen_bugs(protocol: str, has: Sequence[str], asked: Sequence[str]) -> tuple[KnownBug, ...]:
+    """The bugs that were asked for by name. Raises `UsageError` for one that the protocol's code does not have."""
+    for name in asked:
+        if name not in has:
+            raise UsageError(
+                f"--compat {name}: the evaluation of protocol {protocol!r} has no such bug; "
+                f"it has {', '.join(has) or 'none that is known here'}"
+            )
+    return tuple(bug for bug in KNOWN_BUGS if bug.name in asked)
+
+
+@dataclass(frozen=True)
+class MultiModalityRule:
+    """How MultiModality draws: `num_texts` None is every text; `pairs` "distinct" is Eq. 8 of the NeRM paper.
+
+    "shared" takes the same index pairs for every text, and a motion may be paired with itself (text-to-motion).
+    """
+
+    num_texts: int | None = 100
+    num_generations: int = 30
+    num_pairs: int = 10
+    pairs: Literal["distinct", "shared"] = "shared"
+    replications: int = 20
+
+    @property
+    def metric(self) -> str:
+        """Its name in `eval.metrics.registry`."""
+        return "multimodality" if self.pairs == "distinct" else "multimodality_shared_pairs"
+
+
+@dataclass(frozen=True)
+class LengthRule:
+    """Which real motions take part: from `shortest_seconds` to `longest_seconds`, and what becomes of longer ones.
+
+    Seconds count from the first pose to the last: T poses at s fps, of which there are T − 1 pose vectors, last
+    (T − 1)/s.
+    """
+
+    shortest_seconds: float
+    longest_seconds: float
+    longer: Literal["cropped", "left out"]
+
+    def most_frames(self, fps: Fraction) -> int:
+        """Poses of the longest motion that takes part whole."""
+        return floor(self.longest_seconds * float(fps) + 1e-6) + 1
+
+
+PUBLISHED_LENGTHS = LengthRule(2.0, 9.95, "left out")
+"""40 to 199 pose vectors at 20 fps (text-to-motion, data/dataset.py)."""
+PUBLISHED_KIT_LENGTHS = LengthRule(1.92, 15.92, "left out")
+"""24 to 199 pose vectors at 12.5 fps (the same)."""
+KIT_FPS = Fraction(25, 2)
+
+
+@dataclass(frozen=True)
+class TextMotionProtocol:
+    """One way to turn embeddings of texts and motions into a table's numbers.
+
+    `pool`: motions that a text chooses among, cut from a random order of all of them. (Published code calls a pool a
+    batch of its shuffled loader; the distribution is the same.) `remainder`: what the motions of the last, incomplete
+    pool are left out of. `num_motions`: how many generated motions count, None for all. `reference`: FID against the
+    whole real set ("whole"), the real motions of the same texts ("paired") or another random order of the real set with
+    its own remainder ("redraw"). `asks`: the direction whose R-Precision the source quotes; both are computed.
+    `details`: metrics that are computed once, on the first draw. `known_bugs`: names in `eval.text_motion.protocol`
+    that its published code has. `leak`: what the padding leak shows, zeros or the generated frames that follow.
+    `kit_lengths` are the `lengths` of KIT-ML. Raises `ValueError` for senseless numbers.
+    """
+
+    name: str
+    title: str
+    source: str
+    version: int = 1
+    pool: int = 32
+    remainder: Literal["R-Precision", "every metric"] = "every metric"
+    num_motions: int | None = None
+    reference: Literal["whole", "paired", "redraw"] = "paired"
+    asks: Literal["text", "motion"] = "text"
+    replications: int = 20
+    diversity_pairs: int = 300
+    multimodality: MultiModalityRule = field(default_factory=MultiModalityRule)
+    lengths: LengthRule = PUBLISHED_LENGTHS
+    kit_lengths: LengthRule = PUBLISHED_KIT_LENGTHS
+    details: tuple[str, ...] = ()
+    known_bugs: tuple[str, ...] = ()
+    leak: Literal["zeros", "frames"] = "zeros"
+    remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.pool < 2 or self.replications < 1 or self.diversity_pairs < 1:
+            raise ValueError(f"protocol {self.name!r}: a pool needs 2 motions, a mean 1 replication and 1 pair")
+        if self.num_motions is not None and self.num_motions < self.pool:
+            raise ValueError(f"protocol {self.name!r}: {self.num_motions} motions do not fill a pool of {self.pool}")
+
+    def lengths_at(self, fps: Fraction) -> LengthRule:
+        """The rule of lengths for motions at a framerate: KIT-ML's at its 12.5 fps, HumanML3D's at any other."""
+        return self.kit_lengths if fps == KIT_FPS else self.lengths
+
+
+OWN_LENGTHS = "Its models choose the length of a motion; here a motion is as long as the sample is."
+
+NATIVE = TextMotionProtocol(
+    name="native",
+    title="motionkit",
+    source="docs/metrics.md",
+    remainder="R-Precision",
+    reference="whole",
+    multimodality=MultiModalityRule(pairs="distinct"),
+    # The longest that Guo's evaluators take, 196 pose vectors.
+    lengths=LengthRule(0.6, 9.8, "cropped"),
+    kit_lengths=LengthRule(0.6, 15.68, "cropped"),
+    details=("fid_infinity", "kid"),
+)
+T2M = TextMotionProtocol(
+    name="t2m",
+    title="text-to-motion",
+    source="Guo et al. 2022, final_evaluations.py",
+    reference="redraw",
+    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
+)
+MDM = TextMotionProtocol(
+    name="mdm",
+    title="MDM",
+    source="Tevet et al. 2023, eval/eval_humanml.py",
+    num_motions=1024,
+    reference="redraw",
+    multimodality=MultiModalityRule(num_texts=128, replications=5),
+    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
+    # Its generated motions are 196 frames long whatever their length, and are handed on so.
+    leak="frames",
+    remarks=("MDM generates 1,024 motions: its FID does not compare with that of 4,640.",),
+)
+MLD = TextMotionProtocol(
+    name="mld",
+    title="MLD",
+    source="Chen et al. 2023, mld/models/metrics/tm2t.py and mm.py",
+    remainder="R-Precision",
+    known_bugs=(NAN_IS_BEST.name, PADDING_LEAK.name),
+)
+T2M_GPT = TextMotionProtocol(
+    name="t2m-gpt",
+    title="T2M-GPT",
+    source="Zhang et al. 2023, utils/eval_trans.py",
+    multimodality=MultiModalityRule(num_texts=None),
+    known_bugs=(FLOAT32_DISTANCES.name,),
+    remarks=(OWN_LENGTHS,),
+)
+MOMASK = TextMotionProtocol(
+    name="momask",
+    title="MoMask, MARDM",
+    source="Guo et al. 2024, utils/eval_t2m.py",
+    multimodality=MultiModalityRule(num_texts=96),
+    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
+)
+TEXT_MOTION_PROTOCOLS = (NATIVE, T2M, MDM, MLD, T2M_GPT, MOMASK)
+
+
+def find_text_motion_protocol(name: str) -> TextMotionProtocol:
+    """A protocol by name. Raises `UsageError` with the names there are."""
+    for protocol in TEXT_MOTION_PROTOCOLS:
+        if protocol.name == name:
+            return protocol
+    known = ", ".join(protocol.name for protocol in TEXT_MOTION_PROTOCOLS)
+    raise UsageError(f"there is no text-to-motion protocol {name!r}: {known}")

@@ -1,0 +1,283 @@
+"""Text-to-motion's numbers from embeddings of texts, of real and of generated motions."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32, Int64
+from threadpoolctl import threadpool_limits
+
+from eval.metrics.actions import diversity, multimodality, multimodality_shared_pairs
+from eval.metrics.gaussian import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid
+from eval.metrics.r_precision import RANKS, BothWays, RPrecision, pool_distances, ranked_both_ways
+from eval.metrics.replications import Scores, Tally
+from eval.text_motion.protocol import NAN_IS_BEST, KnownBug, TextMotionProtocol, chosen_bugs
+
+
+def ranked_as_published(
+    texts: Float[np.ndarray, "pairs numbers"],
+    motions: Float[np.ndarray, "pairs numbers"],
+    order: Int64[np.ndarray, "chosen"],
+    pool: int,
+    bug: str,
+) -> BothWays:
+    """R-Precision and MM-Dist of pools cut from the pairs in `order`, with a bug of `eval.text_motion.protocol`.
+
+    "float32-distances": a rounding error below zero under the root gives NaN, which ranks last and makes MM-Dist NaN.
+    "nan-is-best": the same NaN becomes 0, the nearest of all. Ties go to the candidate that comes first. The random
+    order, float64 sums and exact counts are this project's. Source: text-to-motion utils/metrics.py; MLD tm2t.py.
+    """
+    if len(order) < pool:
+        raise ValueError(f"R-Precision in pools of {pool} needs at least {pool} pairs, there are {len(order)}")
+    pools = order[: len(order) // pool * pool].reshape(-1, pool)
+    distances = np.stack([_float32_distances(texts[members], motions[members]) for members in pools])
+    if bug == NAN_IS_BEST.name:
+        distances = np.nan_to_num(distances)
+    return BothWays(_ranked(distances), _ranked(distances.swapaxes(1, 2)))
+
+
+def _float32_distances(
+    texts: Float[np.ndarray, "pool numbers"], motions: Float[np.ndarray, "pool numbers"]
+) -> Float32[np.ndarray, "pool pool"]:
+    a, b = texts.astype(np.float32), motions.astype(np.float32)
+    squared = np.float32(-2) * (a @ b.T) + np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(squared), dtype=np.float32)
+
+
+def _ranked(distances: Float32[np.ndarray, "pools pool pool"]) -> RPrecision:
+    """Ranks by a stable sort, NaN last."""
+    place = np.argsort(distances, axis=-1, kind="stable")
+    rank = (place == np.arange(distances.shape[1])[None, :, None]).argmax(axis=-1)
+    top = np.array([(rank < limit).mean() for limit in range(1, RANKS + 1)])
+    own = np.diagonal(distances, axis1=1, axis2=2)
+    return RPrecision(top, float(own.astype(np.float64).mean()), own.size)
+
+
+GENERATED, REAL, DIVERSITY, MULTIMODALITY = range(4)
+"""Streams of random numbers of one replication: what one metric draws does not move another's."""
+
+Order = Int64[np.ndarray, "_chosen"]
+
+
+@dataclass(frozen=True, eq=False)
+class TextMotionPairs:
+    """Embeddings of texts and of the motions that belong to them, row by row, in one space.
+
+    Raises `ValueError` for unequal numbers or widths, or none.
+    """
+
+    texts: Float[np.ndarray, "texts numbers"]
+    motions: Float[np.ndarray, "motions features"]
+
+    def __post_init__(self) -> None:
+        if self.texts.shape != self.motions.shape or not len(self.texts):
+            raise ValueError(
+                f"embeddings of texts are {self.texts.shape}, of motions {self.motions.shape}: "
+                "one of either for each pair"
+            )
+
+    def select(self, rows: Int64[np.ndarray, "chosen"]) -> "TextMotionPairs":
+        """Some of the pairs, in the order of `rows`."""
+        return TextMotionPairs(self.texts[rows], self.motions[rows])
+
+
+def score_text_motion(
+    real: TextMotionPairs,
+    draws: Sequence[TextMotionPairs],
+    protocol: TextMotionProtocol,
+    seed: int,
+    *,
+    repeated: Float[np.ndarray, "texts generations features"] | None = None,
+    compat: Sequence[str] = (),
+    on_replication: Callable[[], None] = lambda: None,
+) -> Scores:
+    """R-Precision in both directions, MM-Dist, FID, Diversity and MultiModality of generated motions under a protocol.
+
+    `draws` are independent generations of the whole set; replication r takes draw r modulo their number, so with fewer
+    draws than replications the interval holds less than the protocol means, and a remark says so. `repeated` holds
+    several motions of one text for MultiModality, which is left out without it. With the protocol's reference "paired",
+    row i of a draw was generated for the text of row i of `real`. To score real motion itself give `[real]`: its FID
+    is then 0, or what the dropped remainders leave ("redraw"). `compat` names known bugs to switch on.
+
+    Raises `ValueError` for pairs that do not fit together or are not finite, fewer than a pool of them, and
+    `UsageError` for a bug that the protocol does not have.
+    """
+    if not draws:
+        raise ValueError("there is no set of motions to score")
+    bugs = chosen_bugs(protocol.name, protocol.known_bugs, compat)
+    for draw in draws:
+        _check(real, draw, protocol)
+    tally, fids = Tally(), _Fids(real, draws, protocol)
+    # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
+    with threadpool_limits(1, "blas"):
+        for replication in range(protocol.replications):
+            which = replication % len(draws)
+            draw = draws[which]
+            order = np.random.default_rng((seed, replication, GENERATED)).permutation(len(draw.motions))
+            order = order[: _counted(len(order), protocol)]
+            _add_precision(draw, order, protocol, bugs, tally)
+            tally.add("fid", fids.value(which, order, seed, replication))
+            rng = np.random.default_rng((seed, replication, DIVERSITY))
+            tally.add("diversity", diversity(draw.motions[order], rng, protocol.diversity_pairs))
+            if repeated is not None and replication < protocol.multimodality.replications:
+                _add_multimodality(repeated, protocol, np.random.default_rng((seed, replication, MULTIMODALITY)), tally)
+            on_replication()
+        _add_details(real, draws[0], protocol, seed, tally)
+    tally.remark_on_draws(len(draws), protocol.replications)
+    sizes = {"real": fids.num_real, "generated": _counted(len(draws[0].motions), protocol), "draws": len(draws)}
+    _remark_on_sizes(sizes, real.motions.shape[1], protocol, tally)
+    if repeated is not None:
+        sizes |= {"multimodality texts": len(repeated), "multimodality generations": repeated.shape[1]}
+    return tally.scores(protocol.name, sizes, protocol.remarks)
+
+
+def _check(real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionProtocol) -> None:
+    if draw.motions.shape[1] != real.motions.shape[1]:
+        raise ValueError(
+            f"embeddings of real motions have {real.motions.shape[1]} numbers, "
+            f"of generated ones {draw.motions.shape[1]}"
+        )
+    if len(draw.motions) < protocol.pool:
+        raise ValueError(
+            f"{len(draw.motions)} motions: a text chooses among {protocol.pool} (protocol {protocol.name!r}), so there "
+            "must be that many at least"
+        )
+    if protocol.reference == "paired" and len(draw.motions) != len(real.motions):
+        raise ValueError(
+            f"protocol {protocol.name!r} compares with the real motions of the same texts, but there are "
+            f"{len(draw.motions)} generated and {len(real.motions)} real motions: give those that belong together, or "
+            "choose a protocol with an independent reference (t2m, mdm)"
+        )
+
+
+def _counted(number: int, protocol: TextMotionProtocol) -> int:
+    """How many of the generated motions count."""
+    return _kept(number if protocol.num_motions is None else min(number, protocol.num_motions), protocol)
+
+
+def _kept(number: int, protocol: TextMotionProtocol) -> int:
+    return number if protocol.remainder == "R-Precision" else number // protocol.pool * protocol.pool
+
+
+def _add_precision(
+    draw: TextMotionPairs, order: Order, protocol: TextMotionProtocol, bugs: tuple[KnownBug, ...], tally: Tally
+) -> None:
+    names = [bug.name for bug in bugs if bug.part == "scores"]
+    if names:
+        found = ranked_as_published(draw.texts, draw.motions, order, protocol.pool, names[-1])
+    else:
+        found = ranked_both_ways(pool_distances(draw.texts, draw.motions, order, protocol.pool))
+    for suffix, direction in (("", found.text_asks), ("_motion_asks", found.motion_asks)):
+        for rank, share in enumerate(direction.top.tolist(), start=1):
+            tally.add(f"r_precision_top{rank}{suffix}", share)
+    if np.isfinite(found.text_asks.matching_distance):
+        tally.add("mm_dist", found.text_asks.matching_distance)
+    else:
+        tally.remark("MM-Dist is NaN in some replications, which are left out of it (--compat float32-distances)")
+
+
+class _Fids:
+    """FID of each replication; what does not change from one to the next is fitted once."""
+
+    def __init__(self, real: TextMotionPairs, draws: Sequence[TextMotionPairs], protocol: TextMotionProtocol) -> None:
+        self._real, self._draws, self._protocol = real.motions, draws, protocol
+        self._whole: dict[int | None, Gaussian] = {}
+        self._of_draws: dict[int, float] = {}
+        self.num_real = 0
+
+    def value(self, which: int, order: Order, seed: int, replication: int) -> float:
+        """FID of the chosen motions of one draw against the protocol's reference."""
+        reference = self._reference(order, seed, replication)
+        self.num_real = len(self._real) if reference is None else len(reference)
+        fixed = reference is None and len(order) == len(self._draws[which].motions)
+        if fixed and which in self._of_draws:
+            return self._of_draws[which]
+        distance = frechet_distance(self._gaussian(reference), self._gaussian_of(which, order))
+        if fixed:
+            self._of_draws[which] = distance
+        return distance
+
+    def _reference(self, order: Order, seed: int, replication: int) -> Order | None:
+        """Rows of the real set that are compared with; None for all of them."""
+        everything = len(self._real)
+        if self._protocol.reference == "whole":
+            return None
+        if self._protocol.reference == "paired":
+            return None if len(order) == everything else order
+        kept = _kept(everything, self._protocol)
+        if kept == everything:
+            return None
+        return np.random.default_rng((seed, replication, REAL)).permutation(everything)[:kept]
+
+    def _gaussian(self, rows: Order | None) -> Gaussian:
+        return self._all(None, self._real) if rows is None else fit_gaussian(self._real[rows])
+
+    def _gaussian_of(self, which: int, order: Order) -> Gaussian:
+        motions = self._draws[which].motions
+        return self._all(which, motions) if len(order) == len(motions) else fit_gaussian(motions[order])
+
+    def _all(self, key: int | None, features: Float[np.ndarray, "samples features"]) -> Gaussian:
+        if key not in self._whole:
+            self._whole[key] = fit_gaussian(features)
+        return self._whole[key]
+
+
+def _add_multimodality(
+    repeated: Float[np.ndarray, "texts generations features"],
+    protocol: TextMotionProtocol,
+    rng: np.random.Generator,
+    tally: Tally,
+) -> None:
+    rule = protocol.multimodality
+    texts, generations = repeated.shape[:2]
+    needed = 2 * rule.num_pairs if rule.pairs == "distinct" else rule.num_pairs
+    if generations < needed:
+        tally.remark(
+            f"MultiModality is left out: {rule.num_pairs} pairs need {needed} motions of each text, "
+            f"there are {generations}"
+        )
+        return
+    if generations != rule.num_generations or (rule.num_texts is not None and texts < rule.num_texts):
+        asked = "every text" if rule.num_texts is None else f"{rule.num_texts} texts"
+        tally.remark(
+            f"protocol {protocol.name!r} asks {rule.num_generations} motions of {asked} for MultiModality; here are "
+            f"{generations} motions of {texts} texts"
+        )
+    chosen = repeated
+    if rule.num_texts is not None and texts > rule.num_texts:
+        chosen = repeated[rng.choice(texts, size=rule.num_texts, replace=False)]
+    chosen = chosen[:, : rule.num_generations]
+    function = multimodality if rule.pairs == "distinct" else multimodality_shared_pairs
+    tally.add(rule.metric, function(chosen, rng=rng, num_pairs=rule.num_pairs))
+
+
+def _add_details(
+    real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionProtocol, seed: int, tally: Tally
+) -> None:
+    """FID_∞ and KID of the first draw, once: they cost more than all the rest, and neither draws pools or pairs."""
+    if real is draw:
+        return
+    if "fid_infinity" in protocol.details:
+        try:
+            rng = np.random.default_rng(seed)
+            tally.add("fid_infinity", fid_infinity(real.motions, draw.motions, rng).limit)
+        except ValueError as error:
+            tally.remark(f"FID∞ is left out: {error}")
+    if "kid" in protocol.details:
+        tally.add("kid", kid(real.motions, draw.motions))
+
+
+def _remark_on_sizes(sizes: dict[str, int], features: int, protocol: TextMotionProtocol, tally: Tally) -> None:
+    if protocol.num_motions is not None and sizes["generated"] < protocol.num_motions:
+        tally.remark(
+            f"protocol {protocol.name!r} counts {protocol.num_motions:,} generated motions, here are "
+            f"{sizes['generated']:,}: FIDs of different N do not compare"
+        )
+    least = min(sizes["real"], sizes["generated"])
+    if least <= features:
+        tally.remark(
+            f"N = {least} for {features} features: FID is that of two degenerate Gaussians and says little; read KID"
+        )
+    if sizes["generated"] < protocol.diversity_pairs:
+        tally.remark(f"Diversity pairs {sizes['generated']} motions, not {protocol.diversity_pairs}")

@@ -1,0 +1,147 @@
+"""Results on stdout, progress and messages on stderr."""
+
+import json
+import logging
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    ProgressColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import Progress as Display
+from rich.text import Text
+
+from motionkit.core.plain_text import UNSAFE_LETTERS, printable, shortened
+from motionkit.core.progress import LOGGER, OnProgress, Progress, ignore
+
+# Messages quote what files say, which may have any length.
+LONGEST_MESSAGE = 3000
+
+
+class LineConsole(Console):
+    """A console on which a text is one line and nothing else: names of files may hold what a terminal would obey.
+
+    Of a text of more than `longest` letters the middle is left out.
+    """
+
+    def __init__(self, longest: int | None = None, **options: Any) -> None:
+        super().__init__(soft_wrap=True, highlight=False, markup=False, emoji=False, **options)
+        self._longest = longest
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print texts with control characters, line breaks among them, as their escapes; rich's objects as they are."""
+        super().print(*(self._line(each) if isinstance(each, str) else each for each in objects), **options)
+
+    def _line(self, text: str) -> str:
+        line = printable(text)
+        return line if self._longest is None else shortened(line, self._longest)
+
+
+class _NameColumn(TextColumn):
+    """A column of a progress display that shows a task's text, a file's name perhaps."""
+
+    def render(self, task: Task) -> Text:
+        return Text(printable(super().render(task).plain))
+
+
+stdout = LineConsole()
+stderr = LineConsole(LONGEST_MESSAGE, stderr=True)
+
+
+def print_text(text: str) -> None:
+    """Print lines on stdout as they are, but for what a terminal would obey."""
+    for line in text.removesuffix("\n").split("\n"):
+        print(printable(line))
+
+
+def print_json(value: Any) -> None:
+    """Print a value as JSON on stdout; NaN is refused (it is not JSON).
+
+    What a terminal would obey stands there as JSON's own escape, a byte of a file's name that is no UTF-8 as the text
+    of its escape, for not every reader takes half a character.
+    """
+    text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
+    print("\n".join(UNSAFE_LETTERS.sub(_json_escape, line) for line in text.split("\n")))
+
+
+def _json_escape(found: re.Match[str]) -> str:
+    number = ord(found[0])
+    return f"\\\\u{number:04x}" if 0xD800 <= number < 0xE000 else f"\\u{number:04x}"
+
+
+class _WarningHandler(logging.Handler):
+    """Prints warnings as lines on stderr."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        stderr.print(f"motionkit: warning: {self.format(record)}")
+
+
+def show_warnings() -> None:
+    """Print the warnings of the logger `motionkit` as lines on stderr from now on."""
+    if not any(isinstance(handler, _WarningHandler) for handler in LOGGER.handlers):
+        LOGGER.addHandler(_WarningHandler())
+
+
+@contextmanager
+def progress() -> Iterator[OnProgress]:
+    """A callback that draws progress bars on stderr; it does nothing where stderr is not a terminal."""
+    if not stderr.is_terminal:
+        yield ignore
+        return
+    bars = _Bars()
+    try:
+        yield bars
+    finally:
+        bars.stop()
+
+
+class _Bars:
+    """One bar for each task that is under way; without any, nothing is drawn."""
+
+    def __init__(self) -> None:
+        self._display: Display | None = None
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, progress: Progress) -> None:
+        """Draw a task's new state; remove the bar of a finished one."""
+        if progress.finished:
+            if self._display is not None and progress.name in self._tasks:
+                self._display.remove_task(self._tasks.pop(progress.name))
+            if not self._tasks:
+                self.stop()
+            return
+        if self._display is None:
+            self._display = Display(*_columns(), console=stderr, transient=True)
+            self._display.start()
+        facts: dict[str, Any] = {"completed": progress.done, "total": progress.total, "note": progress.note}
+        if progress.name in self._tasks:
+            self._display.update(self._tasks[progress.name], **facts)
+        else:
+            self._tasks[progress.name] = self._display.add_task(progress.name, **facts)
+
+    def stop(self) -> None:
+        """Remove all bars."""
+        if self._display is not None:
+            self._display.stop()
+        self._display, self._tasks = None, {}
+
+
+def _columns() -> tuple[ProgressColumn, ...]:
+    return (
+        _NameColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        _NameColumn("{task.fields[note]}", markup=False),
+    )

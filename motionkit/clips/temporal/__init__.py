@@ -1,0 +1,1 @@
+"""Windows of observed frames and networks that continue them, shared by all models of this kind."""

@@ -1,0 +1,225 @@
+"""Clips as they come: found in files, folders and stores, and written again in their own form.
+
+BVH files are read and written piece by piece; clips of other forms are held in memory, they and their results.
+"""
+
+import re
+from collections.abc import Callable, Sequence, Set
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from motionkit.core.errors import FormatError, UsageError
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.completion import Completion
+from motionkit.fields.interpolation.rigid import on_bones
+from motionkit.fields.long_observation import LongObservation
+from motionkit.fields.motion_field import Observation, Observed, Poses
+from motionkit.formats.arrays.joints_npy import write_joints_npy
+from motionkit.formats.arrays.npz import write_npz
+from motionkit.formats.bvh.document import BvhDocument, ChannelLines, read_document
+from motionkit.formats.pose_folders.humanml3d import VECTORS_FOLDER
+from motionkit.formats.scan.items import ReadOptions, SourceItem
+from motionkit.formats.writing import WRITERS
+from motionkit.store.named_motions import vectors_npy
+from motionkit.store.named_motions.found import Found, Readers, find_motions
+from motionkit.store.named_motions.holes import ReadClip, read_with_holes
+
+FRAMES_AT_ONCE = 2048
+MADE, MADE_FOLDER = ".completed", re.compile(r"completed-[\d.-]+fps")
+
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """One clip to complete: its frames, which of them are whole, and its form.
+
+    `poses` are those of frames by number, `observe` makes an observation of those that a mask marks, `label` gives a
+    motion the clip's name, captions and origin. `write` writes a completed motion of it to a path; what cannot be
+    written as it came goes to another `suffix`. `uneven_seconds` are the times of its frames where they are not those
+    of its grid.
+    """
+
+    timegrid: TimeGrid
+    skeleton: Skeleton
+    seen: Bool[np.ndarray, "frames"]
+    poses: Callable[[Int64[np.ndarray, "rows"]], Poses]
+    observe: Callable[[Bool[np.ndarray, "frames"]], Observed]
+    label: Callable[[Motion], Motion]
+    suffix: str
+    write: Callable[[Completion, Path, Progress], None]
+    note: str = ""
+    uneven_seconds: Float64[np.ndarray, "frames"] | None = None
+
+    @property
+    def seconds(self) -> Float64[np.ndarray, "frames"]:
+        """When its frames were."""
+        return self.timegrid.seconds() if self.uneven_seconds is None else self.uneven_seconds
+
+
+ClipSource = Found[Clip]
+
+
+def find_clips(names: Sequence[str], options: ReadOptions, store: Path) -> tuple[list[ClipSource], list[FormatError]]:
+    """The clips of these names, but for those in folders that `complete` has made, and what is wrong with some.
+
+    Raises `UsageError` for a name that says nothing.
+    """
+    readers = Readers(partial(_read, options=options), partial(_vectors, options=options), clip_of_motion)
+    found, problems = find_motions(names, options, store, readers)
+    named = {Path(name) for name in names}
+    return [clip for clip in found if clip.name in names or not _is_made(clip.beside, named)], problems
+
+
+def folder_of_made(fps: str) -> str:
+    """The name of the folder for completed arrays of a framerate, beside those that they were made of."""
+    return f"completed-{fps.replace('/', '-')}fps"
+
+
+def _is_made(path: Path, named: Set[Path]) -> bool:
+    # Whoever names a folder of completed clips means them.
+    in_made = path.parent not in named and MADE_FOLDER.fullmatch(path.parent.name) is not None
+    return in_made or path.name.endswith(MADE)
+
+
+def _read(item: SourceItem, options: ReadOptions) -> Clip:
+    if options.fps is None and item.fps is not None:
+        options = replace(options, fps=item.fps)
+    if item.path.suffix.lower() == ".bvh" or item.format == "bvh":
+        clip = clip_of_document(read_document(item.path, options), item.captions)
+        return replace(clip, label=lambda made: _labelled(clip.label(made), item))
+    read = read_with_holes(item, options)
+    if item.path.parent.name == VECTORS_FOLDER:
+        return _in_memory(read, ".npy", vectors_npy.write_vectors)
+    return _as_it_came(read, item.path.suffix.lower(), f"{item.format} cannot be written")
+
+
+def _labelled(motion: Motion, item: SourceItem) -> Motion:
+    return replace(motion, sequence_id=item.sequence_id, action=item.action, style=item.style, split=item.split)
+
+
+def _as_it_came(read: ReadClip, suffix: str, why_not: str) -> Clip:
+    """A motion with the writer of its file's suffix; else as .bvh where it has rotations, as .npz where it has none."""
+    if suffix == ".npy" and read.motion.skeleton in STANDARD_SKELETONS.values():
+        return _in_memory(read, ".npy", write_joints_npy)
+    if suffix == ".npz":
+        return _in_memory(read, ".npz", write_npz)
+    other = ".npz" if read.motion.local_rotations is None else ".bvh"
+    return _in_memory(read, other, WRITERS[other], f"{why_not}: its result is a {other[1:]} file")
+
+
+def clip_of_document(document: BvhDocument, captions: tuple[Caption, ...] = ()) -> Clip:
+    """A BVH file as a clip: its frames are read when they are asked for."""
+
+    def observe(observed: Bool[np.ndarray, "frames"]) -> Observed:
+        frames = np.flatnonzero(observed)
+        return LongObservation(
+            document.timegrid.seconds()[frames], lambda rows: document.poses(frames[rows]), document.skeleton
+        )
+
+    def label(made: Motion) -> Motion:
+        return replace(made, sequence_id=document.path.stem, captions=captions, provenance=document.provenance)
+
+    return Clip(
+        document.timegrid,
+        document.skeleton,
+        document.seen,
+        document.poses,
+        observe,
+        label,
+        ".bvh",
+        lambda completion, path, progress: write_document(document, completion, path, progress),
+    )
+
+
+def _in_memory(read: ReadClip, suffix: str, write: Callable[[Motion, Path], None], note: str = "") -> Clip:
+    motion, uneven = read.motion, read.uneven_seconds
+
+    def observe(observed: Bool[np.ndarray, "frames"]) -> Observed:
+        known = Observation.of(motion, observed)
+        return known if uneven is None else replace(known, times_seconds=uneven[observed])
+
+    def label(made: Motion) -> Motion:
+        return made.annotated_like(motion)
+
+    return Clip(
+        motion.timegrid,
+        motion.skeleton,
+        read.seen,
+        Poses.of(motion).rows,
+        observe,
+        label,
+        suffix,
+        _writing(write, motion.timegrid, label),
+        note,
+        uneven,
+    )
+
+
+def as_format(clip: Clip, suffix: str) -> Clip:
+    """The same clip, to be written as another format by its suffix; raises `UsageError` for one that is not written."""
+    if clip.suffix == suffix:
+        return clip
+    if suffix not in WRITERS:
+        raise UsageError(f"clips are written as {', '.join(WRITERS)} or as they came, not as {suffix}")
+    return replace(clip, suffix=suffix, write=_writing(WRITERS[suffix], clip.timegrid, clip.label), note="")
+
+
+def _vectors(path: Path, options: ReadOptions) -> Clip:
+    return _in_memory(vectors_npy.read_vectors(path, options), ".npy", vectors_npy.write_vectors)
+
+
+def clip_of_motion(motion: Motion) -> Clip:
+    """A motion in memory as a clip."""
+    return _in_memory(ReadClip.whole(motion), ".npz", write_npz)
+
+
+def _writing(
+    write: Callable[[Motion, Path], None], source: TimeGrid, label: Callable[[Motion], Motion]
+) -> Callable[[Completion, Path, Progress], None]:
+    """A writer that needs the whole motion at once."""
+
+    def whole(completion: Completion, path: Path, progress: Progress) -> None:
+        made = completion.motion(0, completion.grid.num_frames)
+        progress(made.num_frames)
+        write(label(made).logged(completed_line(completion, source)), path)
+
+    return whole
+
+
+def completed_line(completion: Completion, source: TimeGrid) -> str:
+    """The operation log's line of a motion that was completed from frames on the grid `source`."""
+    grid, made = completion.grid, completion.grid.num_frames - len(completion.given_rows)
+    return f"complete {source.num_frames} frames at {source.fps} fps -> {grid.num_frames} at {grid.fps}, {made} made"
+
+
+def write_document(document: BvhDocument, completion: Completion, path: Path, progress: Progress) -> None:
+    """Write a completed BVH file piece by piece, given frames as the lines that they were.
+
+    What moves joints and turns none is brought onto the file's bones.
+    """
+    completion = replace(completion, field=on_bones(completion.field, completion.observation))
+    num_frames, known = completion.grid.num_frames, completion.known_frames
+    observation = completion.observation
+    lines = ChannelLines(document, known, observation.times_seconds)
+    # What comes before the first known frame goes backwards from it, so it has to be in the first piece.
+    reach_seconds = observation.start_seconds - completion.grid.start_seconds
+    first_known = max(0, int(np.ceil((reach_seconds - 1e-9) * float(completion.grid.fps))))
+    with path.open("wb") as file:
+        file.write(document.heading(num_frames, Fraction(completion.grid.fps)))
+        start = 0
+        while start < num_frames:
+            stop = min(num_frames, max(start + FRAMES_AT_ONCE, first_known + 1 if start == 0 else 0))
+            made = completion.motion(start, stop)
+            rows, given = completion.given(start, stop)
+            written = lines.lines(completion.seconds(start, stop), Poses.of(made), rows, known[given])
+            file.write(b"\n".join((*written, b"")))
+            progress(stop - start)
+            start = stop

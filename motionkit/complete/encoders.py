@@ -1,0 +1,200 @@
+"""Trained encoders by name: entry points of the group `motionkit.encoders`, each a loader from a run to an encoder.
+
+An entry point names an `EncoderLoader`, or a plain function `load(run: Path) -> MotionEncoder` that has the name of the
+stage that trains it. Interpolators need no run and are found by their names beside them.
+"""
+
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Literal, Protocol, TypeGuard, runtime_checkable
+
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.skeletons.mapping import SkeletonMapError
+from motionkit.fields.anchoring import Anchored
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Method, Settling
+from motionkit.fields.motion_field import MotionEncoder
+from motionkit.fields.transfer import Transferred, counterpart_joints
+from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
+from motionkit.training.run import RunFolder
+
+GROUP = "motionkit.encoders"
+
+# What an encoder may be for: frames between given ones, gaps and ends closed and continued, windows described again.
+Task = Literal["interpolation", "inbetweening", "extrapolation", "reconstruction"]
+COMPLETION: tuple[Task, ...] = ("interpolation", "inbetweening", "extrapolation")
+
+
+@runtime_checkable
+class KnowsItsTraining(Protocol):
+    """An encoder that can say what it has seen; beyond that it is asked all the same, and people are told."""
+
+    @property
+    def longest_gap_seconds(self) -> float:
+        """The longest time between neighbouring observed frames in training."""
+        ...
+
+    @property
+    def reach_seconds(self) -> float:
+        """How far beyond what is observed training went."""
+        ...
+
+
+@dataclass(frozen=True)
+class EncoderLoader(Loader[MotionEncoder]):
+    """A trained encoder that a package brings, as an entry point of `motionkit.encoders` names it.
+
+    Tables look in their run for the encoders of their own task. The `preferred` one completes clips where nobody names
+    another.
+    """
+
+    tasks: tuple[Task, ...] = COMPLETION
+    preferred: bool = False
+
+
+def trained_encoder_names() -> tuple[str, ...]:
+    """Names of all installed trained encoders, sorted; whether any run holds one is another matter."""
+    return loader_names(GROUP)
+
+
+def installed_encoders(task: Task | None = None) -> dict[str, EncoderLoader]:
+    """All installed trained encoders by name, or those for one task."""
+    found = installed_loaders(GROUP, EncoderLoader)
+    return {name: loader for name, loader in found.items() if task is None or task in loader.tasks}
+
+
+def encoder_loader(name: str) -> EncoderLoader:
+    """The loader of a trained encoder; raises `UsageError` naming those there are."""
+    found = entry_points(group=GROUP, name=name)
+    if not found:
+        trained = ", ".join(trained_encoder_names()) or "none is installed"
+        raise UsageError(
+            f"no encoder is called {name!r}; interpolators: {', '.join(INTERPOLATORS)}; trained: {trained}"
+        )
+    return loader_of(next(iter(found)), EncoderLoader)
+
+
+def load_encoder(name: str, run: Path) -> MotionEncoder:
+    """The encoder of this name: an interpolator, or a trained one out of a run folder.
+
+    Raises `UsageError` for a name that nothing has; a loader raises `MotionkitError` where the run holds none of its
+    kind.
+    """
+    for interpolator in INTERPOLATORS.values():
+        if interpolator.name == name:
+            return interpolator
+    return encoder_loader(name).load(run)
+
+
+def runs_with(name: str, runs: Path) -> tuple[Path, ...]:
+    """Run folders in `runs` that hold all stages of this trained encoder, the one trained last at the end.
+
+    Raises `UsageError` for a name that nothing has.
+    """
+    loader = encoder_loader(name)
+    if not runs.is_dir():
+        return ()
+    complete = [run for run in runs.iterdir() if loader.complete_in(run)]
+    return tuple(sorted(complete, key=lambda run: (_trained_at(run, loader), run.name)))
+
+
+def _trained_at(run: Path, loader: EncoderLoader) -> int:
+    return RunFolder(run).stage(loader.stages[-1]).summary_path.stat().st_mtime_ns
+
+
+# Of all interpolators the one with the smallest errors on captures (docs/complete.md); its acceleration is continuous.
+BASE = Settling(INTERPOLATORS["rotation-cubic"])
+# Those that turn joints: beyond the ends they come to rest.
+SETTLING = frozenset({"slerp", "rotation-catmull-rom", "squad", "rotation-cubic"})
+ALIASES = {"spline": "rotation-cubic"}
+
+
+@dataclass(frozen=True)
+class ChosenEncoder:
+    """An encoder under the name by which people know it; `explanation` says why this one and how to have another.
+
+    A trained one knows the 22 joints only.
+    """
+
+    name: str
+    encoder: MotionEncoder
+    is_trained: bool
+    explanation: str
+
+    @property
+    def longest_gap_seconds(self) -> float | None:
+        """Longest time without a frame in its training, None where it does not say."""
+        return self.encoder.longest_gap_seconds if isinstance(self.encoder, KnowsItsTraining) else None
+
+    @property
+    def reach_seconds(self) -> float | None:
+        """How far beyond the ends its training went, None where it does not say."""
+        return self.encoder.reach_seconds if isinstance(self.encoder, KnowsItsTraining) else None
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether beyond the ends it goes on at constant velocity."""
+        return not self.is_trained and self.name not in (*SETTLING, "hold")
+
+    def for_skeleton(self, skeleton: Skeleton) -> tuple[MotionEncoder, str]:
+        """The encoder to use on a skeleton; and if that is another, because this one does not know it, why."""
+        if not self.is_trained:
+            return self.encoder, ""
+        try:
+            counterpart_joints(skeleton)
+        except SkeletonMapError as error:
+            return BASE, f"{self.name} does not know its skeleton, {BASE.name} is used: {error}"
+        return Transferred(Anchored(self.encoder), BASE), ""
+
+
+def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncoder:
+    """The encoder of a name, an interpolator or a trained one of a run; raises `UsageError` where there is none.
+
+    Without a name it is the preferred trained one, of the run or of the one trained last, or else an interpolator.
+    """
+    if name == "":
+        raise UsageError("a name of an encoder is empty: --model spline, --compare slerp,spline")
+    name = ALIASES.get(name, name) if name else name
+    if name is not None and _is_interpolator(name):
+        if run is not None:
+            raise UsageError(f"--model {name} is an interpolator, which no run holds: leave --run out")
+        encoder = INTERPOLATORS[name]
+        settling = Settling(encoder) if name in SETTLING else encoder
+        return ChosenEncoder(name, settling, False, f"{name}, an interpolator")
+    if name is not None:
+        return _trained(name, run, runs)
+    preferred = next((name for name, loader in installed_encoders().items() if loader.preferred), None)
+    if preferred is not None and (run is not None or runs_with(preferred, runs)):
+        return _trained(preferred, run, runs)
+    if run is not None:
+        raise UsageError(f"--run {run}: name its encoder with --model ({', '.join(trained_encoder_names()) or 'none'})")
+    return ChosenEncoder(BASE.name, BASE, False, f"{BASE.name}, an interpolator{_why_untrained(preferred, runs)}")
+
+
+def _why_untrained(preferred: str | None, runs: Path) -> str:
+    if preferred is None:
+        return ""
+    command = encoder_loader(preferred).train_command()
+    return f", for no run in {runs} has a trained {preferred}: {command} trains one"
+
+
+def _is_interpolator(name: str) -> TypeGuard[Method]:
+    return name in INTERPOLATORS
+
+
+def _trained(name: str, run: str | None, runs: Path) -> ChosenEncoder:
+    loader = encoder_loader(name)
+    if run is None:
+        found = runs_with(name, runs)
+        if not found:
+            raise UsageError(
+                f"no run in {runs} has a stage {loader.stages[-1]!r} that is complete: {loader.train_command()}, or "
+                "name the run with --run"
+            )
+        place = found[-1]
+    else:
+        # A path where it is one, else a name in the folder of all runs, as everywhere.
+        place = Path(run) if Path(run).is_dir() and not (runs / run).is_dir() else runs / run
+    encoder = loader.load(place)
+    return ChosenEncoder(name, encoder, True, f"{encoder.name}, trained in {place}")

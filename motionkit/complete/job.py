@@ -1,0 +1,190 @@
+"""One clip completed: encoded, written in its form, shown beside other ways, and told of."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motionkit.complete.clips import Clip, ClipSource, Progress, as_format, folder_of_made
+from motionkit.complete.encoders import ChosenEncoder
+from motionkit.complete.page import write_comparison
+from motionkit.complete.request import ClipRequest, CompletionRequest
+from motionkit.core.errors import MotionkitError
+from motionkit.core.files import require_no_link, whole_file
+from motionkit.core.timegrid import format_fps
+from motionkit.fields.completion import Completion, begin_observed, begin_uneven
+from motionkit.fields.motion_field import MotionEncoder
+
+# Beyond this no constant velocity is a motion.
+LONGEST_PLAUSIBLE_SECONDS = 0.5
+# What ends so is meant as a file, and no folder.
+CLIP_SUFFIXES = (".bvh", ".npz", ".npy")
+
+
+@dataclass(frozen=True)
+class CompletedClip:
+    """What became of a clip: its file, by which encoder, how many frames were given and made, what to know of it."""
+
+    source: str
+    path: Path
+    encoder: str
+    fps: str
+    completed_fps: str
+    num_frames: int
+    num_completed: int
+    num_given: int
+    longest_gap_seconds: float
+    page: Path | None
+    warnings: tuple[str, ...]
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "clip": self.source,
+            "file": str(self.path),
+            "encoder": self.encoder,
+            "fps": self.fps,
+            "completed_fps": self.completed_fps,
+            "num_frames": self.num_frames,
+            "num_completed_frames": self.num_completed,
+            "num_given_frames": self.num_given,
+            "num_made_frames": self.num_completed - self.num_given,
+            "longest_gap_seconds": self.longest_gap_seconds,
+            "page": None if self.page is None else str(self.page),
+            "warnings": list(self.warnings),
+        }
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is done with every clip: what to make, by which encoder, what to compare with, in which format, where.
+
+    `out` is a folder or, for a single clip, a file; None writes beside the clip.
+    """
+
+    request: CompletionRequest
+    chosen: ChosenEncoder
+    compared: Sequence[ChosenEncoder] = ()
+    suffix: str | None = None
+    out: Path | None = None
+    overwrite: bool = False
+
+    def complete(self, source: ClipSource, path_of: "OutputPath", progress: Progress) -> CompletedClip:
+        """Read, complete and write one clip; raises `MotionkitError` or `OSError`, and then leaves nothing behind."""
+        clip = source.read()
+        if self.suffix is not None:
+            clip = as_format(clip, self.suffix)
+        wanted = self.request.for_clip(clip.timegrid, clip.seen, clip.uneven_seconds)
+        path = path_of(source, clip.suffix, format_fps(wanted.fps))
+        page = path.with_suffix(".html") if self.compared else None
+        for each in (path, page):
+            if each is not None and each.exists() and not self.overwrite:
+                raise MotionkitError(f"{each} exists: --overwrite replaces it, --out writes elsewhere")
+        made, name, warnings = begin_clip(clip, wanted, self.chosen)
+        with whole_file(path) as temporary:
+            clip.write(made, temporary, progress)
+            if page is not None:
+                others = [(other.name, begin_clip(clip, wanted, other)[0]) for other in self.compared]
+                write_comparison(page, source.name, clip, wanted.observed, [(name, made), *others])
+        if clip.note:
+            warnings.append(clip.note)
+        return CompletedClip(
+            source=source.name,
+            path=path,
+            encoder=name,
+            fps=format_fps(clip.timegrid.fps),
+            completed_fps=format_fps(wanted.fps),
+            num_frames=clip.timegrid.num_frames,
+            num_completed=made.grid.num_frames,
+            num_given=len(made.given_rows),
+            longest_gap_seconds=wanted.longest_gap_seconds,
+            page=page,
+            warnings=tuple(warnings),
+        )
+
+
+def begin_clip(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> tuple[Completion, str, list[str]]:
+    """What is asked of a clip, ready to be sampled; the name of the encoder that does it; what to know of it.
+
+    Raises `MotionkitError` where the encoder cannot.
+    """
+    encoder, warning = chosen.for_skeleton(clip.skeleton)
+    name = encoder.name if warning else chosen.name
+    warnings = [warning] if warning else _warnings(clip, wanted, chosen)
+    try:
+        made = _encoded(clip, wanted, encoder)
+    except ValueError as error:
+        raise MotionkitError(f"{chosen.name} cannot complete it: {error}") from None
+    lost = int((~clip.seen).sum())
+    if lost:
+        warnings.append(f"{lost:,} frames hold nan and were made like any gap")
+    return made, name, warnings
+
+
+def _encoded(clip: Clip, wanted: ClipRequest, encoder: MotionEncoder) -> Completion:
+    observation, known = clip.observe(wanted.observed), np.flatnonzero(wanted.observed)
+    reach = {"before_seconds": wanted.before_seconds, "after_seconds": wanted.after_seconds}
+    if clip.uneven_seconds is None:
+        return begin_observed(observation, known, clip.timegrid, encoder, wanted.fps, **reach)
+    span = (float(clip.uneven_seconds[0]), float(clip.uneven_seconds[-1]))
+    return begin_uneven(observation, known, span, encoder, wanted.fps, **reach)
+
+
+def _warnings(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> list[str]:
+    found = []
+    gap, longest = wanted.longest_gap_seconds, chosen.longest_gap_seconds
+    if longest is not None and gap > longest + 1e-6:
+        found.append(f"a gap of {gap:.2f} s is longer than the {longest:.2f} s that {chosen.name} has learnt to close")
+    reach = max(wanted.before_seconds, wanted.after_seconds)
+    if chosen.goes_on and reach > LONGEST_PLAUSIBLE_SECONDS:
+        found.append(
+            f"{chosen.name} goes on at constant velocity for {reach:g} s; beyond {LONGEST_PLAUSIBLE_SECONDS:g} s that "
+            "is no body's motion (--model spline comes to rest)"
+        )
+    trained = chosen.reach_seconds
+    if trained is not None and reach > trained + 1e-6:
+        found.append(f"{reach:g} s beyond an end is farther than the {trained:.2f} s that {chosen.name} has learnt")
+    if int(wanted.observed.sum()) == 1:
+        found.append("one frame is known, so the body stands still in it")
+    return found
+
+
+class OutputPath:
+    """Names the file of each clip and sees to it that no two have the same one; owns the names given so far."""
+
+    def __init__(self, out: Path | None, num_clips: int, folders: Sequence[Path]) -> None:
+        self._out = out
+        self._single = num_clips == 1 and not folders
+        self._folders = folders
+        self._taken: dict[Path, str] = {}
+
+    def __call__(self, source: ClipSource, suffix: str, fps: str) -> Path:
+        """The file of a clip: `--out`, or in `--out`, or beside it with `.completed` before the suffix.
+
+        Raises `LinkError` where that would lie behind a link in a named folder.
+        """
+        path = self._path(source, suffix, fps)
+        other = self._taken.setdefault(path.absolute(), source.name)
+        if other != source.name:
+            raise MotionkitError(f"its result would be {path}, as that of {other}: complete them one by one with --out")
+        return path
+
+    def _path(self, source: ClipSource, suffix: str, fps: str) -> Path:
+        stem = source.beside.name
+        named = next((folder for folder in self._folders if source.beside.is_relative_to(folder)), None)
+        if self._out is None:
+            # A motions.json beside arrays says their framerate, all of them: new ones need a folder of their own.
+            beside = source.beside.parent
+            folder = beside / folder_of_made(fps) if suffix == ".npy" else beside
+            for each in (folder, *folder.parents):
+                if each == (named or beside):
+                    break
+                require_no_link(each, "name a folder with --out")
+            return folder / (f"{stem}.npy" if suffix == ".npy" else f"{stem}.completed{suffix}")
+        if self._single and self._out.suffix.lower() == suffix and not self._out.is_dir():
+            return self._out
+        if self._single and self._out.suffix.lower() in CLIP_SUFFIXES and not self._out.is_dir():
+            raise MotionkitError(f"its result is a {suffix} file, not {self._out}: --format says another form")
+        return self._out / (source.beside.relative_to(named).parent if named else "") / f"{stem}{suffix}"

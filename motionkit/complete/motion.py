@@ -1,0 +1,107 @@
+"""One motion completed, in Python: what `motionkit complete` does with each clip, without files."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from motionkit.complete.clips import Clip, clip_of_motion, completed_line, find_clips
+from motionkit.complete.encoders import choose_encoder
+from motionkit.complete.job import begin_clip
+from motionkit.complete.request import CompletionRequest, FrameRange, Reach, parse_extend, parse_keep
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.settings import default_path
+from motionkit.core.timegrid import Framerate, parse_fps
+from motionkit.fields.interpolation.rigid import on_bones
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.store.named_motions.reading import check_exists
+
+Kept = str | Sequence[tuple[int, int | None]] | Bool[np.ndarray, "frames"]
+Seconds = int | float
+Extension = str | Seconds | tuple[Seconds, Seconds]
+
+
+def complete(
+    motion: Motion | str | Path,
+    *,
+    fps: Framerate | None = None,
+    keep: Kept | None = None,
+    extend: Extension | None = None,
+    model: str | None = None,
+    run: str | Path | None = None,
+) -> Motion:
+    """A motion with more frames, its gaps closed, its ends continued; given frames and bones stay as they are.
+
+    - `motion`: a motion, or a file; frames of a file that hold nan are made like any gap
+    - `fps`: the new framerate, not below its own (`resample` filters it down)
+    - `keep`: the frames to keep, all others are made anew: `[(0, 10), (40, None)]`, half-open and counted from 0, or
+      "0:10,40:", or a mask of one bool for each frame
+    - `extend`: seconds to add after it; or a pair, before and after; or "0,15f" in frames
+    - `model`: an interpolator (`spline`, `slerp`, `hold` …) or the name of a trained encoder; by default the
+      preferred encoder (PA-HiRes) if ./runs holds a trained one, else `spline`
+    - `run`: the run of a trained encoder, by default the one trained last
+
+    Warns where more is asked of a trained encoder than it has learnt. Raises `MotionkitError` for what cannot be had of
+    this motion, `UsageError` for a request that makes no sense.
+
+    >>> motion = mk.read("walk.bvh")
+    >>> mk.complete(motion, fps=120, model="spline").num_frames
+    479
+    >>> mk.complete(motion, keep=[(0, 30), (60, None)], extend=0.5, model="slerp").duration_seconds
+    4.5
+    """
+    clip = clip_of_motion(motion) if isinstance(motion, Motion) else _clip_of_file(Path(motion))
+    before, after = _reaches(extend)
+    request = CompletionRequest(
+        fps=None if fps is None else parse_fps(fps),
+        keep=_ranges(keep, clip.timegrid.num_frames),
+        before=before,
+        after=after,
+    )
+    wanted = request.for_clip(clip.timegrid, clip.seen, clip.uneven_seconds)
+    chosen = choose_encoder(model, None if run is None else str(run), default_path("runs"))
+    completion, _, remarks = begin_clip(clip, wanted, chosen)
+    for remark in remarks:
+        warnings.warn(remark, stacklevel=2)
+    if completion.observation.rows(slice(0, 1)).poses.local_rotations is not None:
+        completion = replace(completion, field=on_bones(completion.field, completion.observation))
+    made = completion.motion(0, completion.grid.num_frames)
+    return clip.label(made).logged(completed_line(completion, clip.timegrid))
+
+
+def _clip_of_file(path: Path) -> Clip:
+    check_exists(path)
+    found, problems = find_clips([str(path)], ReadOptions(), path)
+    if not found:
+        raise problems[0]
+    if len(found) > 1:
+        raise UsageError(f"{path} holds {len(found):,} motions: complete them one by one, read_all(path) gives them")
+    return found[0].read()
+
+
+def _ranges(keep: Kept | None, num_frames: int) -> tuple[FrameRange, ...]:
+    if keep is None:
+        return ()
+    if isinstance(keep, str):
+        return parse_keep(keep)
+    if isinstance(keep, np.ndarray):
+        if len(keep) != num_frames:
+            raise UsageError(f"keep is a mask of {len(keep):,} frames, the motion has {num_frames:,}")
+        bounds = np.flatnonzero(np.diff(keep, prepend=False, append=False)).reshape(-1, 2)
+        keep = [(first, stop) for first, stop in bounds.tolist()]
+    if not len(keep):
+        raise UsageError("keep holds no frame: at least one has to be given")
+    return parse_keep(",".join(f"{start}:{'' if stop is None else stop}" for start, stop in keep))
+
+
+def _reaches(extend: Extension | None) -> tuple[Reach, Reach]:
+    if extend is None:
+        return Reach(0.0), Reach(0.0)
+    if isinstance(extend, str):
+        return parse_extend(extend)
+    before, after = extend if isinstance(extend, tuple) else (0.0, extend)
+    return parse_extend(f"{before},{after}")

@@ -1,0 +1,221 @@
+"""Motion: joint positions with their clock, skeleton, captions and history.
+
+Right-handed, y up, metres, float32; quaternions are (w, x, y, z). Nothing here resamples.
+"""
+
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from motionkit.core.public_names import provided
+from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.core.timegrid import SAME_SECONDS, Framerate, TimeGrid, parse_fps
+
+
+@dataclass(frozen=True)
+class Caption:
+    """A sentence about [start_seconds, end_seconds) of a motion's clock; `end_seconds` None means to the end.
+
+    `tokens` is HumanML3D's `word/POS word/POS …` line where the source has one, else empty.
+
+    >>> mk.Caption("a person waves", 1.5, 3.0).end_seconds
+    3.0
+    """
+
+    text: str
+    start_seconds: float = 0.0
+    end_seconds: float | None = None
+    tokens: str = ""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a motion comes from and what was done to it.
+
+    `stated_fps` is what the file says, verbatim (empty where it says nothing); `operations` is the log, oldest first.
+    """
+
+    source: str = ""
+    subset: str = ""
+    source_path: str = ""
+    source_sha256: str = ""
+    source_format: str = ""
+    licence: str = ""
+    subject: str = ""
+    stated_fps: str = ""
+    operations: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One sequence of poses that never travels without its clock.
+
+    `joint_positions` [T, J, 3] metres float32; `local_rotations` [T, J, 4] unit quaternions relative to the parent, and
+    `root_translation` [T, 3] metres, where the source has true ones. Raises `ValueError` where shapes disagree with the
+    time grid or the skeleton. In a notebook a motion shows its moving skeleton.
+
+    >>> motion = mk.read("walk.bvh")
+    >>> motion.fps, motion.num_frames, motion.duration_seconds
+    (Fraction(60, 1), 240, 4.0)
+    >>> motion.joint_positions.shape
+    (240, 22, 3)
+    """
+
+    joint_positions: Float32[np.ndarray, "frames joints 3"]
+    skeleton: Skeleton
+    timegrid: TimeGrid
+    local_rotations: Float32[np.ndarray, "frames joints 4"] | None = None
+    root_translation: Float32[np.ndarray, "frames 3"] | None = None
+    captions: tuple[Caption, ...] = ()
+    action: str = ""
+    style: str = ""
+    split: str = ""
+    sequence_id: str = ""
+    provenance: Provenance = field(default_factory=Provenance)
+
+    def __post_init__(self) -> None:
+        expected = (self.timegrid.num_frames, self.skeleton.num_joints)
+        if self.joint_positions.shape[:2] != expected:
+            raise ValueError(
+                f"joint_positions are {self.joint_positions.shape}, but the time grid and the skeleton say {expected}"
+            )
+        if self.local_rotations is not None and self.local_rotations.shape[:2] != expected:
+            raise ValueError(f"local_rotations are {self.local_rotations.shape}, expected {(*expected, 4)}")
+        if self.root_translation is not None and self.root_translation.shape[0] != expected[0]:
+            raise ValueError(f"root_translation is {self.root_translation.shape}, expected {(expected[0], 3)}")
+
+    @classmethod
+    def from_joints(
+        cls, joint_positions: Float[np.ndarray, "frames joints 3"], fps: Framerate, skeleton: Skeleton | None = None
+    ) -> "Motion":
+        """A motion of bare joint positions [T, J, 3] in metres, y up; frame 0 is at 0 s.
+
+        22 joints are SMPL's (HumanML3D's) and 21 are KIT-ML's unless a skeleton is given. Raises `ValueError` for any
+        other number of joints without a skeleton, and for a framerate that is none.
+
+        >>> mk.Motion.from_joints(np.zeros((100, 22, 3)), fps=59.94)
+        Motion('', 100 frames at 60000/1001 fps = 1.67 s, smpl22 (22 joints), positions only, 0 captions)
+        """
+        num_frames, num_joints, _ = joint_positions.shape
+        if skeleton is None:
+            skeleton = next((each for each in STANDARD_SKELETONS.values() if each.num_joints == num_joints), None)
+        if skeleton is None:
+            raise ValueError(f"{num_joints} joints, expected 22 (SMPL's) or 21 (KIT-ML's): else give their skeleton")
+        return cls(joint_positions.astype(np.float32), skeleton, TimeGrid(parse_fps(fps), num_frames))
+
+    @property
+    def fps(self) -> Fraction:
+        """Framerate, exact."""
+        return self.timegrid.fps
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames T."""
+        return self.timegrid.num_frames
+
+    @property
+    def duration_seconds(self) -> float:
+        """num_frames / fps."""
+        return self.timegrid.duration_seconds
+
+    def frames(self, start: int, stop: int) -> "Motion":
+        """Frames [start, stop) with their own time stamps; captions are kept as they are."""
+        if not 0 <= start < stop <= self.num_frames:
+            raise ValueError(f"frames [{start}, {stop}) do not lie inside the motion's {self.num_frames}")
+        grid = TimeGrid(self.fps, stop - start, self.timegrid.start_seconds + float(start / self.fps))
+        return replace(
+            self,
+            joint_positions=self.joint_positions[start:stop],
+            timegrid=grid,
+            local_rotations=None if self.local_rotations is None else self.local_rotations[start:stop],
+            root_translation=None if self.root_translation is None else self.root_translation[start:stop],
+        )
+
+    def __getitem__(self, seconds: slice) -> "Motion":
+        """The frames of [start, stop) in seconds of the motion's clock, which goes on: a part begins at its own time.
+
+        Captions are cut to the part, those of other parts left out. Raises `ValueError` for seconds that hold no frame,
+        `TypeError` for anything but `motion[start:stop]`; `frames` takes numbers of frames.
+
+        >>> part = mk.read("walk.bvh")[1.5:2.0]
+        >>> part.num_frames, part.timegrid.start_seconds
+        (30, 1.5)
+        """
+        if not isinstance(seconds, slice) or seconds.step is not None:
+            raise TypeError("a motion is cut by seconds, motion[1.5:2.0]; motion.frames(90, 120) cuts by frames")
+        begin = -np.inf if seconds.start is None else float(seconds.start)
+        end = np.inf if seconds.stop is None else float(seconds.stop)
+        times = self.timegrid.seconds()
+        start, stop = np.searchsorted(times, (begin - SAME_SECONDS, end - SAME_SECONDS)).tolist()
+        if start >= stop:
+            raise ValueError(
+                f"no frame lies in [{begin:g}, {end:g}) s: the motion's are at {times[0]:g} to {times[-1]:.6g} s"
+            )
+        part = self.frames(start, stop)
+        return replace(part, captions=_cut(self.captions, part.timegrid))
+
+    def resample(self, fps: Framerate) -> "Motion":
+        """The motion at any framerate, as `motionkit.fields.resample` makes it.
+
+        >>> mk.read("walk.bvh").resample(23.976).fps
+        Fraction(24000, 1001)
+        """
+        made: Motion = provided("resample")(self, fps)
+        return made
+
+    def save(self, path: str | Path) -> None:
+        """Write the motion to a file whose suffix says its format, as `motionkit.write` does.
+
+        >>> mk.read("walk.bvh").save("walk.glb")
+        """
+        provided("save")(self, path)
+
+    def _repr_html_(self) -> str:
+        """The moving skeleton, for notebooks."""
+        page: str = provided("notebook_view")(self)
+        return page
+
+    def annotated_like(self, source: "Motion") -> "Motion":
+        """The same frames with the captions, labels, id and provenance of the motion they were made of."""
+        return replace(
+            self,
+            captions=source.captions,
+            action=source.action,
+            style=source.style,
+            split=source.split,
+            sequence_id=source.sequence_id,
+            provenance=source.provenance,
+        )
+
+    def logged(self, operation: str) -> "Motion":
+        """The same motion with one more line in its operation log."""
+        provenance = replace(self.provenance, operations=(*self.provenance.operations, operation))
+        return replace(self, provenance=provenance)
+
+    def __repr__(self) -> str:
+        rotations = "rotations" if self.local_rotations is not None else "positions only"
+        return (
+            f"Motion({self.sequence_id!r}, {self.num_frames} frames at {self.fps} fps = {self.duration_seconds:.2f} s, "
+            f"{self.skeleton.name} ({self.skeleton.num_joints} joints), {rotations}, {len(self.captions)} captions)"
+        )
+
+
+def _cut(captions: tuple[Caption, ...], grid: TimeGrid) -> tuple[Caption, ...]:
+    """The captions of what a time grid covers, with the seconds in which they are about it.
+
+    One that is about all of it stays as it is.
+    """
+    begin, end = grid.start_seconds, grid.start_seconds + grid.duration_seconds
+    kept = []
+    for caption in captions:
+        first, last = caption.start_seconds, caption.end_seconds
+        if first >= end - SAME_SECONDS or (last is not None and last <= begin + SAME_SECONDS):
+            continue
+        if (first, last) != (0.0, None):
+            last = None if last is None or last >= end - SAME_SECONDS else last
+            caption = replace(caption, start_seconds=max(first, begin), end_seconds=last)
+        kept.append(caption)
+    return tuple(kept)

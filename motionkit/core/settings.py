@@ -1,0 +1,43 @@
+"""Where things lie by default: command-line option, then environment variable, then motionkit.toml, then ./name."""
+
+import os
+from pathlib import Path
+
+from motionkit.core.errors import UsageError
+from motionkit.core.plain_text import parse_toml, shown
+
+KEYS = ("store", "runs", "results")
+OPTIONAL_KEYS = ("body_models", "cache")
+
+
+def default_path(key: str) -> Path:
+    """Default path of `store`, `runs` or `results`, seen from the current folder.
+
+    Raises `UsageError` for a motionkit.toml that is not TOML, or says something else than a path.
+    """
+    if key not in KEYS:
+        raise KeyError(key)
+    return _stated_path(key) or Path(key)
+
+
+def optional_path(key: str) -> Path | None:
+    """Path of `body_models` or `cache` where the environment or motionkit.toml states one; raises as `default_path`."""
+    if key not in OPTIONAL_KEYS:
+        raise KeyError(key)
+    return _stated_path(key)
+
+
+def _stated_path(key: str) -> Path | None:
+    from_environment = os.environ.get(f"MOTIONKIT_{key.upper()}")
+    if from_environment:
+        return Path(from_environment)
+    config = Path("motionkit.toml")
+    if not config.is_file():
+        return None
+    try:
+        value = parse_toml(config.read_text(encoding="utf-8")).get(key)
+    except ValueError as error:
+        raise UsageError(f"{config}: {error}") from None
+    if value is not None and (not isinstance(value, str) or "\0" in value):
+        raise UsageError(f"{config}: {key} must be a path in quotes, not {shown(value)}")
+    return None if value is None else Path(value)

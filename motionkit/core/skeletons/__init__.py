@@ -1,0 +1,1 @@
+"""Tables that say how each family of skeletons maps to the standard layouts (data; see `mapping`)."""

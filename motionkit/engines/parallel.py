@@ -1,0 +1,105 @@
+"""A map over many inputs by workers: results in order, and the input that a worker dies of is named."""
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+
+from motionkit.core.errors import MotionkitError
+
+Input = TypeVar("Input")
+Output = TypeVar("Output")
+
+BATCHES_IN_FLIGHT_PER_WORKER = 3
+# So many workers in a row that end before one has done anything: it is not the inputs that they die of.
+DEATHS_AT_START = 3
+
+
+class WorkerDied(Exception):
+    """A worker ended without a word: killed, out of memory, or crashed in a library."""
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """Workers that compute batches; a context manager that starts and ends them.
+
+    `submit` hands a batch over without waiting, `result` waits for it and raises `WorkerDied` where its worker ended; a
+    batch may be submitted again after that.
+    """
+
+    num_workers: int
+
+    def __enter__(self) -> "Engine": ...
+
+    def __exit__(self, *exception: object) -> None: ...
+
+    def submit(self, function: Callable[[Sequence[Any]], Any], batch: Sequence[Any]) -> object:
+        """Start computing a batch; the ticket is what `result` takes."""
+        ...
+
+    def result(self, ticket: Any) -> Any:
+        """What the function returned for a batch; raises what it raised."""
+        ...
+
+
+def map_in_order(
+    engine: Engine, function: Callable[[Sequence[Input]], Output], batches: Iterable[Sequence[Input]]
+) -> Generator[tuple[Sequence[Input], Output | WorkerDied]]:
+    """Pairs (batch, output) in the order of the batches.
+
+    At most three batches per worker are in flight. A batch whose worker ended is computed again while nothing else is;
+    where that ends a worker too, its halves are, and so on: an input that ends its worker alone has `WorkerDied` for
+    its output. Raises `MotionkitError` where workers end before any of them has done anything.
+    """
+    yield from _Map(engine, function).run(batches)
+
+
+class _Map(Generic[Input, Output]):
+    """Owns the batches in flight, oldest first."""
+
+    def __init__(self, engine: Engine, function: Callable[[Sequence[Input]], Output]) -> None:
+        self._engine = engine
+        self._function = function
+        self._in_flight: deque[tuple[Sequence[Input], object]] = deque()
+        self._deaths_at_start: int | None = 0
+
+    def run(self, batches: Iterable[Sequence[Input]]) -> Iterator[tuple[Sequence[Input], Output | WorkerDied]]:
+        """Keep the engine's workers busy and hand out what they computed, in order."""
+        for batch in batches:
+            self._in_flight.append((batch, self._engine.submit(self._function, batch)))
+            if len(self._in_flight) >= self._engine.num_workers * BATCHES_IN_FLIGHT_PER_WORKER:
+                yield from self._oldest()
+        while self._in_flight:
+            yield from self._oldest()
+
+    def _oldest(self) -> Iterator[tuple[Sequence[Input], Output | WorkerDied]]:
+        batch, ticket = self._in_flight.popleft()
+        try:
+            output = self._engine.result(ticket)
+        except WorkerDied:
+            yield from self._again(batch)
+            # Others may have gone with it, and nothing new may run beside an input that is under suspicion.
+            while self._in_flight:
+                yield from self._oldest()
+            return
+        self._deaths_at_start = None
+        yield batch, output
+
+    def _again(self, batch: Sequence[Input]) -> Iterator[tuple[Sequence[Input], Output | WorkerDied]]:
+        try:
+            output = self._engine.result(self._engine.submit(self._function, batch))
+        except WorkerDied as died:
+            if len(batch) > 1:
+                for half in (batch[: len(batch) // 2], batch[len(batch) // 2 :]):
+                    yield from self._again(half)
+                return
+            if self._deaths_at_start is not None:
+                self._deaths_at_start += 1
+                if self._deaths_at_start == DEATHS_AT_START:
+                    raise MotionkitError(
+                        f"{DEATHS_AT_START} workers ended before they had done anything (the last one at {batch[0]}): "
+                        "killed, or out of memory? --workers 1 shows where"
+                    ) from None
+            yield batch, died
+            return
+        self._deaths_at_start = None
+        yield batch, output

@@ -1,0 +1,1 @@
+"""The parts of the page; `motionkit.export.player.page` puts them into one file."""

@@ -1,0 +1,164 @@
+"""Fields that miss the observed frames, led through them: given frames must not move, and must not jump either."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+
+from motionkit.core.blocks import Blocks
+from motionkit.core.kinematics import (
+    quaternion_conjugate,
+    quaternion_multiply,
+    quaternion_to_rotation_vector,
+    rotation_vector_to_quaternion,
+)
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.motion_field import (
+    MotionEncoder,
+    MotionField,
+    Observation,
+    Observed,
+    Poses,
+    check_skeleton,
+    check_times,
+    told_fps,
+)
+
+_NEIGHBOURS = 3
+_FRAMES_AT_ONCE = 1024
+_BLOCKS_KEPT = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Anchored:
+    """A `MotionEncoder` whose fields pass through every observed frame: another encoder's, corrected.
+
+    What a field is off by at the observed times is spread between them by a monotone cubic (PCHIP: continuous velocity,
+    no overshoot in a gap), stays as it is beyond both ends, and is taken away: from rotations (as rotation vectors),
+    bones and root where field and observation both have rotations, else from joint positions.
+    """
+
+    encoder: MotionEncoder
+
+    @property
+    def name(self) -> str:
+        """The encoder's name, and that it is anchored."""
+        return f"{self.encoder.name}, anchored"
+
+    def encode(
+        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> "AnchoredField":
+        """The encoder's field through the observed frames; raises what the encoder raises."""
+        field = self.encoder.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds)
+        return anchored(field, observation)
+
+
+@dataclass(frozen=True, eq=False)
+class AnchoredField:
+    """A field and what is added to it: offsets at the observed times, found where a query comes near them."""
+
+    field: MotionField
+    observation: Observed
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The field's."""
+        return self.field.skeleton
+
+    @property
+    def start_seconds(self) -> float:
+        """The field's."""
+        return self.field.start_seconds
+
+    @property
+    def end_seconds(self) -> float:
+        """The field's."""
+        return self.field.end_seconds
+
+    def at_fps(self, fps: Fraction) -> "AnchoredField":
+        """The field for this framerate, anchored anew."""
+        return anchored(told_fps(self.field, fps), self.observation)
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        poses = self.field.query(times_seconds)
+        if not len(times_seconds):
+            return poses
+        offsets = self._offsets_at(times_seconds)
+        on_rotations = poses.local_rotations is not None and self._rotations_are_observed
+        return _with_offsets(poses, offsets, self.skeleton) if on_rotations else _with_moves(poses, offsets)
+
+    @cached_property
+    def _rotations_are_observed(self) -> bool:
+        return self.observation.rows(slice(0, 1)).poses.local_rotations is not None
+
+    def _offsets_at(self, times: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times numbers"]:
+        from scipy.interpolate import PchipInterpolator
+
+        # Slopes are those of neighbours, so a few frames on both sides are all that is felt of a long motion.
+        observed = self.observation.times_seconds
+        first = max(0, int(np.searchsorted(observed, times.min())) - _NEIGHBOURS)
+        last = min(len(observed), int(np.searchsorted(observed, times.max())) + _NEIGHBOURS)
+        first, last = min(first, len(observed) - 1), max(last, 1)
+        near, offsets = observed[first:last], self._offsets(first, last)
+        # The end offsets again beyond the ends: there the slope becomes zero, so velocity stays continuous.
+        knots = np.concatenate(([near[0] - 1.0], near, [near[-1] + 1.0]))
+        curve = PchipInterpolator(knots, np.concatenate((offsets[:1], offsets, offsets[-1:])))
+        return np.asarray(curve(np.clip(times, knots[0], knots[-1])))
+
+    def _offsets(self, first: int, last: int) -> Float64[np.ndarray, "frames numbers"]:
+        found = []
+        for number in range(first // _FRAMES_AT_ONCE, (last - 1) // _FRAMES_AT_ONCE + 1):
+            start = number * _FRAMES_AT_ONCE
+            found.append(self._blocks[number][max(first - start, 0) : last - start])
+        return np.concatenate(found)
+
+    @cached_property
+    def _blocks(self) -> Blocks[Float64[np.ndarray, "frames numbers"]]:
+        def missed(number: int) -> Float64[np.ndarray, "frames numbers"]:
+            start = number * _FRAMES_AT_ONCE
+            some = self.observation.rows(slice(start, start + _FRAMES_AT_ONCE))
+            made = self.field.query(some.times_seconds)
+            on_rotations = made.local_rotations is not None and self._rotations_are_observed
+            return _missed(made, some, self.skeleton) if on_rotations else _missed_positions(made, some)
+
+        return Blocks(missed, _BLOCKS_KEPT)
+
+
+def anchored(field: MotionField, observation: Observed) -> AnchoredField:
+    """A field led through observed frames; raises `ValueError` for those outside its domain and for other joints."""
+    check_skeleton(field, observation)
+    check_times(field, observation.times_seconds)
+    return AnchoredField(field, observation)
+
+
+def _missed_positions(made: Poses, given: Observation) -> Float64[np.ndarray, "frames numbers"]:
+    moves = given.poses.joint_positions.astype(np.float64) - made.joint_positions
+    return np.asarray(moves.reshape(len(moves), -1))
+
+
+def _missed(made: Poses, given: Observation, skeleton: Skeleton) -> Float64[np.ndarray, "frames numbers"]:
+    mine, theirs = Joints.of(made, skeleton), Joints.of(given.poses, skeleton)
+    turns = quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(mine.rotations), theirs.rotations))
+    parts = (turns, theirs.bones - mine.bones, (theirs.root - mine.root)[:, None])
+    return np.concatenate(parts, axis=1).reshape(len(turns), -1)
+
+
+def _with_moves(poses: Poses, offsets: Float64[np.ndarray, "times numbers"]) -> Poses:
+    positions = poses.joint_positions + offsets.reshape(poses.joint_positions.shape)
+    return Poses(positions.astype(np.float32))
+
+
+def _with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times numbers"], skeleton: Skeleton) -> Poses:
+    count = skeleton.num_joints
+    turns, bones, root = np.split(offsets.reshape(len(offsets), 2 * count + 1, 3), (count, 2 * count), axis=1)
+    joints = Joints.of(poses, skeleton)
+    rotations = quaternion_multiply(joints.rotations, rotation_vector_to_quaternion(turns))
+    moved = Joints(rotations, joints.bones + bones, joints.root + root[:, 0])
+    translation = poses.root_translation
+    if translation is not None:
+        translation = (translation + root[:, 0]).astype(np.float32)
+    return Poses(moved.positions(skeleton), rotations.astype(np.float32), translation)

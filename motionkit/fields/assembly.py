@@ -1,0 +1,240 @@
+"""Long motions from overlapping fields, without a seam: each piece is placed, neighbours cross-fade.
+
+NeRM's appendix B.3 assembles long motions from clips so that memory stays bounded. Its clips touch; here neighbours
+overlap, because two fields that only touch agree neither in place nor in velocity. Pieces are read only where a query
+needs them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, quaternion_slerp
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.motion_field import MotionField, Poses, check_times, told_fps
+
+SHORTEST_OVERLAP_SECONDS = 1e-3
+_TIMES_TO_FIT = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A field within a longer motion: when it starts there, and where its own frame lies in the world.
+
+    `yaw` turns its poses about +Y (radians, Z+ towards X+), `origin` (x, z in metres) then moves them; both are those
+    of `motionkit.clips.windows.Windows`.
+    """
+
+    field: MotionField
+    start_seconds: float
+    yaw: float = 0.0
+    origin: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def end_seconds(self) -> float:
+        """When it ends in the longer motion."""
+        return self.start_seconds + self.field.end_seconds - self.field.start_seconds
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses in the world at times of the longer motion."""
+        own = times_seconds - self.start_seconds + self.field.start_seconds
+        poses = self.field.query(np.clip(own, self.field.start_seconds, self.field.end_seconds))
+        if self.yaw == 0.0 and self.origin == (0.0, 0.0):
+            return poses
+        turn = np.array([np.cos(self.yaw / 2), 0.0, np.sin(self.yaw / 2), 0.0])
+        moved = np.array([self.origin[0], 0.0, self.origin[1]])
+        positions = (quaternion_rotate(turn, poses.joint_positions.astype(np.float64)) + moved).astype(np.float32)
+        rotations, translation = poses.local_rotations, poses.root_translation
+        if rotations is not None:
+            rotations = rotations.copy()
+            rotations[:, 0] = quaternion_multiply(turn, rotations[:, 0].astype(np.float64))
+        if translation is not None:
+            # The root's rest offset, which lies between the two, is the world's and does not turn.
+            translation = positions[:, 0] - (poses.joint_positions[:, 0] - translation)
+        return Poses(positions, rotations, translation)
+
+
+@dataclass(frozen=True, eq=False)
+class AssembledField:
+    """A `MotionField` made of pieces; between `fade_start[k]` and `fade_end[k]` piece k gives way to piece k + 1.
+
+    The weight of the next piece is 6u⁵ − 15u⁴ + 10u³ of the fade's fraction u, which begins and ends with no slope and
+    no curvature: where the pieces have continuous velocity (acceleration), so has the whole. Poses with rotations mix
+    these on great arcs (joints that differ by less than half a turn) and their bones and roots linearly, others mix
+    joint positions linearly.
+    """
+
+    pieces: tuple[Piece, ...]
+    fade_start: Float64[np.ndarray, "joins"]
+    fade_end: Float64[np.ndarray, "joins"]
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """That of all pieces."""
+        return self.pieces[0].field.skeleton
+
+    @property
+    def start_seconds(self) -> float:
+        """Start of the first piece."""
+        return self.pieces[0].start_seconds
+
+    @property
+    def end_seconds(self) -> float:
+        """End of the last piece."""
+        return self.pieces[-1].end_seconds
+
+    def at_fps(self, fps: Fraction) -> "AssembledField":
+        """The same motion, all pieces told that they are sampled at this framerate."""
+        return replace(self, pieces=tuple(replace(piece, field=told_fps(piece.field, fps)) for piece in self.pieces))
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it.
+
+        A piece is asked once, for its own times only.
+        """
+        check_times(self, times_seconds)
+        first = np.searchsorted(self.fade_end, times_seconds, side="right")
+        starts = np.append(self.fade_start, np.inf)[first]
+        fading = times_seconds > starts
+        result: Poses | None = None
+        for number in np.union1d(first, first[fading] + 1).tolist() or [0]:
+            alone, joining = first == number, fading & (first == number - 1)
+            asked = np.flatnonzero(alone | joining)
+            poses = self.pieces[number].query(times_seconds[asked])
+            if result is None:
+                result = poses.room_for(len(times_seconds))
+            elif not poses.is_like(result):
+                raise ValueError(
+                    f"piece {number} gives {poses!r}, those before it {result!r}: all pieces or none "
+                    "have rotations, all or none a root translation"
+                )
+            joins = joining[asked]
+            if joins.any():
+                rows = asked[joins]
+                span = self.fade_end[number - 1] - self.fade_start[number - 1]
+                u = (times_seconds[rows] - self.fade_start[number - 1]) / span
+                weight = u**3 * (u * (6.0 * u - 15.0) + 10.0)
+                result.put(rows, _mixed(result.rows(rows), poses.rows(joins), weight, self.skeleton))
+            result.put(asked[~joins], poses.rows(~joins))
+        assert result is not None
+        return result
+
+
+def assemble(pieces: Sequence[Piece], fade_seconds: float | None = None) -> AssembledField:
+    """One field from pieces in order of time, each overlapping the next.
+
+    A fade lies in the middle of its overlap and takes all of it, or `fade_seconds`; where more than two pieces overlap
+    it is shortened until fades do not meet. Raises `ValueError` for no piece, unequal skeletons, pieces out of order,
+    neighbours that overlap by less than a millisecond, or a fade that takes no time.
+    """
+    if not pieces:
+        raise ValueError("there is nothing to assemble: give one piece at least")
+    if fade_seconds is not None and not fade_seconds > 0:
+        raise ValueError(f"a fade must take some time, not {fade_seconds:g} s")
+    starts = np.array([piece.start_seconds for piece in pieces])
+    ends = np.array([piece.end_seconds for piece in pieces])
+    for number, (before, after) in enumerate(pairwise(pieces)):
+        names = f"pieces {number} ([{before.start_seconds:.3f}, {before.end_seconds:.3f}] s) and {number + 1} "
+        names += f"([{after.start_seconds:.3f}, {after.end_seconds:.3f}] s)"
+        _check_skeletons(before.field, after.field, names)
+        if not (after.start_seconds > before.start_seconds and after.end_seconds > before.end_seconds):
+            raise ValueError(f"{names} are out of order: each must start and end after the one before it")
+        if before.end_seconds - after.start_seconds < SHORTEST_OVERLAP_SECONDS:
+            raise ValueError(f"{names} must overlap by {SHORTEST_OVERLAP_SECONDS:g} s or more, for the cross-fade")
+    centre = (starts[1:] + ends[:-1]) / 2
+    half = (ends[:-1] - starts[1:]) / 2
+    if fade_seconds is not None:
+        half = np.minimum(half, fade_seconds / 2)
+    room = np.diff(centre) / 2
+    half[1:] = np.minimum(half[1:], room)
+    half[:-1] = np.minimum(half[:-1], room)
+    return AssembledField(tuple(pieces), centre - half, centre + half)
+
+
+def chain(fields: Sequence[MotionField], overlap_seconds: float) -> AssembledField:
+    """Separate motions one after the other: each is turned and moved so that it goes on where the last one ends.
+
+    The turn about +Y and the step on the floor are those that best lay its first `overlap_seconds` over the last ones
+    of the motion before it (least squares over all joints); heights are kept. Raises `ValueError` unless every motion
+    lasts longer than the overlap, and what `assemble` raises.
+    """
+    for number, field in enumerate(fields):
+        lasts = field.end_seconds - field.start_seconds
+        if len(fields) > 1 and not SHORTEST_OVERLAP_SECONDS <= overlap_seconds < lasts:
+            raise ValueError(
+                f"an overlap lies between {SHORTEST_OVERLAP_SECONDS:g} s and the length of every motion, not "
+                f"{overlap_seconds:g} s where motion {number} lasts {lasts:g} s"
+            )
+        if number:
+            _check_skeletons(fields[number - 1], field, f"motions {number - 1} and {number}")
+    pieces: list[Piece] = []
+    for field in fields:
+        if not pieces:
+            pieces.append(Piece(field, 0.0))
+            continue
+        last, start = pieces[-1], pieces[-1].end_seconds - overlap_seconds
+        since = np.linspace(0.0, overlap_seconds, _TIMES_TO_FIT)
+        yaw, origin = _laid_over(
+            field.query(field.start_seconds + since).joint_positions,
+            last.query(np.clip(start + since, last.start_seconds, last.end_seconds)).joint_positions,
+        )
+        pieces.append(Piece(field, start, yaw, origin))
+    return assemble(pieces)
+
+
+def even_starts(span_seconds: float, longest_seconds: float, overlap_seconds: float) -> Float64[np.ndarray, "pieces"]:
+    """Evenly spread starts of as few pieces as cover [0, span] with this overlap or more.
+
+    Each piece lasts min(span, longest). Raises `ValueError` unless 0 < overlap < longest.
+    """
+    if not 0 < overlap_seconds < longest_seconds:
+        raise ValueError(
+            f"an overlap lies between 0 and {longest_seconds:g} s (a piece's length), not {overlap_seconds}"
+        )
+    if span_seconds <= longest_seconds:
+        return np.zeros(1)
+    count = int(np.ceil((span_seconds - overlap_seconds) / (longest_seconds - overlap_seconds) - 1e-9))
+    return np.linspace(0.0, span_seconds - longest_seconds, max(2, count))
+
+
+def _check_skeletons(before: MotionField, after: MotionField, names: str) -> None:
+    if before.skeleton != after.skeleton:
+        raise ValueError(f"{names} have different skeletons: {before.skeleton!r} and {after.skeleton!r}")
+
+
+def _laid_over(
+    mine: Float[np.ndarray, "times joints 3"], target: Float[np.ndarray, "times joints 3"]
+) -> tuple[float, tuple[float, float]]:
+    a, b = (positions.reshape(-1, 3)[:, (0, 2)].astype(np.float64) for positions in (mine, target))
+    a_mean, b_mean = a.mean(axis=0), b.mean(axis=0)
+    (ax, az), (bx, bz) = (a - a_mean).T, (b - b_mean).T
+    yaw = float(np.arctan2(np.sum(bx * az - bz * ax), np.sum(bx * ax + bz * az)))
+    sine, cosine = np.sin(yaw), np.cos(yaw)
+    turned = np.array([cosine * a_mean[0] + sine * a_mean[1], cosine * a_mean[1] - sine * a_mean[0]])
+    x, z = b_mean - turned
+    return yaw, (float(x), float(z))
+
+
+def _mixed(a: Poses, b: Poses, weight: Float64[np.ndarray, "times"], skeleton: Skeleton) -> Poses:
+    one = weight[:, None]
+
+    def lerp(
+        first: Float[np.ndarray, "times *rest"], second: Float[np.ndarray, "times *rest"]
+    ) -> Float64[np.ndarray, "times *rest"]:
+        share = weight.reshape(-1, *(1,) * (first.ndim - 1))
+        return np.asarray((1.0 - share) * first + share * second)
+
+    translation = None
+    if a.root_translation is not None and b.root_translation is not None:
+        translation = lerp(a.root_translation, b.root_translation).astype(np.float32)
+    if a.local_rotations is None or b.local_rotations is None:
+        return Poses(lerp(a.joint_positions, b.joint_positions).astype(np.float32), None, translation)
+    first, second = Joints.of(a, skeleton), Joints.of(b, skeleton)
+    rotations = quaternion_slerp(first.rotations, second.rotations, one)
+    joints = Joints(rotations, lerp(first.bones, second.bones), lerp(first.root, second.root))
+    return Poses(joints.positions(skeleton), rotations.astype(np.float32), translation)

@@ -1,0 +1,1 @@
+"""Interpolators: observed frames, at even or uneven times, as motion fields (`interpolators`)."""

@@ -1,0 +1,150 @@
+"""Fields of joint positions as bodies with bones, for files that hold rotations (BVH).
+
+Interpolators on positions move each joint by itself, so bones shorten between frames that turn, and no rotation is
+known. Here the observed rotations are interpolated as well, and each joint is turned from there by the least that
+points its bones the way the positions lie: bones keep their length, twists are those of the observed frames, and an
+observed frame stays what it is.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from motionkit.core.kinematics import (
+    fit_rotation,
+    global_rotations,
+    quaternion_between,
+    quaternion_conjugate,
+    quaternion_multiply,
+    quaternion_rotate,
+)
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Settling
+from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.motion_field import MotionField, Observed, Poses
+
+_FRAMES_TO_SEE = 500
+_RIGID_METRES, _STILL_NUMBERS = 1e-4, 1e-6
+_NO_LENGTH = 1e-6
+# Next to nothing where bones say how a joint turns, and enough where they lie on a line.
+_INERTIA = 1e-4
+
+
+@dataclass(frozen=True)
+class Rig:
+    """How a body hangs together, by what is seen of it.
+
+    `moving` joints change their place in their parent's frame (hips that travel in a reference on the floor), `still`
+    ones never turn in it (or have no channels to).
+    """
+
+    skeleton: Skeleton
+    moving: frozenset[int]
+    still: frozenset[int]
+
+    @classmethod
+    def of(cls, observation: Observed) -> "Rig":
+        """The rig of an observation with rotations, seen in some hundred frames."""
+        poses = observation.rows(slice(None, None, max(1, len(observation) // _FRAMES_TO_SEE))).poses
+        joints = Joints.of(poses, observation.skeleton)
+        spread = np.ptp(joints.bones, axis=0).max(axis=-1)
+        # q and −q are one rotation.
+        turned = 1.0 - np.abs(np.sum(joints.rotations * joints.rotations[:1], axis=-1)).min(axis=0)
+        return cls(
+            observation.skeleton,
+            frozenset(np.flatnonzero(spread > _RIGID_METRES).tolist()),
+            frozenset(np.flatnonzero(turned < _STILL_NUMBERS).tolist()),
+        )
+
+    def carried(self, joint: int) -> tuple[int, ...]:
+        """The joints that lie still in a joint's frame: children, and theirs where a child never turns."""
+        return _carried(self, joint)
+
+
+@lru_cache(maxsize=4096)
+def _carried(rig: Rig, joint: int) -> tuple[int, ...]:
+    found, left = [], [joint]
+    while left:
+        children = [child for child in rig.skeleton.children(left.pop()) if child not in rig.moving]
+        found += children
+        left += [child for child in children if child in rig.still]
+    return tuple(found)
+
+
+def on_bones(field: MotionField, observation: Observed) -> MotionField:
+    """The field itself where it has rotations, else with those that keep the observation's bones; it has to have some.
+
+    Joints that no rigid bone holds stay where the field has them, all others are reached along bones.
+    """
+    if field.query(np.array([field.start_seconds])).local_rotations is not None:
+        return field
+    own = Settling(INTERPOLATORS["slerp"]).encode(
+        observation,
+        before_seconds=max(0.0, observation.start_seconds - field.start_seconds),
+        after_seconds=max(0.0, field.end_seconds - observation.end_seconds),
+    )
+    return OnBones(field, own, Rig.of(observation))
+
+
+@dataclass(frozen=True, eq=False)
+class OnBones:
+    """A `MotionField` of joint positions, carried by the bones of `own`, which has rotations."""
+
+    field: MotionField
+    own: MotionField
+    rig: Rig
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The field's."""
+        return self.field.skeleton
+
+    @property
+    def start_seconds(self) -> float:
+        """The field's."""
+        return self.field.start_seconds
+
+    @property
+    def end_seconds(self) -> float:
+        """The field's."""
+        return self.field.end_seconds
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        wanted = self.field.query(times_seconds).joint_positions
+        poses = self.own.query(np.clip(times_seconds, self.own.start_seconds, self.own.end_seconds))
+        positions, rotations = _pointed(poses, wanted, self.rig)
+        translation = None
+        if poses.root_translation is not None:
+            translation = poses.root_translation + positions[:, 0] - poses.joint_positions[:, 0]
+        return Poses(positions, rotations, translation)
+
+
+def _pointed(
+    poses: Poses, wanted: Float32[np.ndarray, "times joints 3"], rig: Rig
+) -> tuple[Float32[np.ndarray, "times joints 3"], Float32[np.ndarray, "times joints 4"]]:
+    assert poses.local_rotations is not None
+    local, places = poses.local_rotations.astype(np.float64), poses.joint_positions.astype(np.float64)
+    before = global_rotations(local, rig.skeleton)
+    reached, world = wanted.astype(np.float64), before.copy()
+    turns = np.zeros_like(world)  # from the world rotation before to the one now
+    # Parents come before children, so that each bone is aimed from where its joint has come to.
+    for joint, parent in enumerate(rig.skeleton.parents):
+        turn = turns[:, parent] if parent >= 0 else np.tile([1.0, 0.0, 0.0, 0.0], (len(world), 1))
+        if parent >= 0 and joint not in rig.moving:
+            reached[:, joint] = reached[:, parent] + quaternion_rotate(turn, places[:, joint] - places[:, parent])
+        held = [] if joint in rig.still else list(rig.carried(joint))
+        bones = quaternion_rotate(turn[:, None], places[:, held] - places[:, [joint]])
+        long = np.abs(bones).max(axis=(0, 2), initial=0.0) > _NO_LENGTH
+        bones, aims = bones[:, long], (wanted[:, held] - reached[:, [joint]])[:, long]
+        if bones.shape[1] == 1:
+            turn = quaternion_multiply(quaternion_between(bones[:, 0], aims[:, 0]), turn)
+        elif bones.shape[1]:
+            turn = quaternion_multiply(fit_rotation(bones, aims, _INERTIA), turn)
+        turns[:, joint], world[:, joint] = turn, quaternion_multiply(turn, before[:, joint])
+        above = world[:, parent] if parent >= 0 else np.array([1.0, 0.0, 0.0, 0.0])
+        local[:, joint] = quaternion_multiply(quaternion_conjugate(above), world[:, joint])
+    local /= np.linalg.norm(local, axis=-1, keepdims=True)
+    return reached.astype(np.float32), local.astype(np.float32)

@@ -1,0 +1,387 @@
+"""The interface of everything continuous: observed frames → a motion field → poses at any times in any order.
+
+Splines, NeRM's latents and PA-HiRes are `MotionEncoder`s that make `MotionField`s; upsampling, completion, evaluation
+and export are written once against the two.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+
+from motionkit.core.kinematics import continuous_quaternions
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.timegrid import TimeGrid, num_frames_within
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses at some instants: positions in metres, and rotations (w, x, y, z) where the field has true ones.
+
+    Raises `ValueError` for shapes that disagree.
+    """
+
+    joint_positions: Float32[np.ndarray, "times joints 3"]
+    local_rotations: Float32[np.ndarray, "times joints 4"] | None = None
+    root_translation: Float32[np.ndarray, "times 3"] | None = None
+
+    def __post_init__(self) -> None:
+        times, joints = self.joint_positions.shape[:2]
+        if self.local_rotations is not None and self.local_rotations.shape != (times, joints, 4):
+            raise ValueError(f"local_rotations are {self.local_rotations.shape}, expected {(times, joints, 4)}")
+        if self.root_translation is not None and self.root_translation.shape != (times, 3):
+            raise ValueError(f"root_translation is {self.root_translation.shape}, expected {(times, 3)}")
+
+    @classmethod
+    def of(cls, motion: Motion) -> "Poses":
+        """All poses of a motion."""
+        return cls(motion.joint_positions, motion.local_rotations, motion.root_translation)
+
+    def rows(self, rows: np.ndarray | slice) -> "Poses":
+        """Some of the poses, by index, slice or mask."""
+        rotations, translation = self.local_rotations, self.root_translation
+        return Poses(
+            self.joint_positions[rows],
+            None if rotations is None else rotations[rows],
+            None if translation is None else translation[rows],
+        )
+
+    def is_like(self, other: "Poses") -> bool:
+        """Whether both have rotations, or neither has; and so for the root's translation."""
+        return (self.local_rotations is None) == (other.local_rotations is None) and (
+            self.root_translation is None
+        ) == (other.root_translation is None)
+
+    def room_for(self, count: int) -> "Poses":
+        """Poses of the same kind, `count` of them, to be `put` in."""
+        return Poses(
+            np.empty((count, *self.joint_positions.shape[1:]), np.float32),
+            None if self.local_rotations is None else np.empty((count, *self.local_rotations.shape[1:]), np.float32),
+            None if self.root_translation is None else np.empty((count, 3), np.float32),
+        )
+
+    def put(self, rows: np.ndarray | slice, poses: "Poses") -> None:
+        """Write poses of the same kind into some rows of these, in place."""
+        self.joint_positions[rows] = poses.joint_positions
+        if self.local_rotations is not None:
+            self.local_rotations[rows] = poses.local_rotations
+        if self.root_translation is not None:
+            self.root_translation[rows] = poses.root_translation
+
+    def joined(self, others: "Sequence[Poses]") -> "Poses":
+        """These poses and then those of others of the same kind, as a copy."""
+        each = (self, *others)
+        made = self.room_for(sum(len(poses.joint_positions) for poses in each))
+        start = 0
+        for poses in each:
+            stop = start + len(poses.joint_positions)
+            made.put(slice(start, stop), poses)
+            start = stop
+        return made
+
+    def at(self, grid: TimeGrid, skeleton: Skeleton, provenance: Provenance | None = None) -> Motion:
+        """The poses as a motion on a time grid."""
+        return Motion(
+            joint_positions=self.joint_positions,
+            skeleton=skeleton,
+            timegrid=grid,
+            local_rotations=self.local_rotations,
+            root_translation=self.root_translation,
+            provenance=provenance or Provenance(),
+        )
+
+    def __repr__(self) -> str:
+        times, joints = self.joint_positions.shape[:2]
+        has = [name for name in ("local_rotations", "root_translation") if getattr(self, name) is not None]
+        return f"Poses({times} of {joints} joints, {', '.join(has) or 'positions only'})"
+
+
+# Poses made anew of a stretch of an observation; the second is the last pose made before it, None at the beginning.
+RemakePoses = Callable[["Observation", Poses | None], Poses]
+
+
+@runtime_checkable
+class Observed(Protocol):
+    """What is known of a motion: an `Observation`, or a `LongObservation` of one in a file.
+
+    What asks for some `rows` needs no more memory than they do.
+    """
+
+    @property
+    def times_seconds(self) -> Float64[np.ndarray, "frames"]:
+        """When the poses were, ascending."""
+        ...
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """Whose poses they are."""
+        ...
+
+    @property
+    def start_seconds(self) -> float:
+        """Time of the first pose."""
+        ...
+
+    @property
+    def end_seconds(self) -> float:
+        """Time of the last pose."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def rows(self, rows: np.ndarray | slice) -> "Observation":
+        """Some of the poses with their times, by index, slice or mask, in memory."""
+        ...
+
+    def remade(self, remake: RemakePoses, skeleton: Skeleton) -> "Observed":
+        """Other poses at the same times, made of these from the first to the last."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What is known of a motion: poses at strictly increasing times (float64 seconds), evenly spaced or not.
+
+    Raises `ValueError` for no pose, for shapes that disagree, for times that do not increase, and for what is not a
+    finite number.
+    """
+
+    times_seconds: Float64[np.ndarray, "frames"]
+    poses: Poses
+    skeleton: Skeleton
+
+    def __post_init__(self) -> None:
+        expected = (len(self.times_seconds), self.skeleton.num_joints)
+        if self.poses.joint_positions.shape[:2] != expected:
+            raise ValueError(
+                f"poses are {self.poses.joint_positions.shape}, but the times and the skeleton say {expected}"
+            )
+        if not len(self.times_seconds):
+            raise ValueError("nothing is observed: a motion field needs one pose at least")
+        if not np.isfinite(self.times_seconds).all():
+            raise ValueError(f"time {int(np.argmin(np.isfinite(self.times_seconds)))} is not a finite number")
+        late = np.diff(self.times_seconds) <= 0
+        if late.any():
+            row = int(np.argmax(late))
+            before, after = self.times_seconds[row : row + 2]
+            raise ValueError(
+                f"times must increase, but {after:.6f} s (row {row + 1}) follows {before:.6f} s: sort them and keep "
+                "one pose of each instant"
+            )
+        for name in ("joint_positions", "local_rotations", "root_translation"):
+            numbers = getattr(self.poses, name)
+            if numbers is not None and not np.isfinite(numbers).all():
+                row = int(np.argmin(np.isfinite(numbers).reshape(len(self), -1).all(axis=1)))
+                raise ValueError(
+                    f"{name} of pose {row} ({self.times_seconds[row]:.4f} s) hold a number that is not finite: leave "
+                    "poses out that were not seen, a field closes the gap"
+                )
+
+    @classmethod
+    def of(cls, motion: Motion, observed: Bool[np.ndarray, "frames"] | None = None) -> "Observation":
+        """A motion's frames, or those of them that are `observed`.
+
+        Raises `ValueError` for a mask that is not one bool for each frame, and what the constructor raises.
+        """
+        if observed is not None and (observed.dtype != np.bool_ or observed.shape != (motion.num_frames,)):
+            raise ValueError(
+                f"observed is a mask of {motion.num_frames} bools, one for each frame, not {observed.dtype} "
+                f"{observed.shape}"
+            )
+        # All frames are the motion's own arrays, not copies of them.
+        rows = slice(None) if observed is None or observed.all() else np.flatnonzero(observed)
+        return cls(motion.timegrid.seconds()[rows], Poses.of(motion).rows(rows), motion.skeleton)
+
+    def rows(self, rows: np.ndarray | slice) -> "Observation":
+        """Some of the poses with their times, by index, slice or mask."""
+        return Observation(self.times_seconds[rows], self.poses.rows(rows), self.skeleton)
+
+    def remade(self, remake: RemakePoses, skeleton: Skeleton) -> "Observation":
+        """Other poses at the same times, made of these at once."""
+        return Observation(self.times_seconds, remake(self, None), skeleton)
+
+    @property
+    def start_seconds(self) -> float:
+        """Time of the first pose."""
+        return float(self.times_seconds[0])
+
+    @property
+    def end_seconds(self) -> float:
+        """Time of the last pose."""
+        return float(self.times_seconds[-1])
+
+    def __len__(self) -> int:
+        return len(self.times_seconds)
+
+    def __repr__(self) -> str:
+        return f"Observation([{self.start_seconds:.4f}, {self.end_seconds:.4f}] s, {self.poses!r}, {self.skeleton!r})"
+
+
+def continuous_rotations(observation: Observation, before: Poses | None) -> Poses:
+    """The same poses, their rotations, if there are any, as quaternions whose signs do not jump in time.
+
+    It is a `RemakePoses`, for `observation.remade`.
+    """
+    poses = observation.poses
+    if poses.local_rotations is None:
+        return poses
+    if before is None or before.local_rotations is None:
+        return replace(poses, local_rotations=continuous_quaternions(poses.local_rotations))
+    on = continuous_quaternions(np.concatenate((before.local_rotations, poses.local_rotations)))
+    return replace(poses, local_rotations=on[1:])
+
+
+@runtime_checkable
+class MotionField(Protocol):
+    """A motion as a function of time on the closed interval [start_seconds, end_seconds]."""
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton of the poses."""
+        ...
+
+    @property
+    def start_seconds(self) -> float:
+        """First instant of the domain."""
+        ...
+
+    @property
+    def end_seconds(self) -> float:
+        """Last instant of the domain."""
+        ...
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        ...
+
+
+@runtime_checkable
+class MotionEncoder(Protocol):
+    """A way to continue what is observed to all instants: an interpolator, or a trained model."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables and operation logs."""
+        ...
+
+    def encode(self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0) -> MotionField:
+        """The motion field of an observation, its domain the observed span and as much beyond it as is asked for.
+
+        A field that takes `rows` when it is queried needs no more memory for a long motion than for a short one.
+
+        Raises `ValueError` where the encoder cannot go that far.
+        """
+        ...
+
+
+@runtime_checkable
+class BatchEncoder(Protocol):
+    """An encoder that can also answer for many motions at once, which were observed at the same times."""
+
+    def query_many(
+        self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
+    ) -> list[Poses]:
+        """For each motion the poses that its own field, reaching as far as is asked, has at these times.
+
+        Raises `ValueError` for motions that are not observed at the same times or differ in their joints, and where
+        the encoder cannot go that far.
+        """
+        ...
+
+
+@runtime_checkable
+class FramerateConditioned(Protocol):
+    """A field that also depends on the framerate at which it is sampled (the s of NeRM's Eq. 2)."""
+
+    def at_fps(self, fps: Fraction) -> MotionField:
+        """The same motion, told that it is sampled at this framerate."""
+        ...
+
+
+def check_times(field: MotionField, times_seconds: Float64[np.ndarray, "times"]) -> None:
+    """Raise `ValueError` for times outside the field's domain (a microsecond of rounding is allowed)."""
+    inside = (times_seconds >= field.start_seconds - 1e-6) & (times_seconds <= field.end_seconds + 1e-6)
+    if not inside.all():
+        first = float(times_seconds[np.argmin(inside)])
+        raise ValueError(
+            f"{int((~inside).sum())} of {times_seconds.size} times lie outside the motion, the first at {first:.4f} s; "
+            f"its domain is [{field.start_seconds:.4f}, {field.end_seconds:.4f}] s"
+        )
+
+
+def check_observed_alike(observations: Sequence[Observation]) -> None:
+    """Raise `ValueError` unless all motions are observed at the same times and have joints that hang together alike."""
+    for number, observation in enumerate(observations):
+        if not np.array_equal(observation.times_seconds, observations[0].times_seconds):
+            raise ValueError(f"motion {number} of {len(observations)} is not observed at the times of the first")
+        if observation.skeleton.parents != observations[0].skeleton.parents:
+            raise ValueError(f"motion {number} of {len(observations)} has other joints than the first")
+    if not observations:
+        raise ValueError("no motion is observed")
+
+
+def check_skeleton(field: MotionField, observation: Observed) -> None:
+    """Raise `ValueError` where a field and an observation do not have the same joints."""
+    if field.skeleton.joint_names != observation.skeleton.joint_names:
+        raise ValueError(
+            f"the field is of skeleton {field.skeleton.name!r} ({field.skeleton.num_joints} joints), the observation "
+            f"of {observation.skeleton.name!r} ({observation.skeleton.num_joints}): their joints must be the same"
+        )
+
+
+def told_fps(field: MotionField, fps: Fraction) -> MotionField:
+    """The field itself, or where it depends on the framerate that it is sampled at, the one for `fps`."""
+    return field.at_fps(fps) if isinstance(field, FramerateConditioned) else field
+
+
+def frame_grid(field: MotionField, fps: Fraction) -> TimeGrid:
+    """The frames start_seconds + k / fps that lie in the field's domain."""
+    return TimeGrid(fps, num_frames_within(field.end_seconds - field.start_seconds, fps), field.start_seconds)
+
+
+def to_motion(field: MotionField, fps: Fraction, provenance: Provenance | None = None) -> Motion:
+    """Sample the whole field uniformly: frame k at start_seconds + k / fps."""
+    grid = frame_grid(field, fps)
+    poses = told_fps(field, fps).query(np.minimum(grid.seconds(), field.end_seconds))
+    return poses.at(grid, field.skeleton, provenance)
+
+
+def motion_chunks(field: MotionField, fps: Fraction, frames_per_chunk: int) -> Iterator[Motion]:
+    """`to_motion` piece by piece: successive motions of at most `frames_per_chunk` frames, each with its own times.
+
+    Memory is bounded by the chunk, however long the field. Raises `ValueError` for chunks of less than one frame.
+    """
+    if frames_per_chunk < 1:
+        raise ValueError(f"a chunk has one frame at least, not {frames_per_chunk}")
+    grid, told = frame_grid(field, fps), told_fps(field, fps)
+    for first in range(0, grid.num_frames, frames_per_chunk):
+        count = min(frames_per_chunk, grid.num_frames - first)
+        times = grid.start_seconds + (first + np.arange(count, dtype=np.float64)) * fps.denominator / fps.numerator
+        poses = told.query(np.minimum(times, field.end_seconds))
+        yield poses.at(TimeGrid(fps, count, float(times[0])), field.skeleton)
+
+
+def joint_velocities(
+    field: MotionField, times_seconds: Float64[np.ndarray, "times"], *, step_seconds: float = 1e-3
+) -> Float64[np.ndarray, "times joints 3"]:
+    """Velocities of all joints in m/s: the slope at each time of the parabola through three poses one step apart.
+
+    The three lie around the time, or inside the domain where it is near an end. Poses are float32, so a step of 1 ms
+    resolves about 0.1 mm/s. Raises `ValueError` for times outside the domain and for a step of no length.
+    """
+    if step_seconds <= 0:
+        raise ValueError(f"velocities need a step of some length, not {step_seconds:g} s")
+    check_times(field, times_seconds)
+    step = min(step_seconds, (field.end_seconds - field.start_seconds) / 2)
+    if step <= 0:
+        return np.zeros((len(times_seconds), field.skeleton.num_joints, 3))
+    centre = np.clip(times_seconds, field.start_seconds + step, field.end_seconds - step)
+    three = np.concatenate((centre - step, centre, centre + step))
+    poses = field.query(np.clip(three, field.start_seconds, field.end_seconds)).joint_positions.astype(np.float64)
+    before, here, after = np.split(poses, 3)
+    offset = (times_seconds - centre)[:, None, None]
+    return np.asarray((after - before) / (2 * step) + offset * (before - 2 * here + after) / step**2)

@@ -1,0 +1,136 @@
+"""Any framerate to any other.
+
+Upwards, a motion becomes a motion field (`motionkit.fields.completion.upsample`); downwards, everything above the new
+Nyquist frequency is filtered out first. `resample_positions` is the band-limited function on bare arrays that
+evaluators use both ways.
+"""
+
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from motionkit.core.kinematics import continuous_quaternions
+from motionkit.core.motion import Motion
+from motionkit.core.timegrid import Framerate, TimeGrid, num_frames_within, parse_fps
+from motionkit.fields.completion import upsample
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Method
+from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.motion_field import Poses
+
+STOPBAND_DECIBEL = 80.0
+PASSBAND = 0.8
+_ROWS_AT_ONCE = 8192
+
+
+def downsample(motion: Motion, fps: Fraction) -> Motion:
+    """The motion at a lower framerate, filtered below the new Nyquist frequency (see `resample_positions`).
+
+    Where there are local rotations, these, the root and the bones are filtered and the positions follow by forward
+    kinematics, so that the three agree; quaternions are filtered as four numbers and normalised. Raises `ValueError`
+    where `fps` is above the motion's.
+    """
+    if fps > motion.fps:
+        raise ValueError(f"{fps} fps is more than the motion's {motion.fps}: use upsample")
+    if fps == motion.fps:
+        return motion
+    rates = (motion.fps, fps)
+    rotations, translation = None, motion.root_translation
+    if motion.local_rotations is None:
+        positions = _resample(motion.joint_positions, *rates).astype(np.float32)
+    else:
+        joints = Joints.of(Poses.of(motion), motion.skeleton)
+        filtered = _resample(continuous_quaternions(joints.rotations), *rates)
+        filtered /= np.linalg.norm(filtered, axis=-1, keepdims=True)
+        positions = Joints(filtered, _resample(joints.bones, *rates), _resample(joints.root, *rates)).positions(
+            motion.skeleton
+        )
+        rotations = filtered.astype(np.float32)
+    sampled = Motion(
+        joint_positions=positions,
+        skeleton=motion.skeleton,
+        timegrid=TimeGrid(fps, len(positions), motion.timegrid.start_seconds),
+        local_rotations=rotations,
+        root_translation=None if translation is None else _resample(translation, *rates).astype(np.float32),
+    )
+    return sampled.annotated_like(motion).logged(f"downsample {motion.fps} -> {fps} fps (low-pass)")
+
+
+def resample(motion: Motion, fps: Framerate, method: Method = "slerp") -> Motion:
+    """The motion at any framerate: filtered below the new Nyquist frequency downwards, interpolated upwards.
+
+    Downwards it is `downsample`; upwards the frames of the motion that fall on the new grid are kept, and `method` (an
+    interpolator, docs/motion-fields.md) makes the others. Raises `ValueError` for a framerate that is none.
+
+    >>> motion = mk.read("walk.bvh")
+    >>> mk.resample(motion, 59.94).fps, mk.resample(motion, "120", "squad").num_frames
+    (Fraction(60000, 1001), 479)
+    """
+    rate = parse_fps(fps)
+    return downsample(motion, rate) if rate < motion.fps else upsample(motion, rate, INTERPOLATORS[method])
+
+
+def resample_positions(
+    positions: Float[np.ndarray, "frames joints 3"], fps_from: Fraction, fps_to: Fraction
+) -> Float[np.ndarray, "new_frames joints 3"]:
+    """Joint positions at another framerate, band-limited: frame k of the answer is at k / fps_to, without delay.
+
+    Windowed-sinc kernels (Kaiser, 80 dB) are evaluated at the exact fraction of a frame. Downwards the passband ends
+    at 0.8 of the new Nyquist frequency and the stopband begins at it, so nothing folds back. Upwards the cut-off is the
+    old Nyquist frequency, which keeps the given frames exactly. Beyond both ends the motion is continued by point
+    reflection about its end pose, so speed is continuous there. Equal rates give a copy; dtype is kept.
+    """
+    if fps_from == fps_to:
+        return positions.copy()
+    return _resample(positions, fps_from, fps_to).astype(positions.dtype)
+
+
+def _resample(
+    values: Float[np.ndarray, "frames *rest"], fps_from: Fraction, fps_to: Fraction
+) -> Float64[np.ndarray, "new_frames *rest"]:
+    """Band-limited resampling along the first axis, in float64."""
+    from scipy.sparse import csr_array
+
+    flat = values.reshape(len(values), -1).astype(np.float64)
+    num_rows = num_frames_within(float((len(values) - 1) / fps_from), fps_to)
+    if len(values) == 1:
+        return flat.reshape(values.shape)
+    ratio = fps_from / fps_to
+    reach, cutoff = _kernel_shape(ratio)
+    margin = reach + 1
+    padded = np.pad(flat, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
+    taps = np.arange(-reach, reach + 1)
+    result = np.empty((num_rows, flat.shape[1]))
+    for start in range(0, num_rows, _ROWS_AT_ONCE):
+        rows = np.arange(start, min(start + _ROWS_AT_ONCE, num_rows))
+        # k·p/q in integers: a long take loses nothing to rounding.
+        whole, remainder = np.divmod(rows * ratio.numerator, ratio.denominator)
+        phases, phase_of_row = np.unique(remainder, return_inverse=True)
+        weights = _kernel(phases[:, None] / ratio.denominator - taps, reach, cutoff)
+        weights /= weights.sum(axis=1, keepdims=True)
+        columns = whole[:, None] + taps + margin
+        pointers = np.arange(len(rows) + 1) * len(taps)
+        matrix = csr_array((weights[phase_of_row].ravel(), columns.ravel(), pointers), shape=(len(rows), len(padded)))
+        result[rows] = matrix @ padded
+    return result.reshape(num_rows, *values.shape[1:])
+
+
+def _kernel_shape(ratio: Fraction) -> tuple[int, float]:
+    """Half-length in source frames and cut-off in cycles per source frame of the Kaiser-windowed sinc.
+
+    Length: Kaiser's formula N = (A − 7.95) / (2.285·Δω) (Oppenheim & Schafer, Discrete-Time Signal Processing, §7.5.3).
+    """
+    nyquist = 0.5 / max(float(ratio), 1.0)
+    transition = (1.0 - PASSBAND) * nyquist
+    cutoff = nyquist - transition / 2 if ratio > 1 else nyquist
+    length = (STOPBAND_DECIBEL - 7.95) / (2.285 * 2 * np.pi * transition)
+    return int(np.ceil(length / 2)), cutoff
+
+
+def _kernel(
+    distance: Float64[np.ndarray, "phases taps"], reach: int, cutoff: float
+) -> Float64[np.ndarray, "phases taps"]:
+    beta = 0.1102 * (STOPBAND_DECIBEL - 8.7)
+    inside = np.sqrt(np.maximum(0.0, 1.0 - (distance / (reach + 1)) ** 2))
+    window: Float64[np.ndarray, "phases taps"] = np.i0(beta * inside)
+    return window * np.sinc(2 * cutoff * distance)

@@ -1,0 +1,214 @@
+"""Own skeletons for encoders that know the 22 joints only: the correction is carried over, not the pose.
+
+The own skeleton is interpolated on its own rotations. In the 22-joint layout the model's field is compared with the
+same interpolator's: by how much each joint is turned in the world (ΔG = G_model·G_interpolated⁻¹), and by how much the
+pelvis is moved. World rotations do not depend on rest poses, so the own joints are turned by the same ΔG and the root
+is moved by the same distance. Bones keep their length; joints that have no counterpart (fingers, a tail) keep their
+interpolated local rotations; where the model agrees with the interpolator, nothing changes.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float64
+
+from motionkit.core.kinematics import global_rotations, quaternion_conjugate, quaternion_multiply
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeletons.mapping import joint_map, map_joints
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation.joints import Joints, rotations_in_time, with_rotations
+from motionkit.fields.interpolation.rigid import Rig
+from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Observed, Poses, told_fps
+
+_TIMES_AT_ONCE = 4096
+_SMALLEST_WEIGHT = 0.5
+_SPINE = tuple(SMPL22.index(name) for name in ("spine1", "spine2", "spine3"))
+_PELVIS, _LEFT_HIP, _RIGHT_HIP = (SMPL22.index(name) for name in ("pelvis", "left_hip", "right_hip"))
+
+
+@dataclass(frozen=True)
+class Transferred:
+    """A `MotionEncoder` for every skeleton that `motionkit.core.skeletons.mapping` knows, of one for the 22 joints.
+
+    `interpolator` makes the own skeleton's field, and the one that the model is compared with. `encoder` has to pass
+    through observed frames (`motionkit.fields.anchoring`), or given frames move.
+    """
+
+    encoder: MotionEncoder
+    interpolator: MotionEncoder = INTERPOLATORS["rotation-cubic"]
+
+    @property
+    def name(self) -> str:
+        """The encoder's."""
+        return self.encoder.name
+
+    def encode(
+        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> "TransferredField":
+        """The own skeleton's field; raises `SkeletonMapError` for an unknown skeleton and what the encoder raises."""
+        skeleton = observation.skeleton
+        counterparts = counterpart_joints(skeleton)
+        own = with_rotations(observation)
+        canonical = canonical_observation(observation)
+        reach = {"before_seconds": before_seconds, "after_seconds": after_seconds}
+        return TransferredField(
+            own=self.interpolator.encode(own, **reach),
+            model=self.encoder.encode(canonical, **reach),
+            base=self.interpolator.encode(canonical, **reach),
+            counterparts=counterparts,
+            moved_joint=_moved_joint(own, counterparts[_PELVIS]),
+            like=observation.rows(slice(0, 1)).poses.rows(slice(0, 0)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TransferredField:
+    """The own skeleton's interpolated field, turned and moved by what `model` differs from `base` in 22 joints.
+
+    `counterparts` maps joints of the 22 to own ones; `moved_joint` is the own joint that carries the body's path.
+    `like` is an observation without poses that says which numbers the answer has.
+    """
+
+    own: MotionField
+    model: MotionField
+    base: MotionField
+    counterparts: dict[int, int]
+    moved_joint: int
+    like: Poses
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The own one."""
+        return self.own.skeleton
+
+    @property
+    def start_seconds(self) -> float:
+        """The own field's."""
+        return self.own.start_seconds
+
+    @property
+    def end_seconds(self) -> float:
+        """The own field's."""
+        return self.own.end_seconds
+
+    def at_fps(self, fps: Fraction) -> "TransferredField":
+        """The field whose model is told this framerate."""
+        return TransferredField(
+            self.own, told_fps(self.model, fps), self.base, self.counterparts, self.moved_joint, self.like
+        )
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        result: Poses | None = None
+        for start in range(0, max(1, len(times_seconds)), _TIMES_AT_ONCE):
+            rows = np.arange(start, min(start + _TIMES_AT_ONCE, len(times_seconds)))
+            poses = self._poses(times_seconds[rows])
+            result = result or poses.room_for(len(times_seconds))
+            result.put(rows, poses)
+        assert result is not None
+        return result
+
+    def _poses(self, times: Float64[np.ndarray, "times"]) -> Poses:
+        own, model, base = (field.query(times) for field in (self.own, self.model, self.base))
+        skeleton = self.own.skeleton
+        joints = Joints.of(own, skeleton)
+        turns = quaternion_multiply(_world(model, self.model.skeleton), quaternion_conjugate(_world(base, SMPL22)))
+        before = global_rotations(joints.rotations, skeleton)
+        after = before.copy()
+        local = joints.rotations.copy()
+        canonical_of = {own_joint: joint for joint, own_joint in self.counterparts.items()}
+        for joint, parent in enumerate(skeleton.parents):
+            if joint in canonical_of:
+                after[:, joint] = quaternion_multiply(turns[:, canonical_of[joint]], before[:, joint])
+            elif parent >= 0:
+                after[:, joint] = quaternion_multiply(after[:, parent], joints.rotations[:, joint])
+            if parent >= 0:
+                local[:, joint] = quaternion_multiply(quaternion_conjugate(after[:, parent]), after[:, joint])
+            else:
+                local[:, joint] = after[:, joint]
+        local /= np.linalg.norm(local, axis=-1, keepdims=True)
+        turned = Joints(local, joints.bones, joints.root).positions(skeleton)
+        pelvis = self.counterparts[_PELVIS]
+        wanted = own.joint_positions[:, pelvis] + (model.joint_positions - base.joint_positions)[:, _PELVIS]
+        move = (wanted - turned[:, pelvis])[:, None]
+        carried = np.isin(np.arange(skeleton.num_joints), _and_below(skeleton, self.moved_joint))
+        positions = turned + np.where(carried[:, None], move, np.float32(0.0))
+        translation = None
+        if self.like.root_translation is not None:
+            assert own.root_translation is not None
+            translation = own.root_translation + positions[:, 0] - own.joint_positions[:, 0]
+        rotations = None if self.like.local_rotations is None else local.astype(np.float32)
+        return Poses(positions.astype(np.float32), rotations, translation)
+
+
+def counterpart_joints(skeleton: Skeleton) -> dict[int, int]:
+    """Own joints that turn as joints of the 22 do, by the layout's index; raises `SkeletonMapError`.
+
+    A joint of the layout has that of its sources which is farthest from the root, of those that weigh half or more. Of
+    several that share a source the last one of the spine has it, for that is what the arms hang on, else the one that
+    it weighs most in. The pelvis is where the legs meet.
+    """
+    return dict(_counterparts(skeleton))
+
+
+@lru_cache(maxsize=64)
+def _counterparts(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
+    weights = joint_map(skeleton, SMPL22.name).weights
+    wanting: dict[int, list[int]] = {}
+    for joint in range(SMPL22.num_joints):
+        sources = np.flatnonzero(weights[joint] >= _SMALLEST_WEIGHT).tolist()
+        if joint != _PELVIS and sources:
+            wanting.setdefault(max(sources, key=lambda source: len(_and_above(skeleton, source))), []).append(joint)
+    found = {}
+    for source, joints in wanting.items():
+        spine = [joint for joint in joints if joint in _SPINE]
+        found[spine[-1] if spine else max(joints, key=lambda joint: float(weights[joint, source]))] = source
+    hips = [_and_above(skeleton, found[hip]) for hip in (_LEFT_HIP, _RIGHT_HIP) if hip in found]
+    pelvis = next((joint for joint in hips[0] if all(joint in above for above in hips)), 0) if hips else 0
+    found = {joint: source for joint, source in found.items() if source != pelvis}
+    return tuple(sorted({**found, _PELVIS: pelvis}.items()))
+
+
+def canonical_observation(observation: Observed) -> Observed:
+    """An observation of any known skeleton in the 22-joint layout, with rotations, bones as long as its own.
+
+    Rotations are its own where its joints are the layout's; else those of inverse kinematics in time, from the layout's
+    rest pose. Raises `SkeletonMapError`.
+    """
+    has_rotations = observation.rows(slice(0, 1)).poses.local_rotations is not None
+    if observation.skeleton.joint_names == SMPL22.joint_names and has_rotations:
+        return observation
+    return observation.remade(_canonical_poses, SMPL22)
+
+
+def _canonical_poses(observation: Observation, before: Poses | None) -> Poses:
+    poses = observation.poses
+    grid = TimeGrid(Fraction(1), len(observation))  # its times don't matter to a map
+    positions = map_joints(Motion(poses.joint_positions, observation.skeleton, grid, poses.local_rotations), "smpl22")
+    positions = positions.astype(np.float32)
+    return rotations_in_time(Poses(positions, None, positions[:, 0]), SMPL22, before)
+
+
+def _moved_joint(observation: Observed, pelvis: int) -> int:
+    """The joint that carries the body's path: the one nearest the pelvis whose bone is not rigid, else the root."""
+    moving = Rig.of(observation).moving
+    return next((joint for joint in _and_above(observation.skeleton, pelvis) if joint in moving), 0)
+
+
+def _and_above(skeleton: Skeleton, joint: int) -> tuple[int, ...]:
+    chain = [joint]
+    while skeleton.parents[chain[-1]] >= 0:
+        chain.append(skeleton.parents[chain[-1]])
+    return tuple(chain)
+
+
+def _and_below(skeleton: Skeleton, joint: int) -> list[int]:
+    return [each for each in range(skeleton.num_joints) if joint in _and_above(skeleton, each)]
+
+
+def _world(poses: Poses, skeleton: Skeleton) -> Float64[np.ndarray, "times joints 4"]:
+    return global_rotations(Joints.of(poses, skeleton).rotations, skeleton)

@@ -1,1 +1,0 @@
-"""glTF: an animated skeleton with a visible body, in a .glb container."""

@@ -1,0 +1,81 @@
+"""Walking a source: every real folder once, linked ones too, whatever loops the links make."""
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from motionkit.core.errors import FormatError
+
+HIDDEN = (".", "__")
+
+
+def walk(
+    root: Path, is_whole: Callable[[Path], bool], on_problem: Callable[[FormatError], None]
+) -> Iterator[tuple[Path, list[Path]]]:
+    """The folders below `root`, itself first, in sorted order, each with its files; hidden ones are left out.
+
+    A folder that `is_whole` is not entered. Links to folders are followed once all real folders are done, so that a
+    folder which is there both ways goes by its real path; one that was seen before, or that contains the source, is
+    not followed. Folders that cannot be listed (`unreadable`) and links that lead nowhere (`dangling-link`) go to
+    `on_problem`.
+    """
+    seen: set[tuple[int, int]] = set()
+    starts = [root]
+    while starts:
+        links: list[Path] = []
+        for start in starts:
+            waiting = [start]
+            while waiting:
+                folder = waiting.pop()
+                try:
+                    status = folder.stat()
+                    entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
+                except OSError as error:
+                    message = f"the folder cannot be listed ({error.strerror or error})"
+                    on_problem(FormatError(message, path=folder, reason="unreadable"))
+                    continue
+                if (status.st_dev, status.st_ino) in seen:
+                    continue
+                seen.add((status.st_dev, status.st_ino))
+                below, linked, files = _sorted_out(folder, entries, on_problem)
+                if not is_whole(folder):
+                    links += linked
+                    waiting += reversed(below)
+                yield folder, files
+        starts = [link for link in links if not root.is_relative_to(link.resolve())]
+
+
+def dangling(link: Path) -> FormatError | None:
+    """What is to be said of a link that leads nowhere; None for all else that a folder holds."""
+    try:
+        target = link.readlink()
+    except OSError:
+        return None
+    try:
+        link.stat()
+    except OSError as error:
+        message = f"is a link to {target}, which leads nowhere ({error.strerror or error}): mend the link or remove it"
+        return FormatError(message, path=link, reason="dangling-link")
+    return None
+
+
+def _sorted_out(
+    folder: Path, entries: list[os.DirEntry[str]], on_problem: Callable[[FormatError], None]
+) -> tuple[list[Path], list[Path], list[Path]]:
+    # Folders, links to folders, files.
+    below: list[Path] = []
+    linked: list[Path] = []
+    files: list[Path] = []
+    for entry in entries:
+        if entry.name.startswith("."):
+            continue
+        path = folder / entry.name
+        is_link = entry.is_symlink()
+        problem = dangling(path) if is_link else None
+        if problem is not None:
+            on_problem(problem)
+        elif entry.is_file():  # and no pipe, which would be waited for
+            files.append(path)
+        elif entry.is_dir() and not entry.name.startswith(HIDDEN):
+            (linked if is_link else below).append(path)
+    return below, linked, files

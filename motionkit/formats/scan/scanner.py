@@ -1,0 +1,259 @@
+"""Finding the sequences of a source; reading one (`formats.reading`).
+
+`scan` looks at names and folders only, `read` opens one sequence: so ingest can scan once and read in many processes.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from motionkit.core.errors import FormatError, UsageError
+from motionkit.formats.catalogue import FORMATS, Format
+from motionkit.formats.indexes import search
+from motionkit.formats.scan import annotations, unread
+from motionkit.formats.scan.annotations import Annotation, AnnotationTable
+from motionkit.formats.scan.folders import dangling, walk
+from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem, Spare
+from motionkit.formats.scan.reading import read
+
+__all__ = ["FORMATS", "Format", "ReadOptions", "ScanResult", "SourceItem", "read", "scan"]
+
+
+def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
+    """Find all sequences of files and folders; nothing bad in a source raises, it becomes one of the `problems`.
+
+    Raises `UsageError` for an unknown format or a source that is neither a file nor a folder, `FormatError` for
+    `options.captions` that are no such table.
+    """
+    options = options or ReadOptions()
+    if options.format != "auto" and options.format not in FORMATS:
+        raise UsageError(f"unknown format {options.format!r}, expected auto or one of {', '.join(FORMATS)}")
+    if options.index is not None:
+        seen: list[AnnotationTable] = []
+        broken: list[FormatError] = []
+        found = search.scan_indexes(sources, options.index, _file_items(options, seen, broken))
+        found = replace(
+            found,
+            problems=(*found.problems, *broken, *(each for table in seen for each in table.problems)),
+            warnings=(*found.warnings, *(each for table in seen for each in table.warnings)),
+        )
+        return _unique(found)
+    items: list[SourceItem] = []
+    problems: list[FormatError] = []
+    warnings: list[FormatError] = []
+    ignored: list[Path] = []
+    given: list[AnnotationTable] = []
+    for source in sources:
+        if not source.exists():
+            raise UsageError(str(dangling(source) or f"{source} does not exist"))
+        if not (source.is_file() or source.is_dir()):
+            raise UsageError(f"{source} is neither a file nor a folder")
+        table = annotations.read_annotations(options.captions, _root(source)) if options.captions else None
+        given += [table] if table else []
+        found = _scan_source(source, options, table)
+        if not found.items and not found.problems:
+            found = replace(found, problems=(unread.no_motion(source, options),))
+        items += found.items
+        problems += found.problems
+        warnings += found.warnings
+        ignored += found.ignored
+    problems += _problems_of_given(given, {item.path for item in items})
+    warnings += given[0].warnings if given else ()
+    return _unique(ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=tuple(dict.fromkeys(ignored))))
+
+
+def _file_items(
+    options: ReadOptions, seen: list[AnnotationTable], broken: list[FormatError]
+) -> Callable[[Path, Path], SourceItem | None]:
+    """Path and source folder → the motion that a file holds, with the framerate and licence that stand beside it.
+
+    The annotation tables beside the files are added to `seen`, what is wrong with those that are none to `broken`.
+    """
+    candidates = [entry for entry in FORMATS.values() if options.format in ("auto", entry.name)]
+
+    @cache
+    def around(folder: Path, root: Path) -> tuple[str, tuple[AnnotationTable, ...]]:
+        licence, above = around(folder.parent, root) if folder != root else ("", ())
+        tables, not_tables = annotations.tables_in(folder)
+        seen.extend(tables)
+        broken.extend(not_tables)
+        return annotations.find_licence(folder) or licence, (*above, *tables)
+
+    def item_of(path: Path, root: Path) -> SourceItem | None:
+        kind = next((entry for entry in candidates if _takes(entry, path)), None)
+        if kind is None:
+            return None
+        licence, tables = around(path.parent, root)
+        # What a table says about a whole file need not be true of a stretch.
+        return replace(_annotate(_file_item(kind, path, root, licence), tables), captions=(), split="")
+
+    return item_of
+
+
+def _root(source: Path) -> Path:
+    return (source if source.is_dir() else source.parent).resolve()
+
+
+def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | None) -> ScanResult:
+    root = _root(source)
+    beside: list[AnnotationTable] = []
+    found: list[tuple[Path, ScanResult]] = []
+    licences: dict[Path, str] = {}
+    lost: list[FormatError] = []
+    seen: list[Path] = []
+    one = [(root, [root / source.name])] if source.is_file() else None
+    for folder, files in one or walk(root, _is_claimed, lost.append):
+        licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
+        if given is None:
+            tables_here, broken = annotations.tables_in(folder)
+            beside += tables_here
+            found.append((folder, ScanResult((), tuple(broken))))
+        found.append((folder, _scan_folder(folder, files, root, licences[folder], options)))
+        if source.is_dir():
+            seen += _files_below(folder) if _is_claimed(folder) else files
+        elif not found[-1][1].items and not found[-1][1].problems:
+            found.append((folder, _recognise(root / source.name, licences[folder], options)))
+    tables = beside if given is None else [given]
+    items = [_annotate(item, tables) for _, result in found for item in result.items]
+    problems = [problem for _, result in found for problem in result.problems]
+    warnings = [warning for _, result in found for warning in result.warnings]
+    warnings += [warning for table in beside for warning in table.warnings]
+    problems += [problem for table in beside for problem in table.problems]
+    problems += lost
+    # Of a single file the other rows of its folder's table are not missing; where nothing is read, all of them are.
+    if source.is_dir() and items:
+        known = {item.path for item in items}
+        rows = [(table, path, row) for table in beside for path, row in table.rows.items()]
+        problems += [_no_motion(table, path, row) for table, path, row in rows if path not in known]
+    captioned = [root] if given is not None and given.has_captions else []
+    captioned += [table.path.parent for table in beside if table.has_captions]
+    told = {warning.path for warning in warnings if warning.reason == "no-caption"}
+    silent = [item for item in items if not item.captions and item.path not in told]
+    ignored = unread.ignored(seen, found, (table.path.resolve() for table in tables))
+    warnings += _motions_without_caption(silent, captioned)
+    return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=ignored)
+
+
+def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> list[FormatError]:
+    # One table was read once for each source; a row is missing where no source has its motion.
+    if not tables:
+        return []
+    found = {row.line for table in tables for path, row in table.rows.items() if path in known}
+    rows = [(path, row) for path, row in tables[0].rows.items() if row.line not in found]
+    return [*tables[0].problems, *(_no_motion(tables[0], path, row) for path, row in rows)]
+
+
+def _no_motion(table: AnnotationTable, path: Path, row: Annotation) -> FormatError:
+    message = f"describes {path.name}, but there is no such motion in the source"
+    return FormatError(message, path=table.path, reason="caption-without-motion", line=row.line)
+
+
+def _files_below(folder: Path) -> list[Path]:
+    return [path for _, files in walk(folder, lambda _: False, lambda _: None) for path in files]
+
+
+def _is_claimed(folder: Path) -> bool:
+    return any(entry.claims is not None and entry.claims(folder) for entry in FORMATS.values())
+
+
+def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, options: ReadOptions) -> ScanResult:
+    candidates = [entry for entry in FORMATS.values() if options.format in ("auto", entry.name)]
+    for entry in candidates:
+        if entry.claims is not None and entry.find is not None and entry.claims(folder):
+            found = entry.find(folder, root)
+            return replace(found, items=tuple(replace(item, licence=item.licence or licence) for item in found.items))
+    kinds = ((path, next((entry for entry in candidates if _takes(entry, path)), None)) for path in files)
+    return ScanResult(tuple(_file_item(kind, path, root, licence) for path, kind in kinds if kind is not None))
+
+
+def with_tables_above(item: SourceItem, levels: int = 4) -> SourceItem:
+    """The item of a single file with what the nearest annotation table says of it: `scan` takes those beside it only.
+
+    Tables that cannot be read say nothing.
+    """
+    for folder in item.path.parents[:levels]:
+        for table in annotations.tables_in(folder)[0]:
+            if item.path in table.rows:
+                return _stated(item, table.rows[item.path])
+    return item
+
+
+def _recognise(path: Path, licence: str, options: ReadOptions) -> ScanResult:
+    # A single file whose name says nothing is known by how it begins.
+    with path.open("rb") as file:
+        head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
+    words = next((line.strip() for line in head.splitlines() if line.strip() and not line.startswith(b"#")), b"")
+    for entry in FORMATS.values():
+        fits = options.format in ("auto", entry.name) and (entry.accepts is None or entry.accepts(path))
+        if fits and entry.begins and words.upper().startswith(entry.begins):
+            return ScanResult((_file_item(entry, path, path.parent, licence),))
+    return ScanResult(())
+
+
+def _file_item(kind: Format, path: Path, root: Path, licence: str) -> SourceItem:
+    relative = path.relative_to(root).as_posix()
+    folder, slash, _ = relative.partition("/")
+    return SourceItem(
+        format=kind.name,
+        path=path,
+        root=root,
+        sequence_id=f"{root.name}/{relative.removesuffix(path.suffix)}",
+        source=root.name,
+        subset=folder if slash else "",
+        licence=licence,
+    )
+
+
+def _takes(entry: Format, path: Path) -> bool:
+    return path.suffix.lower() in entry.suffixes and (entry.accepts is None or entry.accepts(path))
+
+
+def _annotate(item: SourceItem, tables: Sequence[AnnotationTable]) -> SourceItem:
+    # A table nearer to the file was found later and has the last word.
+    for table in tables:
+        row = table.rows.get(item.path)
+        if row is not None:
+            item = _stated(item, row)
+    return item
+
+
+def _stated(item: SourceItem, row: Annotation) -> SourceItem:
+    return replace(
+        item,
+        captions=row.captions or item.captions,
+        action=row.action or item.action,
+        style=row.style or item.style,
+        subject=row.subject or item.subject,
+        split=row.split or item.split,
+        fps=row.fps or item.fps,
+        stated_fps=row.stated_fps or item.stated_fps,
+        licence=row.licence or item.licence,
+        source=row.source or item.source,
+        # A folder's name is no subset of a source that the row names itself.
+        subset=row.subset or ("" if row.source else item.subset),
+    )
+
+
+def _motions_without_caption(items: Iterable[SourceItem], folders: Sequence[Path]) -> list[FormatError]:
+    message = "has no caption in a source that has captions; kept without one"
+    return [
+        FormatError(message, path=item.path, reason="no-caption")
+        for item in items
+        if any(item.path.is_relative_to(folder) for folder in folders)
+    ]
+
+
+def _unique(found: ScanResult) -> ScanResult:
+    # Of sequences with one id all but the first are spares.
+    kept: dict[str, SourceItem] = {}
+    spares: list[Spare] = []
+    for item in found.items:
+        first = kept.setdefault(item.sequence_id, item)
+        if first is not item:
+            message = (
+                f"its id {item.sequence_id!r} is already taken by {first.path.name}; rename the file or its folder"
+            )
+            spares.append(Spare(item, FormatError(message, path=item.path, reason="duplicate-id")))
+    problems = (*found.problems, *(spare.problem for spare in spares))
+    return replace(found, items=tuple(kept.values()), problems=problems, spares=tuple(spares))

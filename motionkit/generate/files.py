@@ -1,0 +1,130 @@
+"""Generated motions as files: sampled from their fields, written as .npz, .bvh, .glb or HumanML3D's arrays."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from motionkit.core.errors import UsageError
+from motionkit.core.files import whole_file
+from motionkit.export.pose_folder import HUMANML3D_KIND, pose_entry, write_folder_manifest
+from motionkit.export.selection import Outcome
+from motionkit.formats.arrays import joints_npy, npz
+from motionkit.formats.bvh.motion import write_bvh
+from motionkit.formats.gltf import write_gltf
+from motionkit.formats.pose_folders.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER, FolderWriter
+from motionkit.generate.samples import GeneratedSample
+
+
+def write_npz_file(path: Path, sample: GeneratedSample) -> None:
+    """Write a .npz of `motionkit.formats.arrays.npz`'s schema, which appears whole or not at all.
+
+    Poses at arbitrary instants have `time_seconds` and no `fps`. Beside the schema: `duration_seconds`, the interval
+    that was asked for.
+    """
+    if sample.fps is None:
+        arrays = {
+            "joint_positions": sample.joint_positions,
+            "time_seconds": sample.seconds,
+            **npz.skeleton_arrays(sample.skeleton),
+            **npz.caption_arrays(sample.captions),
+            "action": np.array(sample.action),
+        }
+    else:
+        arrays = npz.motion_arrays(sample.motion())
+    with whole_file(path) as temporary:
+        npz.write_arrays(temporary, {**arrays, "duration_seconds": np.float64(sample.duration_seconds)})
+
+
+def write_bvh_file(path: Path, sample: GeneratedSample) -> None:
+    """Write a .bvh in centimetres, rotations by inverse kinematics; it appears whole or not at all."""
+    with whole_file(path) as temporary:
+        write_bvh(sample.motion(), temporary)
+
+
+def write_gltf_file(path: Path, sample: GeneratedSample) -> None:
+    """Write a .glb, an animated, visible skeleton; it appears whole or not at all."""
+    with whole_file(path) as temporary:
+        write_gltf(sample.motion(), temporary)
+
+
+def write_humanml3d_files(path: Path, sample: GeneratedSample) -> None:
+    """Write new_joint_vecs/NAME.npy [T − 1, 263] (`path`), new_joints/NAME.npy and texts/NAME.txt.
+
+    The vectors are at the sample's framerate; the published steps run on the motion (one skeleton, floor, origin,
+    facing Z+). Raises `UsageError` for fewer than two poses.
+    """
+    motion = sample.motion()
+    kind = HUMANML3D_KIND.at(motion.fps)
+    entry = pose_entry(motion, sample.name, kind)
+    if isinstance(entry, Outcome):
+        raise UsageError(f"{sample.name}: {entry.message}")
+    for place in OUTPUTS["humanml3d"].files(sample.name):
+        (path.parents[1] / place).unlink(missing_ok=True)  # a link would be written through
+    FolderWriter(path.parents[1], kind.layout).add(entry)
+
+
+def _begin_humanml3d(folder: Path, fps: Fraction) -> None:
+    write_folder_manifest(folder, HUMANML3D_KIND.at(fps).layout)
+
+
+def _begin_nothing(folder: Path, fps: Fraction) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class OutputFormat:
+    """One kind of output: `begin` writes what all motions share, `write` one motion to its first file.
+
+    `patterns` name a motion's files below the folder, `shared` those of all. `fps` is the framerate where none is asked
+    for (None: the highest of the training data); `any_instants` says whether it holds poses at arbitrary instants.
+    """
+
+    name: str
+    patterns: tuple[str, ...]
+    write: Callable[[Path, GeneratedSample], None]
+    fps: Fraction | None = None
+    any_instants: bool = False
+    begin: Callable[[Path, Fraction], None] = _begin_nothing
+    shared: tuple[str, ...] = ()
+
+    def files(self, motion: str) -> tuple[PurePosixPath, ...]:
+        """The files of a motion of this name, the one that stands for it first."""
+        return tuple(PurePosixPath(pattern.format(motion)) for pattern in self.patterns)
+
+
+OUTPUTS: Mapping[str, OutputFormat] = {
+    each.name: each
+    for each in (
+        OutputFormat("npz", ("{}.npz",), write_npz_file, any_instants=True),
+        OutputFormat("bvh", ("{}.bvh",), write_bvh_file),
+        OutputFormat("gltf", ("{}.glb",), write_gltf_file),
+        OutputFormat(
+            "humanml3d",
+            (f"{VECTORS_FOLDER}/{{}}.npy", f"{JOINTS_FOLDER}/{{}}.npy", f"{TEXTS_FOLDER}/{{}}.txt"),
+            write_humanml3d_files,
+            fps=HUMANML3D_KIND.layout.fps,
+            begin=_begin_humanml3d,
+            shared=(joints_npy.MANIFEST,),
+        ),
+    )
+}
+
+
+def describe_sample(sample: GeneratedSample, file: str) -> dict[str, Any]:
+    """What was made and where it lies, as plain values."""
+    return {
+        "file": file,
+        "caption": sample.captions[0].text if len(sample.captions) == 1 else "",
+        "captions": [
+            {"text": caption.text, "start_seconds": caption.start_seconds, "end_seconds": caption.end_seconds}
+            for caption in sample.captions
+        ],
+        "action": sample.action,
+        "duration_seconds": sample.duration_seconds,
+        "fps": None if sample.fps is None else str(sample.fps),
+        "num_frames": len(sample.seconds),
+    }

@@ -1,0 +1,212 @@
+"""The folder of one `motionkit generate` call: generation.json says what was asked for, motions.csv what is there.
+
+generation.json is written first and never changes; motions.csv gains a line when a motion's files are complete. So a
+call that was stopped goes on where it was, and `motionkit ingest` reads the folder with its captions. Both carry
+checksums, of the motions' files too, which are checked where the folder is read again.
+"""
+
+import csv
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+from motionkit.core.checksums import read_json, write_json
+from motionkit.core.errors import DamagedFileError, UsageError
+from motionkit.core.files import naming, temporary_name
+from motionkit.core.plain_text import whole_number
+from motionkit.core.progress import warn
+from motionkit.generate.files import OUTPUTS
+from motionkit.generate.models import GenerationRequest
+from motionkit.generate.samples import GeneratedSample, motion_name
+from motionkit.generate.table import GeneratedTable
+
+MANIFEST = "generation.json"
+FORMAT = "motionkit-generation"
+# Whether motions.csv has checksums: those of folders of before have none.
+TABLE_CHECKSUMS = "table_checksums"
+# What may differ between a call and the one that it resumes.
+MAY_DIFFER = ("versions", TABLE_CHECKSUMS)
+ANOTHER = "name another folder with --out"
+
+
+class GeneratedFolder:
+    """Writes motions.csv line by line; `num_done` motions were complete when it was opened. Owns the open file."""
+
+    def __init__(self, table: GeneratedTable, num_done: int) -> None:
+        self.path, self.num_done, self._rows = table.folder, num_done, table
+        self._handle: TextIO = table.path.open("a", encoding="utf-8", newline="")
+        self._table = csv.DictWriter(self._handle, table.columns, lineterminator="\n")
+        if not self._handle.tell():
+            self._table.writeheader()
+
+    def __enter__(self) -> "GeneratedFolder":
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        with naming(self._rows.path):
+            self._handle.close()
+
+    def add(self, sample: GeneratedSample) -> None:
+        """Note that a motion's files are complete."""
+        with naming(self._rows.path):
+            self._table.writerow(self._rows.row(sample))
+            self._handle.flush()
+
+
+def begin_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
+    """Begin a new or empty folder; raises `UsageError` for one that holds something."""
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"{path} is a file: name a folder with --out")
+    left = [entry for entry in path.iterdir() if _is_unfinished_manifest(entry)] if path.exists() else []
+    if path.exists() and any(entry not in left for entry in path.iterdir()):
+        if (path / MANIFEST).is_file():
+            raise UsageError(
+                f"{path} holds generated motions: --resume goes on with them, --overwrite replaces them, --out FOLDER "
+                "keeps both"
+            )
+        raise UsageError(f"{path} is not empty: {ANOTHER}")
+    for entry in left:
+        entry.unlink()
+    return _begun(path, manifest)
+
+
+def resume_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
+    """Go on with a folder that the same call began, or begin it.
+
+    Raises `UsageError` where another call made it, `DamagedFileError` where what it made is not what it wrote.
+    """
+    if not (path / MANIFEST).is_file():
+        return begin_folder(path, manifest)
+    _refuse_links(path)
+    found, asked = _read_manifest(path), json.loads(json.dumps(dict(manifest)))
+    differing = [name for name in {**asked, **found} if name not in MAY_DIFFER and found.get(name) != asked.get(name)]
+    if differing:
+        name = differing[0]
+        raise UsageError(
+            f"{path} was begun with another {name} ({_short(found.get(name))}, now {_short(asked.get(name))}): repeat "
+            "the same call, or name another folder with --out"
+        )
+    table = _table(path, found)
+    return GeneratedFolder(table, _keep_complete(table))
+
+
+def replace_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
+    """Delete the files of a former call, and nothing else, then begin again; raises `DamagedFileError`."""
+    if not (path / MANIFEST).is_file():
+        return begin_folder(path, manifest)
+    _refuse_links(path)
+    found = _read_manifest(path)
+    former = _table(path, found)
+    names = {*_unnoted(former, found), *former.motion_names()}
+    places = [*former.output.shared, *(str(place) for name in names for place in former.output.files(name))]
+    for place in places:
+        (path / place).unlink(missing_ok=True)
+        temporary_name(path / place).unlink(missing_ok=True)
+    former.path.unlink(missing_ok=True)
+    return _begun(path, manifest)
+
+
+@dataclass(frozen=True)
+class DamagedMotion:
+    """A motion whose files, the one that stands for it first, are not those that were written."""
+
+    paths: tuple[Path, ...]
+    fault: str
+
+
+def damaged_motions(path: Path) -> Iterator[DamagedMotion]:
+    """The damaged motions of a folder that `motionkit generate` made; none of any other folder, which is not checked.
+
+    Raises `DamagedFileError` for a damaged generation.json or motions.csv.
+    """
+    if not (path / MANIFEST).is_file():
+        return
+    try:
+        found = _read_manifest(path)
+    except UsageError:  # somebody else's file of that name
+        return
+    table = _table(path, found)
+    for row in table.rows():
+        fault = table.fault(row)
+        if fault is not None:
+            yield DamagedMotion(table.paths(row), fault)
+
+
+def _begun(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
+    path.mkdir(parents=True, exist_ok=True)
+    written = {**manifest, TABLE_CHECKSUMS: True}
+    write_json(path / MANIFEST, written)
+    return GeneratedFolder(_table(path, written), 0)
+
+
+def _table(path: Path, manifest: Mapping[str, Any]) -> GeneratedTable:
+    return GeneratedTable(path, OUTPUTS[str(manifest["file_format"])], bool(manifest.get(TABLE_CHECKSUMS, False)))
+
+
+def _keep_complete(table: GeneratedTable) -> int:
+    """Leave in the table what is complete up to the first motion that is not; returns the number of motions."""
+    done = []
+    for row in table.rows():
+        if not all(path.is_file() for path in table.paths(row)):
+            warn(f"{row['file']} is gone: the motions are made again from there")
+            break
+        fault = table.fault(row)
+        if fault is not None:
+            mend = "delete it, and --resume makes it again; or --overwrite all"
+            raise DamagedFileError(table.folder / row["file"], fault, mend)
+        done.append(row)
+    table.keep(done)
+    return len(done)
+
+
+def _unnoted(table: GeneratedTable, manifest: Mapping[str, Any]) -> Iterator[str]:
+    """The names of motions that lie in the folder and that a call was to make, whether the table has them or not."""
+    try:
+        requests = [
+            GenerationRequest(each["seconds"], text=each["text"], action=each["action"])
+            for each in manifest["conditions"]
+        ]
+        scripts = [tuple(requests)] if manifest["joined"] else [(request,) for request in requests]
+        count = int(manifest["count"])
+        for folder in {table.folder / place.parent for place in table.output.files("any")}:
+            for path in folder.iterdir() if folder.is_dir() else ():
+                name = path.name.lstrip(".").partition(".")[0]  # without the suffix, and what makes a name temporary
+                number = whole_number(name.partition("-")[0])
+                if number is None or number >= len(scripts) * count:
+                    continue
+                if name == motion_name(number, scripts[number // count]):
+                    yield name
+    except (KeyError, TypeError, ValueError):
+        return
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    value = read_json(path / MANIFEST, f"delete the folder, or {ANOTHER}")
+    if value.get("format") != FORMAT or str(value.get("file_format")) not in OUTPUTS:
+        raise UsageError(f"{path / MANIFEST} is not of `motionkit generate`: {ANOTHER}")
+    return value
+
+
+def _refuse_links(path: Path) -> None:
+    """Raise `UsageError` for a link below the folder: what is written or deleted there would be somebody else's."""
+    for folder, folders, files in os.walk(path):
+        entries = (Path(folder, name) for name in (*folders, *files))
+        link = next((entry for entry in entries if entry.is_symlink()), None)
+        if link is not None:
+            raise UsageError(f"{link} is a link: nothing is written or deleted through it; name another folder")
+
+
+def _is_unfinished_manifest(path: Path) -> bool:
+    """Whether a call that was killed while it wrote generation.json left this; there its name had its process' id."""
+    name = path.name
+    return name == temporary_name(path.with_name(MANIFEST)).name or (
+        name.startswith(f".{MANIFEST}.") and name.endswith(".tmp")
+    )
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 60 else f"{text[:57]}…"

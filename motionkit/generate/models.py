@@ -1,0 +1,153 @@
+"""What a generative model of continuous motion offers: requests in, motion fields out.
+
+Models register a `ModelLoader`, or a plain function from a run folder, under the entry point group
+`motionkit.models`; the table code and `motionkit generate` know only this interface.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.motion_field import MotionField
+from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
+
+
+@dataclass(frozen=True)
+class GenerationRequest:
+    """One motion wanted: a duration, and a text, an action or neither as its condition.
+
+    Where both are given, a model uses the text if it was trained with texts, and the action otherwise.
+    Where the duration is None, the model draws one from those of its training data.
+    """
+
+    duration_seconds: float | None
+    text: str = ""
+    action: str = ""
+
+
+@dataclass(frozen=True)
+class SamplingOptions:
+    """How to sample, where it isn't as the model's recipe says: None is the recipe's.
+
+    `guidance_scale` is how strongly the condition is followed (1: as the data does). A model raises `UsageError` for a
+    `sampler` or a number of `steps` that it doesn't have.
+
+    >>> options = mk.SamplingOptions(guidance_scale=2.5, steps=5)
+    >>> mk.generate("a person walks", run="runs/nano", fps=20, seconds=1, sampling=options).num_frames
+    20
+    """
+
+    guidance_scale: float | None = None
+    sampler: str | None = None
+    steps: int | None = None
+
+
+@runtime_checkable
+class GenerativeModel(Protocol):
+    """A trained model that turns requests into motion fields."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        ...
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """Skeleton of everything it generates."""
+        ...
+
+    @property
+    def max_training_fps(self) -> Fraction:
+        """Highest framerate in its training data; detail above it is invented."""
+        ...
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """Longest motion one request can ask for (l_max)."""
+        ...
+
+    def generate(
+        self,
+        requests: Sequence[GenerationRequest],
+        *,
+        seed: int,
+        sampling: SamplingOptions = SamplingOptions(),
+        first: int = 0,
+    ) -> list[MotionField]:
+        """One field per request, in order; the same seed and requests give the same fields.
+
+        Request i is number `first` + i of its seed, so that many requests can be worked off in several calls.
+        """
+        ...
+
+
+@runtime_checkable
+class ChecksRequests(Protocol):
+    """A model that can say what it cannot do before it begins: of a thousand requests, the last may be wrong."""
+
+    def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
+        """Raise `UsageError` for a duration, an action, a text or a way of sampling that this model does not know."""
+        ...
+
+
+@runtime_checkable
+class DescribesMotions(Protocol):
+    """A model that has something to say of a motion that it generated, beside its poses."""
+
+    def describe(self, motion: MotionField) -> Mapping[str, Any]:
+        """Plain values by name, ready for JSON."""
+        ...
+
+
+GROUP = "motionkit.models"
+
+
+@dataclass(frozen=True)
+class ModelLoader(Loader[GenerativeModel]):
+    """A generative model that a package brings, as an entry point of `motionkit.models` names it.
+
+    `fixed_fps_setting` is the setting that trains it at a single framerate, which some tables compare it with; empty
+    where it has none.
+    """
+
+    fixed_fps_setting: str = ""
+
+
+def installed_models() -> dict[str, ModelLoader]:
+    """All installed models by name."""
+    return installed_loaders(GROUP, ModelLoader)
+
+
+def model_loader(name: str) -> ModelLoader:
+    """The loader of a model; raises `UsageError` naming those there are."""
+    found = entry_points(group=GROUP, name=name)
+    if not found:
+        known = ", ".join(loader_names(GROUP)) or "none"
+        raise UsageError(f"no model is called {name!r}; installed models: {known}")
+    return loader_of(next(iter(found)), ModelLoader)
+
+
+def load_model(name: str, run: Path) -> GenerativeModel:
+    """Load the model that an entry point of group `motionkit.models` names, from a run folder."""
+    return model_loader(name).load(run)
+
+
+def model_of(run: Path) -> str:
+    """The name of the installed model that a run holds; of the one that is installed, whatever the run holds.
+
+    Raises `UsageError` where the run holds none of several models, or more than one.
+    """
+    installed = installed_models()
+    if len(installed) == 1:
+        return next(iter(installed))
+    held = [name for name, loader in installed.items() if loader.begun_in(run)]
+    if len(held) == 1:
+        return held[0]
+    if held:
+        raise UsageError(f"{run} holds several models, {' and '.join(held)}: name one of them (--model {held[0]})")
+    raise UsageError(f"{run} holds none of the installed models ({', '.join(installed) or 'there is none'})")

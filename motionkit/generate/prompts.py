@@ -1,0 +1,141 @@
+"""What `motionkit generate` is asked for: arguments or a file of prompts, as requests that know where they come from.
+
+A file of prompts has one motion a line:
+- `.txt`: a text, nothing else;
+- `.csv`: a header with `text` and/or `action`, and perhaps `seconds`;
+- `.jsonl`: an object with the same keys.
+Empty lines are skipped. A line has a text or an action; without `seconds` its length is that of `--seconds`, or drawn.
+"""
+
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from motionkit.core.errors import UsageError
+from motionkit.core.plain_text import parse_json, shown
+from motionkit.generate.models import GenerationRequest
+
+COLUMNS = ("text", "action", "seconds")
+SUFFIXES = (".txt", ".csv", ".jsonl")
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """One motion that is wanted, and where that was said: `prompts.csv, line 3`, empty for the command's arguments."""
+
+    request: GenerationRequest
+    where: str = ""
+
+
+def wanted_prompts(
+    file: Path | None, texts: Sequence[str], actions: Sequence[str], unconditional: bool, seconds: float | None
+) -> list[Prompt]:
+    """The prompts of a file or of the arguments; raises `UsageError` unless exactly one of them has any."""
+    if file is None:
+        return prompts_from_arguments(texts, actions, unconditional, seconds)
+    if texts or actions or unconditional:
+        raise UsageError("--prompts takes the place of texts, --action and --unconditional")
+    return read_prompts(file, seconds)
+
+
+def prompts_from_arguments(
+    texts: Sequence[str], actions: Sequence[str], unconditional: bool, seconds: float | None
+) -> list[Prompt]:
+    """One prompt per text or action; raises `UsageError` unless exactly one kind of condition is asked for."""
+    if sum((bool(texts), bool(actions), unconditional)) != 1:
+        raise UsageError("give texts, or --action, or --unconditional, or --prompts: exactly one of them")
+    if any(not text.strip() for text in (*texts, *actions)):
+        raise UsageError("a text or action is empty; --unconditional asks for motions of no stated kind")
+    requests = [GenerationRequest(seconds, text=text) for text in texts]
+    requests += [GenerationRequest(seconds, action=action) for action in actions]
+    requests += [GenerationRequest(seconds)] if unconditional else []
+    return [Prompt(request) for request in requests]
+
+
+def read_prompts(path: Path, seconds: float | None = None) -> list[Prompt]:
+    """Read a file of prompts; `seconds` is the length of those that state none (None: drawn).
+
+    Raises `UsageError` with file and line for what cannot be read, an unknown column, a line without a text or action
+    or with both, seconds that are no positive number, and a file without prompts.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"{path}: prompts are a .txt (a text a line), a .csv or a .jsonl (text, action, seconds)")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
+    rows = {".txt": _text_rows, ".csv": _csv_rows, ".jsonl": _json_rows}[path.suffix.lower()]
+    prompts = []
+    for line, row in rows(text, path):
+        where = f"{path}, line {line}"
+        prompts.append(Prompt(_request(row, seconds, where), where))
+    if not prompts:
+        raise UsageError(f"{path}: holds no prompts")
+    return prompts
+
+
+def _text_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]:
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.strip():
+            yield number, {"text": line.strip()}
+
+
+def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]:
+    reader = csv.DictReader(io.StringIO(text, newline=""), restkey="", strict=True)
+    try:
+        _check_columns(reader.fieldnames or (), f"{path}, line 1")
+        if not {"text", "action"} & set(reader.fieldnames or ()):
+            raise UsageError(f"{path}, line 1: the header names neither 'text' nor 'action'")
+        for row in reader:
+            if "" in row:
+                raise UsageError(f"{path}, line {reader.line_num}: more fields than the header names; quote texts")
+            yield reader.line_num, {name: value.strip() for name, value in row.items() if value and value.strip()}
+    except csv.Error as error:
+        raise UsageError(f"{path}, line {reader.line_num}: not a CSV table ({error})") from None
+
+
+def _json_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]:
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip():
+            continue
+        where = f"{path}, line {number}"
+        try:
+            row = parse_json(line)
+        except ValueError as error:
+            raise UsageError(f"{where}: not JSON ({error})") from None
+        if not isinstance(row, dict):
+            raise UsageError(f"{where}: expected an object with {', '.join(COLUMNS)}, not {type(row).__name__}")
+        _check_columns(row, where)
+        yield number, row
+
+
+def _check_columns(names: Any, where: str) -> None:
+    unknown = [name for name in names if name not in COLUMNS]
+    if unknown:
+        raise UsageError(f"{where}: unknown column {shown(unknown[0])}, expected {', '.join(COLUMNS)}")
+
+
+def _request(row: Mapping[str, Any], default_seconds: float | None, where: str) -> GenerationRequest:
+    text, action = (row.get(name) or "" for name in ("text", "action"))
+    if not isinstance(text, str) or not isinstance(action, str):
+        raise UsageError(f"{where}: text and action are strings")
+    if bool(text.strip()) == bool(action.strip()):
+        raise UsageError(f"{where}: give a text or an action, {'not both' if text.strip() else 'there is neither'}")
+    return GenerationRequest(_seconds(row.get("seconds"), default_seconds, where), text.strip(), action.strip())
+
+
+def _seconds(value: Any, default: float | None, where: str) -> float | None:
+    if value is None or value == "":
+        return default
+    try:
+        seconds = float(value)
+    except (TypeError, ValueError):
+        seconds = 0.0
+    if isinstance(value, bool) or not 0.0 < seconds < float("inf"):
+        raise UsageError(f"{where}: seconds is a positive number, not {shown(value)}")
+    return seconds

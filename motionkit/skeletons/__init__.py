@@ -1,1 +1,0 @@
-"""Tables that say how each family of skeletons maps to the standard layouts (data; see motionkit.skeletons.mapping)."""

@@ -1,0 +1,1 @@
+"""Memory maps for training, made from a store."""

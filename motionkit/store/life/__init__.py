@@ -1,0 +1,1 @@
+"""What is done to a store after it was written: remove, compact, merge, migrate, split."""

@@ -1,0 +1,171 @@
+"""Stores made of stores: migrated and compacted in their place, merged into another; each is one commit."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Int
+
+from motionkit.core.checksums import sha256_of
+from motionkit.core.errors import StoreError, UsageError
+from motionkit.store.cache.folder import remove_stale_caches
+from motionkit.store.commit import changing, committed, require_present_version
+from motionkit.store.encode import EncodedMotion, encode
+from motionkit.store.manifest import Manifest
+from motionkit.store.reader import Store
+from motionkit.store.schema import FORMAT_VERSION, MANIFEST_FILE, PART_BYTES, part_name
+from motionkit.store.writer import StoreWriter
+
+OnSequence = Callable[[], None]
+OnConflict = Literal["stop", "skip"]
+SHOWN_CONFLICTS = 5
+
+
+def migrate(path: Path, on_sequence: OnSequence = lambda: None) -> bool:
+    """Bring a store to the present format version; False where it has it already.
+
+    Every motion is read, measured and written again; until the commit the disk holds both. Raises `StoreError` where
+    there is no store, or it is damaged or busy.
+    """
+    with changing(path, must_exist=True) as manifest:
+        if manifest.format_version == FORMAT_VERSION:
+            return False
+    _write_anew(path, PART_BYTES, on_sequence)
+    return True
+
+
+def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: int = PART_BYTES) -> bool:
+    """Write full parts with nothing in them but the store's sequences, numbered 0, 1, 2 …; False where it is so.
+
+    Figures and frames are copied as they are: the parts and rows are those of one ingest of the same motions, but for
+    the numbers of the parts, which go on. Until the commit the disk holds both; then the old parts and the training
+    caches of earlier states are deleted, also those that a stopped command left. Raises `StoreError` where there is no
+    store, or it is damaged, busy or of an earlier version.
+    """
+    with changing(path, must_exist=True) as manifest:
+        require_present_version(path, manifest)
+        is_compact = _is_compact(manifest, part_bytes)
+    if not is_compact:
+        _write_anew(path, part_bytes, on_sequence)
+    remove_stale_caches(path, committed(path).fingerprint)
+    return not is_compact
+
+
+def _is_compact(manifest: Manifest, part_bytes: int) -> bool:
+    full = all(manifest.files[name].num_bytes >= part_bytes for name in manifest.parts[:-1])
+    return full and manifest.next_sequence_index == manifest.num_sequences
+
+
+def _write_anew(path: Path, part_bytes: int, on_sequence: OnSequence) -> None:
+    with StoreWriter.create(path, overwrite=True, part_bytes=part_bytes) as writer:
+        # Opened under the lock, so that no sequence is missed that another writer adds.
+        store = Store.open(path)
+        for motion in _encoded(store, store.select()):
+            writer.add_encoded(motion)
+            on_sequence()
+
+
+def _encoded(store: Store, indices: Int[np.ndarray, "chosen"]) -> Iterator[EncodedMotion]:
+    """Sequences as this version stores them: copied, or measured anew where the store is of an earlier version.
+
+    Raises `StoreError` for a part that is not what the manifest says: under a new sha256 nobody would see the damage.
+    """
+    parts = store.columns("part").loc[indices, "part"].to_numpy()
+    starts = np.flatnonzero(np.diff(parts, prepend=-1))
+    for start, chosen in zip(starts, np.split(indices, starts[1:]), strict=True) if len(starts) else ():
+        _require_intact(store, part_name(int(parts[start])))
+        if store.manifest.format_version == FORMAT_VERSION:
+            yield from store.read_encoded(chosen)
+        else:
+            yield from (encode(motion) for motion in store.read_many(chosen.tolist()))
+
+
+def _require_intact(store: Store, name: str) -> None:
+    path = store.path / name
+    if not path.is_file() or sha256_of(path) != store.manifest.files[name].sha256:
+        raise StoreError(
+            f"{path} is missing or damaged: 'motionkit validate --store {store.path}' says what; restore it from a copy"
+        )
+
+
+@dataclass(frozen=True)
+class MergeReport:
+    """What a merge did: sequences stored, those that were there already, and the ids of conflicts left out."""
+
+    store: Path
+    num_stored: int
+    num_already_stored: int
+    conflicts: tuple[str, ...]
+    num_in_store: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """What one source of a merge gives."""
+
+    store: Store
+    indices: Int[np.ndarray, "chosen"]
+
+
+def merge(
+    out: Path,
+    sources: Sequence[Path],
+    *,
+    where: str | None = None,
+    on_conflict: OnConflict = "stop",
+    on_start: Callable[[int], None] = lambda num_sequences: None,
+    on_sequence: OnSequence = lambda: None,
+) -> MergeReport:
+    """Copy the sequences of stores, or those for which a SQL condition holds, into one, which is made or added to.
+
+    Order is that of the sources and of their sequences; frames and figures are copied as they are. A sequence that
+    `out` or an earlier source holds from an equal file is left alone; the same id from another file is a conflict:
+    under `stop` nothing is written, under `skip` the first one stays. Raises `StoreError` for conflicts and for stores
+    that are missing, damaged or busy; `UsageError` for bad SQL or where nothing is chosen.
+    """
+    stores = [Store.open(path) for path in sources]
+    chosen = [_Choice(store, store.select(where)) for store in stores]
+    if not any(len(choice.indices) for choice in chosen):
+        raise UsageError("no sequence of the sources is chosen" + (f" by {where!r}" if where else ""))
+    appends = (out / MANIFEST_FILE).exists()
+    with StoreWriter.append(out) if appends else StoreWriter.create(out) as writer:
+        news, num_known, conflicts = _new_sequences(chosen, writer)
+        if conflicts and on_conflict == "stop":
+            raise StoreError(_told(conflicts))
+        num_new = sum(len(choice.indices) for choice in news)
+        on_start(num_new)
+        for choice in news:
+            for motion in _encoded(choice.store, choice.indices):
+                writer.add_encoded(motion)
+                on_sequence()
+    return MergeReport(out, num_new, num_known, tuple(conflicts), committed(out).num_sequences)
+
+
+def _new_sequences(chosen: Iterable[_Choice], writer: StoreWriter) -> tuple[list[_Choice], int, list[str]]:
+    """What is to be copied, how many sequences are there already, and the ids of conflicts."""
+    seen: dict[str, str] = {}
+    news, num_known, conflicts = [], 0, []
+    for choice in chosen:
+        columns = choice.store.columns("sequence_id", "source_sha256").loc[choice.indices]
+        kept = []
+        for index, sequence_id, sha256 in columns.itertuples(name=None):
+            if sequence_id not in seen and not writer.holds(sequence_id):
+                seen[sequence_id] = sha256
+                kept.append(index)
+            elif (sha256 and seen.get(sequence_id) == sha256) or writer.holds_from(sequence_id, sha256):
+                num_known += 1
+            else:
+                conflicts.append(sequence_id)
+        news.append(_Choice(choice.store, np.array(kept, np.int64)))
+    return news, num_known, conflicts
+
+
+def _told(conflicts: Sequence[str]) -> str:
+    names = ", ".join(map(repr, conflicts[:SHOWN_CONFLICTS]))
+    more = f" and {len(conflicts) - SHOWN_CONFLICTS} more" if len(conflicts) > SHOWN_CONFLICTS else ""
+    return (
+        f"{len(conflicts)} ids stand for different files: {names}{more}: leave them out with --where, or keep the "
+        "first of each with --on-conflict skip"
+    )

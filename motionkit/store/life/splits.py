@@ -1,0 +1,228 @@
+"""Which sequences are for training and which are held out: whole performers, whole sources, or whatever else.
+
+Sequences of one group (a performer, say) come into one split together, so that nothing of who is held out is learnt
+from. Only the table of sequences is written again.
+"""
+
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float, Int
+
+from motionkit.core.errors import UsageError
+from motionkit.store.codec import array_of
+from motionkit.store.commit import changing, describe_pending, publish, require_present_version, write_pending
+from motionkit.store.manifest import read_manifest
+from motionkit.store.reader import Store
+from motionkit.store.schema import SEQUENCES_FILE
+
+# HumanML3D's own shares.
+DEFAULT_SHARES = {"train": 0.8, "val": 0.05, "test": 0.15}
+SPLITS = tuple(DEFAULT_SHARES)
+
+# A subject's number means something inside its own source alone: one data set's 01 is not another's. The subset is left
+# out, since it may be no more than a folder: the same person's takes as AMC and as BVH.
+PERFORMER = "performer"
+SHORTHANDS = {PERFORMER: "source || '/' || nullif(subject, '')"}
+# Orders of the groups that are tried, fewer where groups are many and one order does nearly as well as another.
+MOST_ORDERS = 200
+GROUPS_TRIED = 50_000
+SHOWN = 3
+
+
+@dataclass(frozen=True)
+class SplitShare:
+    """One split after the assignment: its part of the chosen sequences, and the share of their seconds asked for."""
+
+    split: str
+    num_sequences: int
+    num_groups: int
+    duration_seconds: float
+    asked_share: float
+    share: float
+
+
+@dataclass(frozen=True)
+class SplitReport:
+    """What `split` did; `num_changed` sequences are in another split than before."""
+
+    store: Path
+    by: str
+    splits: tuple[SplitShare, ...]
+    num_changed: int
+    fingerprint: str
+
+
+def split(
+    path: Path,
+    shares: Mapping[str, float] = DEFAULT_SHARES,
+    *,
+    by: str = PERFORMER,
+    where: str | None = None,
+    seed: int = 0,
+    dry_run: bool = False,
+) -> SplitReport:
+    """Put every sequence for which the SQL condition holds into train, val or test, those of one group together.
+
+    `by` is `performer` (source and subject together) or a SQL expression over the table of sequences; equal
+    values are a group. `shares` are those of the sequences' seconds, in any unit; how near they are come by depends on
+    how large the groups are (`assign_groups`). With `dry_run` nothing is written. Raises `UsageError` for shares that
+    are none, bad SQL, sequences without a group, fewer groups than splits, and a group that would be in two splits
+    because `where` leaves out a part of it; `StoreError` for a store that is missing, busy or of an earlier version.
+    """
+    asked = _checked(shares)
+    if dry_run:
+        store = Store.open(path)
+        return _plan(store, asked, by, where, seed)[0]
+    with changing(path, must_exist=True) as previous:
+        require_present_version(path, previous)
+        store = Store.open(path)
+        report, column = _plan(store, asked, by, where, seed)
+        if not report.num_changed:
+            return report
+        place = store.sequences_table.schema.get_field_index("split")
+        table = store.sequences_table.set_column(place, store.sequences_table.schema.field(place), column)
+        write_pending(path, SEQUENCES_FILE, table)
+        entries = previous.files | describe_pending(path, {SEQUENCES_FILE: table.num_rows})
+        publish(path, replace(previous, files=entries))
+    return replace(report, fingerprint=read_manifest(path).fingerprint)
+
+
+def assign_groups(
+    seconds: Float[np.ndarray, "groups"], shares: Sequence[float], seed: int
+) -> Int[np.ndarray, "groups"]:
+    """For each group the split (its place in `shares`) that it comes into; every split gets one group at least.
+
+    Groups come in a random order, each into the split that then lacks most of its share of the seconds, so a split has
+    at most the largest group's length too much. Where groups are few and unequal one order may miss by that much: of
+    many orders drawn from the seed the one is taken that misses by least. Raises `ValueError` for fewer groups than
+    splits.
+    """
+    if len(seconds) < len(shares):
+        raise ValueError(f"{len(seconds)} groups cannot fill {len(shares)} splits")
+    asked = np.asarray(shares) / np.sum(shares) * seconds.sum()
+    generator = np.random.default_rng(seed)
+    num_orders = max(1, min(MOST_ORDERS, GROUPS_TRIED // len(seconds)))
+    tried = [_in_order(seconds, asked, generator.permutation(len(seconds))) for _ in range(num_orders)]
+    return min(tried, key=lambda split: np.abs(np.bincount(split, seconds, len(shares)) - asked).max())
+
+
+def _in_order(
+    seconds: Float[np.ndarray, "groups"], asked: Float[np.ndarray, "splits"], order: Int[np.ndarray, "groups"]
+) -> Int[np.ndarray, "groups"]:
+    lacking = asked.copy()
+    split = np.empty(len(seconds), dtype=np.int64)
+    empty = set(range(len(asked)))
+    for num_left, group in zip(range(len(order), 0, -1), order, strict=True):
+        # The last groups belong to splits that would else stay empty.
+        open_to = sorted(empty) if num_left == len(empty) else range(len(asked))
+        chosen = max(open_to, key=lambda place: lacking[place])
+        split[group] = chosen
+        lacking[chosen] -= seconds[group]
+        empty.discard(chosen)
+    return split
+
+
+def _checked(shares: Mapping[str, float]) -> dict[str, float]:
+    unknown = [name for name in shares if name not in SPLITS]
+    if unknown:
+        raise UsageError(f"no split is called {unknown[0]!r}: there are {', '.join(SPLITS)}")
+    wrong = [share for share in shares.values() if not 0 < share < float("inf")]
+    if wrong or not shares:
+        found = wrong[0] if wrong else "none"
+        raise UsageError(f"shares are positive numbers, such as train=0.8,test=0.2, not {found}")
+    return {name: shares[name] / sum(shares.values()) for name in SPLITS if name in shares}
+
+
+def _plan(
+    store: Store, shares: Mapping[str, float], by: str, where: str | None, seed: int
+) -> tuple[SplitReport, pa.Array]:
+    """What becomes of the chosen sequences, and the whole column `split` with it."""
+    chosen = store.rows_of(store.select(where))
+    if not len(chosen):
+        raise UsageError(f"no sequence of {store.path} satisfies {where!r}" if where else f"{store.path} is empty")
+    names, before = _groups(store, by), store.sequences_table["split"].to_pylist()
+    _require_groups(store, names, chosen, by, shares)
+    # By name, so that neither the order of the sequences nor what is left out moves a group.
+    groups = sorted({names[row] or "" for row in chosen})
+    place = {name: number for number, name in enumerate(groups)}
+    group = np.array([place[names[row] or ""] for row in chosen])
+    seconds = np.asarray(store.sequences_table["duration_seconds"])[chosen]
+    totals = np.bincount(group, weights=seconds, minlength=len(groups))
+    assigned = assign_groups(totals, list(shares.values()), seed)
+    splits = list(shares)
+    after = list(before)
+    for row, number in zip(chosen, assigned[group], strict=True):
+        after[row] = splits[number]
+    _require_whole_groups(names, after, set(groups), by)
+    found = tuple(
+        SplitShare(
+            split=name,
+            num_sequences=int((assigned[group] == number).sum()),
+            num_groups=int((assigned == number).sum()),
+            duration_seconds=float(totals[assigned == number].sum()),
+            asked_share=shares[name],
+            share=float(totals[assigned == number].sum() / totals.sum()),
+        )
+        for number, name in enumerate(splits)
+    )
+    num_changed = sum(one != other for one, other in zip(before, after, strict=True))
+    report = SplitReport(store.path, by, found, num_changed, store.fingerprint)
+    return report, array_of(after, pa.string())
+
+
+def _groups(store: Store, by: str) -> list[str | None]:
+    """The group of each sequence of the store, None where it has none."""
+    expression = SHORTHANDS.get(by, by)
+    try:
+        asked = f"nullif(CAST(({expression}) AS VARCHAR), '') AS name_of_group"
+        table = store.query(f"SELECT {asked} FROM sequences ORDER BY sequence_index")
+    except UsageError as error:
+        raise UsageError(f"groups by {by!r} cannot be asked for: {error}") from None
+    names: list[str | None] = table["name_of_group"].to_pylist()
+    return names
+
+
+def _require_groups(
+    store: Store, names: Sequence[str | None], chosen: Int[np.ndarray, "chosen"], by: str, shares: Mapping[str, float]
+) -> None:
+    groups = {names[row] for row in chosen}
+    if len(shares) == 1:
+        return  # all of them go one way, known or not
+    if None in groups:
+        nameless = [row for row in chosen if names[row] is None]
+        sources = sorted({store.sequences_table["source"][int(row)].as_py() or "unnamed" for row in nameless})
+        told = f"{len(nameless):,} of {len(chosen):,} sequences of {store.path} (sources: {_some(sources)}) "
+        if by == PERFORMER:
+            raise UsageError(
+                f"{told}have no performer: leave them out (--where \"subject <> ''\"), say who they are in a column "
+                f"'subject' beside the files and ingest again, or hold out something else (--by source, --by "
+                f"source_path, or any SQL over their ids)"
+            )
+        raise UsageError(f"{told}have no value of {by!r}: leave them out with --where")
+    if len(groups) < len(shares):
+        raise UsageError(
+            f"{len(chosen):,} sequences of {store.path} have {len(groups)} different values of {by!r}, which cannot "
+            f"fill {len(shares)} splits: ask for fewer in --shares, or for another --by"
+        )
+
+
+def _require_whole_groups(names: Sequence[str | None], splits: Sequence[str], chosen: Set[str], by: str) -> None:
+    of_group: dict[str, set[str]] = {name: set() for name in chosen if name}
+    for name, split in zip(names, splits, strict=True):
+        if name in of_group and split:
+            of_group[name].add(split)
+    torn = [name for name, found in of_group.items() if len(found) > 1]
+    if torn:
+        raise UsageError(
+            f"{len(torn):,} values of {by!r} would be in two splits, since --where leaves out a part of their "
+            f"sequences ({_some(torn)}): choose all of them, or split by something finer (--by sequence_id)"
+        )
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - SHOWN:,} more" if len(names) > SHOWN else ""
+    return ", ".join(map(repr, names[:SHOWN])) + more

@@ -1,0 +1,132 @@
+"""Clips with holes: frames that a tracker lost are nan, frames that a camera dropped leave uneven time stamps.
+
+Readers refuse both, for a corpus must not hold any. Here a copy without nan is read, each lost frame repeating a whole
+one, together with the mask that says which frames are whole and with the times at which they were.
+"""
+
+import io
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.core.timegrid import parse_fps
+from motionkit.formats.arrays import npy, npz_archive
+from motionkit.formats.arrays.joints_npy import MANIFEST
+from motionkit.formats.scan import scanner
+from motionkit.formats.scan.items import ReadOptions, SourceItem
+from motionkit.formats.source import source_file
+
+FRAME_ARRAYS = ("joint_positions", "local_rotations", "root_translation")
+NAN = "nan"
+
+
+@dataclass(frozen=True, eq=False)
+class ReadClip:
+    """A motion as read, which of its frames are whole, and where they lie in time if its grid does not say that."""
+
+    motion: Motion
+    seen: Bool[np.ndarray, "frames"]
+    uneven_seconds: Float64[np.ndarray, "frames"] | None = None
+
+    @staticmethod
+    def whole(motion: Motion) -> "ReadClip":
+        """One without holes."""
+        return ReadClip(motion, np.ones(motion.num_frames, bool))
+
+
+def read_with_holes(item: SourceItem, options: ReadOptions) -> ReadClip:
+    """A clip with its holes; raises `FormatError` as `registry.read`, and where no frame is whole.
+
+    Only .npz and .npy arrays may have holes, only .npz uneven times: those have to ascend.
+    """
+    try:
+        motion, uneven = _read_timed(item, options)
+    except FormatError as error:
+        if error.reason != NAN or item.path.suffix.lower() not in (".npz", ".npy") or item.key:
+            raise
+        return _read_filled(item, options)
+    return ReadClip(motion, np.ones(motion.num_frames, bool), uneven)
+
+
+def _read_timed(item: SourceItem, options: ReadOptions) -> tuple[Motion, Float64[np.ndarray, "frames"] | None]:
+    try:
+        return scanner.read(item, options), None
+    except FormatError as error:
+        if error.reason != "frame-time" or item.format != "npz":
+            raise
+        seconds = _ascending_seconds(item.path, error)
+    # The usual step stands for a framerate where one is needed: how fast the clip is.
+    motion = scanner.read(item, replace(options, fps=parse_fps(float(1 / np.median(np.diff(seconds))))))
+    return motion.logged("time stamps are uneven: each frame taken at its own"), seconds
+
+
+def _ascending_seconds(path: Path, error: FormatError) -> Float64[np.ndarray, "frames"]:
+    archive = npz_archive.open_archive(path, source_file.read_bytes(path))
+    if "time_seconds" not in archive:
+        raise error
+    seconds = npz_archive.read_exact(archive, "time_seconds", (None,))
+    if len(seconds) < 2 or not np.isfinite(seconds).all():
+        raise error
+    late = np.diff(seconds) <= 0
+    if late.any():
+        frame = int(np.argmax(late)) + 1
+        before, here = seconds[frame - 1 : frame + 1]
+        message = (
+            f"is at {here:.6g} s, after a frame at {before:.6g} s: sort frames by time and keep one of each instant"
+        )
+        raise FormatError(message, path=path, reason="frame-time", frame=frame)
+    return seconds
+
+
+def filled_rows(
+    arrays: Mapping[str, np.ndarray], path: Path
+) -> tuple[dict[str, np.ndarray], Bool[np.ndarray, "frames"]]:
+    """Arrays by frame, lost frames replaced by the whole one before, and which are whole; raises `FormatError`."""
+    finite = [np.isfinite(array.reshape(len(array), -1)).all(axis=1) for array in arrays.values()]
+    if len({len(each) for each in finite}) > 1:
+        raise FormatError("its arrays have different numbers of frames", path=path, reason="channel-count")
+    seen = np.logical_and.reduce(finite)
+    if not seen.any():
+        raise FormatError("every frame holds nan: nothing is observed", path=path, reason=NAN)
+    source = np.maximum.accumulate(np.where(seen, np.arange(len(seen)), int(np.argmax(seen))))
+    return {name: array[source] for name, array in arrays.items()}, seen
+
+
+def _read_filled(item: SourceItem, options: ReadOptions) -> ReadClip:
+    data = source_file.read_bytes(item.path)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / item.path.name
+        if item.path.suffix.lower() == ".npz":
+            seen = _copy_npz(item.path, data, copy)
+        else:
+            filled, seen = filled_rows({"": npy.parse_npy(item.path, data, None)}, item.path)
+            np.save(copy, filled[""], allow_pickle=False)
+            if (item.path.parent / MANIFEST).is_file():
+                shutil.copy(item.path.parent / MANIFEST, folder)
+        motion, uneven = _read_timed(replace(item, path=copy, root=Path(folder)), options)
+    provenance = replace(motion.provenance, source_sha256=source_file.sha256(data))
+    lost = f"{int((~seen).sum())} frames hold nan: not observed"
+    return ReadClip(replace(motion, provenance=provenance).logged(lost), seen, uneven)
+
+
+def _copy_npz(path: Path, data: bytes, copy: Path) -> Bool[np.ndarray, "frames"]:
+    archive = npz_archive.open_archive(path, data)
+    there = [name for name in FRAME_ARRAYS if name in archive]
+    filled, seen = filled_rows({name: npz_archive.read_plain(archive, name) for name in there}, path)
+    with zipfile.ZipFile(copy, "w") as out:
+        for name, info in archive.members.items():
+            if name not in filled:
+                out.writestr(info.filename, archive.zipped.read(info))
+                continue
+            buffer = io.BytesIO()
+            np.save(buffer, filled[name], allow_pickle=False)
+            out.writestr(info.filename, buffer.getvalue())
+    return seen

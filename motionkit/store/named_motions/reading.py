@@ -1,0 +1,157 @@
+"""Motions of files and folders in one call: what a file, or each file of a folder, says of itself."""
+
+import warnings
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from motionkit.core.errors import FormatError, UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.skeletons.families import read_skeleton_map
+from motionkit.core.timegrid import Framerate, parse_fps
+from motionkit.formats.scan import scanner
+from motionkit.formats.scan.folders import dangling
+from motionkit.formats.scan.items import ReadOptions, SourceItem
+from motionkit.store.named_motions.found import Readers, find_motions
+from motionkit.store.named_motions.holes import NAN
+from motionkit.store.named_motions.vectors_npy import read_vectors
+from motionkit.store.schema import MANIFEST_FILE, SEQUENCES_FILE
+
+SHOWN_IDS = 3
+
+
+class _Sequence(NamedTuple):
+    id: str
+    read: Callable[[], Motion]
+
+
+def read(
+    path: str | Path,
+    *,
+    sequence: str | None = None,
+    format: str = "auto",
+    fps: Framerate | None = None,
+    unit_metres: int | float | None = None,
+    skeleton_map: str | Path | None = None,
+) -> Motion:
+    """Read one motion from a file, or from a folder that holds one, at its native framerate.
+
+    The format is told by name and content, or given by its name (docs/formats.md). `fps` and `unit_metres` (length of
+    one file unit) replace what the file says; `skeleton_map` is a TOML table of how its rig becomes the 22 joints.
+    Captions, action and licence come from an annotation table beside the file. Of a folder, `sequence` chooses one by
+    its id or the end of it.
+
+    Raises `FormatError` for a file that cannot be read, `UsageError` for a path that does not exist, and for a folder
+    of several motions of which none is chosen.
+
+    >>> mk.read("walk.bvh")
+    Motion('captures/walk', 240 frames at 60 fps = 4.00 s, walk (22 joints), rotations, 1 captions)
+    >>> mk.read("takes", sequence="jump").fps
+    Fraction(30, 1)
+    """
+    path = Path(path)
+    found, problems = _find(path, read_options(format, fps, unit_metres, skeleton_map))
+    if sequence is not None:
+        chosen = [each for each in found if each.id == sequence or each.id.endswith(f"/{sequence}")]
+        if not chosen:
+            raise problems[0] if not found else UsageError(f"{path} holds no motion {sequence!r}: {_named(found)}")
+        found = chosen
+    elif not found:
+        raise problems[0]
+    if len(found) > 1:
+        raise UsageError(
+            f"{path} holds {len(found):,} motions, {_named(found)}: read one of them with sequence={found[0].id!r}, or "
+            "all of them with read_all"
+        )
+    if path.is_file():
+        for problem in problems:
+            warnings.warn(str(problem), stacklevel=2)
+    return found[0].read()
+
+
+def read_all(
+    path: str | Path,
+    *,
+    format: str = "auto",
+    fps: Framerate | None = None,
+    unit_metres: int | float | None = None,
+    skeleton_map: str | Path | None = None,
+    on_error: Literal["stop", "skip"] = "stop",
+) -> Iterator[Motion]:
+    """Read all motions of a file or folder, one at a time as they are asked for; options are those of `read`.
+
+    What cannot be read raises `FormatError`, or is left out with a warning where `on_error` is "skip". Raises
+    `UsageError` for a path that does not exist.
+
+    >>> [motion.sequence_id for motion in mk.read_all("takes")]
+    ['takes/jump', 'takes/walk']
+    """
+    found, problems = _find(Path(path), read_options(format, fps, unit_metres, skeleton_map))
+    return _each(found, problems, on_error)
+
+
+def _each(found: list[_Sequence], problems: list[FormatError], on_error: Literal["stop", "skip"]) -> Iterator[Motion]:
+    for problem in problems:
+        if on_error == "stop":
+            raise problem
+        warnings.warn(str(problem), stacklevel=2)
+    for each in found:
+        try:
+            yield each.read()
+        except FormatError as error:
+            if on_error == "stop":
+                raise
+            warnings.warn(str(error), stacklevel=2)
+
+
+def read_options(
+    format: str = "auto",
+    fps: Framerate | None = None,
+    unit_metres: int | float | None = None,
+    skeleton_map: str | Path | None = None,
+) -> ReadOptions:
+    """Options of readers as people give them in Python; raises `ValueError` for a framerate or a unit that is none."""
+    if unit_metres is not None and not 0 < unit_metres < float("inf"):
+        raise ValueError(f"unit_metres is a positive length, not {unit_metres}")
+    return ReadOptions(
+        format=format,
+        fps=None if fps is None else parse_fps(fps),
+        unit_metres=None if unit_metres is None else float(unit_metres),
+        skeleton_maps=() if skeleton_map is None else (read_skeleton_map(Path(skeleton_map)),),
+    )
+
+
+def check_exists(path: Path) -> None:
+    """Raise `UsageError` for a path that leads nowhere."""
+    if not path.exists():
+        raise UsageError(str(dangling(path) or f"{path} does not exist"))
+
+
+def _find(path: Path, options: ReadOptions) -> tuple[list[_Sequence], list[FormatError]]:
+    check_exists(path)
+    if all((path / name).is_file() for name in (MANIFEST_FILE, SEQUENCES_FILE)):
+        raise UsageError(f"{path} is a store: Store.open({str(path)!r}) reads it")
+
+    def of_item(item: SourceItem) -> _Sequence:
+        return _Sequence(item.sequence_id, partial(scanner.read, item, options))
+
+    def of_vectors(file: Path) -> _Sequence:
+        return _Sequence(file.stem, partial(_read_vectors, file, options))
+
+    readers = Readers(of_item, of_vectors, lambda motion: _Sequence(motion.sequence_id, lambda: motion))
+    found, problems = find_motions([str(path)], options, path, readers)
+    return [each.read() for each in found], problems
+
+
+def _read_vectors(path: Path, options: ReadOptions) -> Motion:
+    clip = read_vectors(path, options)
+    if not clip.seen.all():
+        frame = int(clip.seen.argmin())
+        raise FormatError("the pose holds nan or infinity", path=path, reason=NAN, frame=frame)
+    return clip.motion
+
+
+def _named(found: list[_Sequence]) -> str:
+    more = " …" if len(found) > SHOWN_IDS else ""
+    return ", ".join(each.id for each in found[:SHOWN_IDS]) + more

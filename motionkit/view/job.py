@@ -1,0 +1,165 @@
+"""One page of motions: read, cut to the stretch that is asked for, and written; what of it could not be."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motionkit.core.errors import FormatError, MotionkitError, UsageError, describe
+from motionkit.core.plain_text import printable
+from motionkit.core.timegrid import format_fps
+from motionkit.export.player.page import check_places, write_page
+from motionkit.export.player.takes import Take, take_of
+from motionkit.formats.bvh.document import read_document
+from motionkit.formats.scan.items import ReadOptions, SourceItem
+from motionkit.store.named_motions.found import Found, Readers, find_motions, find_stored
+from motionkit.store.named_motions.holes import NAN, ReadClip, read_with_holes
+from motionkit.store.named_motions.vectors_npy import read_vectors
+
+# Of .bvh files: frames that a tracker lost, and a skeleton that is no human body.
+READABLE_ALL_THE_SAME = frozenset({NAN, "unit"})
+
+ViewSource = Found[ReadClip]
+
+
+def find_sources(names: Sequence[str], options: ReadOptions, store: Path) -> tuple[list[ViewSource], list[FormatError]]:
+    """The motions of these names, and what is wrong with some. Raises `UsageError` for a name that says nothing."""
+    readers = Readers(partial(_read, options=options), lambda path: read_vectors(path, options), ReadClip.whole)
+    return find_motions(names, options, store, readers)
+
+
+def stored_where(store: Path, where: str) -> list[ViewSource]:
+    """The stored sequences for which a condition holds, in the store's order; raises `StoreError` or `UsageError`."""
+    return find_stored(store, where, ReadClip.whole)
+
+
+def _read(item: SourceItem, options: ReadOptions) -> ReadClip:
+    try:
+        return read_with_holes(item, options)
+    except FormatError as error:
+        if error.reason not in READABLE_ALL_THE_SAME or item.path.suffix.lower() != ".bvh":
+            raise
+    document = read_document(item.path, options)
+    return ReadClip(replace(document.motion(), captions=item.captions), document.seen)
+
+
+SUFFIX = ".view.html"
+# A name made of many would be too long for some systems, which count bytes.
+LONGEST_STEM_BYTES = 160
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Seconds of a motion's own clock, the first included, the last not; None is its beginning or its end.
+
+    Raises `UsageError` for one that holds nothing.
+    """
+
+    from_seconds: float | None = None
+    to_seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        begin, end = self.from_seconds, self.to_seconds
+        if any(each is not None and not np.isfinite(each) for each in (begin, end)):
+            raise UsageError("--from and --to are seconds")
+        if begin is not None and end is not None and begin >= end:
+            raise UsageError(f"--from {begin:g} --to {end:g} holds nothing: it ends before it begins")
+
+    def of(self, take: Take) -> Take:
+        """The frames inside; raises `MotionkitError` where there are none."""
+        begin = -np.inf if self.from_seconds is None else self.from_seconds
+        end = np.inf if self.to_seconds is None else self.to_seconds
+        seconds = take.frame_seconds()
+        first, stop = np.searchsorted(seconds, (begin - 1e-6, end - 1e-6)).tolist()
+        if first >= stop:
+            raise MotionkitError(
+                f"it has no frame from {_told(begin)} to {_told(end)}: its frames are at {seconds[0]:g} to "
+                f"{seconds[-1]:.6g} s"
+            )
+        return take.frames(first, stop)
+
+
+@dataclass(frozen=True)
+class Viewed:
+    """A page that was written: its file, its size in bytes, the takes that it shows."""
+
+    path: Path
+    num_bytes: int
+    takes: tuple[Take, ...]
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "page": str(self.path),
+            "bytes": self.num_bytes,
+            "motions": [
+                {
+                    "name": take.name,
+                    "fps": format_fps(take.fps),
+                    "first_frame": take.first_frame,
+                    "num_frames": take.num_frames,
+                    "start_seconds": take.start_seconds,
+                    "duration_seconds": take.duration_seconds,
+                    "num_joints": take.skeleton.num_joints,
+                }
+                for take in self.takes
+            ],
+        }
+
+
+def read_takes(
+    sources: Sequence[ViewSource], stretch: Stretch, advance: Callable[[], None]
+) -> tuple[list[Take], list[tuple[str, str]]]:
+    """The takes of sources, and name and message of each that cannot be shown: one that fails loses no other."""
+    takes: list[Take] = []
+    failures: list[tuple[str, str]] = []
+    # File names without their folders, where these tell them apart.
+    unique = len({source.short for source in sources}) == len(sources)
+    for source in sources:
+        try:
+            take = stretch.of(_take(source.read(), source.short if unique else source.name))
+            check_places(take)
+        except (MotionkitError, OSError) as error:
+            failures.append((source.name, describe(error)))
+        else:
+            takes.append(take)
+        advance()
+    return takes, failures
+
+
+def _take(read: ReadClip, name: str) -> Take:
+    take = take_of(read.motion, name)
+    uneven = read.uneven_seconds
+    if uneven is not None:
+        take = replace(take, uneven_seconds=uneven, start_seconds=float(uneven[0]))
+    return take if read.seen.all() else replace(take, seen=read.seen)
+
+
+def page_path(out: Path | None, sources: Sequence[ViewSource]) -> Path:
+    """The page's file: `out`, a name in it where it is a folder, or NAME.view.html here."""
+    first = sources[0].beside.name
+    stem = first if len(sources) == 1 else f"{first}-and-{len(sources) - 1}-more"
+    short = printable(stem).encode(errors="replace")[:LONGEST_STEM_BYTES].decode(errors="ignore")
+    name = f"{short or 'motion'}{SUFFIX}"
+    if out is None:
+        return Path(name)
+    return out / name if out.is_dir() else out
+
+
+def write_view(path: Path, takes: Sequence[Take], stretch: Stretch) -> Viewed:
+    """Write the page of takes; raises `MotionkitError`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    title = takes[0].name if len(takes) == 1 else f"{len(takes)} motions"
+    parts = [
+        f"from {stretch.from_seconds:g} s" if stretch.from_seconds is not None else "",
+        f"to {stretch.to_seconds:g} s" if stretch.to_seconds is not None else "",
+    ]
+    note = " ".join(part for part in ("Shown", *parts) if part) + "." if any(parts) else ""
+    return Viewed(path, write_page(path, title, takes, note=note), tuple(takes))
+
+
+def _told(seconds: float) -> str:
+    return f"{seconds:g} s" if np.isfinite(seconds) else "its end" if seconds > 0 else "its beginning"

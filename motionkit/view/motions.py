@@ -1,0 +1,56 @@
+"""One page of some motions, in Python: what `motionkit view` does, of motions in memory or in files."""
+
+import warnings
+import webbrowser
+from pathlib import Path
+
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.motion import Motion
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.store.named_motions.found import Found
+from motionkit.store.named_motions.holes import ReadClip
+from motionkit.store.named_motions.reading import check_exists
+from motionkit.view import MOST_MOTIONS
+from motionkit.view.job import Stretch, ViewSource, find_sources, page_path, read_takes, write_view
+
+
+def view(*motions: Motion | str | Path, path: str | Path | None = None, open: bool = False) -> Path:
+    """Write a page on which motions move side by side, each at its native framerate, and return its path.
+
+    `motions` are motions, files, or folders of files. The page is one file that loads nothing from elsewhere: open it
+    in any browser, or `open` it in the one of this machine. It is written to `path` (a file, or a folder), by default
+    to NAME.view.html in the current folder; an existing page is replaced. What cannot be shown is left out with a
+    warning. Raises `UsageError` for no motion and for more than 24, `MotionkitError` where none can be shown.
+
+    >>> motion = mk.read("walk.bvh")
+    >>> mk.view(motion, motion.resample(24), path="compared.html").name
+    'compared.html'
+    """
+    sources: list[ViewSource] = []
+    problems: list[str] = []
+    for motion in motions:
+        if isinstance(motion, Motion):
+            sources.append(_in_memory(motion))
+            continue
+        check_exists(Path(motion))
+        found, failed = find_sources([str(motion)], ReadOptions(), Path(motion))
+        sources += found
+        problems += map(str, failed)
+    if len(sources) > MOST_MOTIONS or not motions:
+        raise UsageError(f"a page shows 1 to {MOST_MOTIONS} motions, not {len(sources):,}")
+    takes, failures = read_takes(sources, Stretch(), lambda: None)
+    problems += [message if name in message else f"{name}: {message}" for name, message in failures]
+    if not takes:
+        raise MotionkitError("; ".join(problems))
+    for problem in problems:
+        warnings.warn(problem, stacklevel=2)
+    written = write_view(page_path(None if path is None else Path(path), sources), takes, Stretch()).path
+    if open:
+        webbrowser.open(written.absolute().as_uri())
+    return written
+
+
+def _in_memory(motion: Motion) -> ViewSource:
+    name = motion.sequence_id or "motion"
+    beside = Path(name.replace("/", "_").lstrip(".") or "motion")
+    return Found(name, name, beside, lambda: ReadClip.whole(motion))

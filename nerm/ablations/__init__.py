@@ -1,1 +1,0 @@
-"""The ablations of the paper and ours: which runs a table is made of, and their training."""

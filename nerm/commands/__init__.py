@@ -1,1 +1,0 @@
-"""The commands that NeRM adds to motionkit, one file each."""

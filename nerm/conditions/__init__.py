@@ -1,1 +1,0 @@
-"""What a motion is conditioned on: text, action, duration, and classifier-free guidance."""

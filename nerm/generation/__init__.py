@@ -1,1 +1,0 @@
-"""What `motionkit generate` is asked for, plans, samples and writes, whichever model made it."""

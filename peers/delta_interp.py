@@ -1,0 +1,93 @@
+"""Δ-Interp: given frames attend to each other, missing ones to the given, all relative to the last frame known."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from motionkit.clips.temporal.network import ObservedWindow
+from peers.attention import longest_gap
+from peers.settings import DeltaInterpNetworkConfig
+
+
+class DeltaInterp(nn.Module):
+    """Δ-Interp (Oreshkin et al. 2023, arXiv 2201.06701; boreshkinai/delta-interpolator).
+
+    Given frames enter relative to the last one before the gap, missing ones as zeros, both with learned embeddings of
+    their position and of the gap's length. Every block has one attention and one residual MLP for both: the given
+    frames attend to themselves, the missing ones to the given. The answer is meant as a correction of an interpolation
+    (the `residual` setting of the training). A time between two frames has the mixture of their embeddings.
+    """
+
+    def __init__(self, config: DeltaInterpNetworkConfig, numbers: int) -> None:
+        super().__init__()
+        inputs = numbers + 2 * config.embedding
+        self.frames_per_second = config.frames_per_second
+        self.position = PositionTable(config.positions, config.embedding)
+        self.length = PositionTable(config.positions, config.embedding)
+        self.given, self.missing = nn.Linear(inputs, config.width), nn.Linear(inputs, config.width)
+        self.blocks = nn.ModuleList(
+            Block(config.width, config.heads, config.layers, config.dropout) for _ in range(config.blocks)
+        )
+        self.output = nn.Linear(config.width, numbers)
+
+    def forward(self, window: ObservedWindow) -> Float[Tensor, "batch queries numbers"]:
+        """Normalised pose vectors at the queries, or what is to be added to an interpolation."""
+        gap, start = longest_gap(window), window.times_seconds[:, :1]
+        reference = window.frames[torch.arange(len(window.frames), device=window.frames.device), gap.before]
+        missing_frames = (gap.after_seconds - gap.before_seconds) * self.frames_per_second - 1
+        length = self.length(missing_frames[:, None])
+
+        def entered(layer: nn.Linear, poses: Tensor, times_seconds: Tensor) -> Tensor:
+            position = self.position((times_seconds - start) * self.frames_per_second)
+            rows: Tensor = layer(torch.cat((poses, position, length.expand(position.shape)), dim=-1))
+            return rows
+
+        given = entered(self.given, window.frames - reference[:, None], window.times_seconds)
+        nothing = window.frames.new_zeros(*window.queries_seconds.shape, window.frames.shape[-1])
+        missing = entered(self.missing, nothing, window.queries_seconds)
+        for block in self.blocks:
+            given = block(given, given)
+            missing = block(missing, given)
+        answers: Tensor = self.output(missing)
+        return answers
+
+
+class PositionTable(nn.Module):
+    """A learned vector for each whole position; between two of them their mixture, outside the table its end."""
+
+    def __init__(self, positions: int, numbers: int) -> None:
+        super().__init__()
+        # A one-hot vector through a linear layer, as the authors have it: rows of a matrix, and one bias.
+        self.projection = nn.Linear(positions, numbers)
+
+    def forward(self, positions: Float[Tensor, "*some"]) -> Float[Tensor, "*some numbers"]:
+        """Embeddings of positions, whole or between."""
+        table = self.projection.weight.T
+        inside = positions.clamp(0, len(table) - 1)
+        below = inside.floor().long().clamp(max=len(table) - 2)
+        share = (inside - below)[..., None]
+        return (1 - share) * table[below] + share * table[below + 1] + self.projection.bias
+
+
+class Block(nn.Module):
+    """Multi-head attention, its input added, layer norm, ReLU, and a residual MLP with leaky ReLU."""
+
+    def __init__(self, width: int, heads: int, layers: int, dropout: float) -> None:
+        super().__init__()
+        self.attention = nn.MultiheadAttention(width, heads, batch_first=True)
+        self.norm = nn.LayerNorm(width)
+        hidden: list[nn.Module] = []
+        for layer in range(layers):
+            hidden += [nn.Linear(width, width), nn.LeakyReLU()]
+            if layer == 0:
+                hidden.append(nn.Dropout(dropout))
+        self.residual = nn.Sequential(*hidden)
+
+    def forward(
+        self, queries: Float[Tensor, "batch queries width"], keys: Float[Tensor, "batch keys width"]
+    ) -> Float[Tensor, "batch queries width"]:
+        """The queries after attention to the keys and the residual MLP."""
+        attended, _ = self.attention(queries, keys, keys, need_weights=False)
+        hidden = torch.relu(self.norm(queries + attended))
+        changed: Tensor = self.residual(hidden)
+        return hidden + changed

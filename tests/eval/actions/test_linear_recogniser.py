@@ -1,0 +1,92 @@
+"""The recogniser fitted on a store's own actions: against scikit-learn, on motions that are known apart; refusals."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+
+from eval.actions.linear import SHRINKAGE, fit_linear, motion_statistics, statistics_of
+from eval.actions.recogniser import ActionRecogniser
+from eval.sets.sets import SampleSet, sample_set
+from motionkit.core.errors import MotionkitError
+from tests.helpers.acting import ACTIONS, acted
+
+FPS = Fraction(20)
+
+
+def motions(count: int, seed: int, actions: tuple[str, ...] = ACTIONS) -> SampleSet:
+    names = [action for action in actions for _ in range(count)]
+    made = [acted(name, seed + i) for i, name in enumerate(names)]
+    return sample_set("made", FPS, made, [str(i) for i in range(len(names))], actions=names)
+
+
+def test_it_tells_motions_apart_that_differ_in_path_or_pose() -> None:
+    recogniser = fit_linear(motions(20, 0))
+    assert isinstance(recogniser, ActionRecogniser) and recogniser.actions == ACTIONS
+    held_out = motions(10, 1000)
+    found = recogniser.recognise(held_out)
+    assert found.features.shape == (30, 2)
+    named = [recogniser.actions[best] for best in found.scores.argmax(axis=1)]
+    assert np.mean([name == action for name, action in zip(named, held_out.actions, strict=True)]) > 0.95
+
+
+def test_it_is_linear_discriminant_analysis() -> None:
+    train, held_out = motions(12, 0), motions(5, 500)
+    recogniser = fit_linear(train)
+    standard = (statistics_of(train) - recogniser.centre) / recogniser.spread
+    labels = np.array([ACTIONS.index(action) for action in train.actions])
+    means = np.stack([standard[labels == label].mean(axis=0) for label in range(3)])
+    within = np.cov((standard - means[labels]).T, bias=True)
+    shrunk = (1 - SHRINKAGE) * within + SHRINKAGE * np.trace(within) / len(within) * np.eye(len(within))
+    x = (statistics_of(held_out) - recogniser.centre) / recogniser.spread
+    inverse = np.linalg.inv(shrunk)
+    by_hand = x @ inverse @ means.T - 0.5 * (means @ inverse * means).sum(axis=1)
+    ours = recogniser.recognise(held_out).scores
+    np.testing.assert_allclose(ours - ours[:, :1], by_hand - by_hand[:, :1], rtol=1e-6, atol=1e-6)
+    theirs = LinearDiscriminantAnalysis(solver="eigen", shrinkage=SHRINKAGE).fit(standard, labels)
+    np.testing.assert_array_equal(ours.argmax(axis=1), theirs.predict(x))
+
+
+def test_statistics_do_not_depend_on_place_heading_or_length_beyond_what_they_see() -> None:
+    body = acted("nod", 3)
+    turned = body[:, :, [2, 1, 0]] * np.float32([1, 1, -1]) + np.float32([4, 0, -1])
+    np.testing.assert_allclose(motion_statistics(body, 20.0), motion_statistics(turned, 20.0), atol=2e-4)
+    long = acted("nod", 3, num_frames=200)
+    whole = sample_set("long", FPS, [long], ["a"])
+    part = sample_set("part", FPS, [long[70:130]], ["a"])
+    np.testing.assert_array_equal(statistics_of(whole), statistics_of(part))
+
+
+def test_the_path_is_told_in_the_bodys_own_directions() -> None:
+    names = slice(63 * 4, 63 * 4 + 4)
+    left, right = (motion_statistics(acted(action, 1), 20.0)[names] for action in ACTIONS[1:])
+    np.testing.assert_allclose(left[0], 0.4, atol=0.05)
+    np.testing.assert_allclose(right[0], -0.4, atol=0.05)
+    np.testing.assert_allclose((left[1], right[1]), 0.0, atol=0.05)
+
+
+def test_the_same_motions_give_the_same_fit() -> None:
+    train = motions(11, 0)
+    fewer = train.select([i for i in range(train.num_sequences) if i % 11])
+    assert fit_linear(train).fingerprint == fit_linear(train).fingerprint != fit_linear(fewer).fingerprint
+
+
+def test_what_cannot_be_learnt_or_described_is_said() -> None:
+    with pytest.raises(MotionkitError, match="made: 0 actions have 10 motions or more at 20 fps"):
+        fit_linear(motions(9, 0))
+    rare = sample_set(
+        "rare",
+        FPS,
+        [acted(action, i) for i, action in enumerate([*ACTIONS[:2] * 10, ACTIONS[2]])],
+        [str(i) for i in range(21)],
+        actions=[*ACTIONS[:2] * 10, ACTIONS[2]],
+    )
+    recogniser = fit_linear(rare)
+    assert recogniser.actions == ACTIONS[:2]
+    with pytest.raises(MotionkitError, match="1 motions have fewer than 10 frames at 20 fps, the first is 'b' with 9"):
+        recogniser.recognise(sample_set("short", FPS, [acted("nod", 0), acted("nod", 0, 9)], ["a", "b"]))
+    with pytest.raises(MotionkitError, match="30 fps, but the recogniser 'linear' was trained at 20 fps"):
+        recogniser.recognise(sample_set("fast", Fraction(30), [acted("nod", 0)], ["a"]))
+    with pytest.raises(MotionkitError, match="21 joints"):
+        recogniser.recognise(sample_set("kit", FPS, [acted("nod", 0)[:, :21]], ["a"]))

@@ -1,0 +1,133 @@
+"""The action protocols against plain implementations, and what they tell or refuse."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+
+from eval.actions.protocol import ACTION_PROTOCOLS, find_action_protocol
+from eval.actions.recogniser import Recognition
+from eval.actions.scores import LabelledRecognition, score_actions
+from eval.metrics.actions import multimodality_by_class, multimodality_by_class_with_replacement
+from eval.metrics.registry import find_metric
+from motionkit.core.errors import UsageError
+
+CLASSES = 4
+
+
+def recognised(number: int, seed: int) -> LabelledRecognition:
+    rng = np.random.default_rng(seed)
+    labels = np.arange(number) % CLASSES
+    features = rng.normal(size=(number, 3)) + labels[:, None]
+    scores = rng.normal(size=(number, CLASSES)) + 2 * np.eye(CLASSES)[labels]
+    return LabelledRecognition(Recognition(features, scores), labels)
+
+
+def by_rejection(features: np.ndarray, labels: np.ndarray, rng: np.random.Generator, pairs: int) -> float:
+    """Pairs drawn from the whole set until every class has its share, as action-to-motion describes it."""
+    left, total = np.full(CLASSES, pairs), 0.0
+    while left.any():
+        first, second = rng.integers(len(labels), size=2)
+        if labels[first] == labels[second] and left[labels[first]]:
+            left[labels[first]] -= 1
+            total += float(np.linalg.norm(features[first] - features[second]))
+    return total / (pairs * CLASSES)
+
+
+def test_pairs_of_a_class_have_the_distribution_of_the_reference() -> None:
+    motions = recognised(24, 0)
+    features, labels = motions.recognition.features, motions.labels
+    reference = by_rejection(features, labels, np.random.default_rng(1), 3000)
+    found = multimodality_by_class_with_replacement(features, labels, rng=np.random.default_rng(2), num_pairs=3000)
+    assert found == pytest.approx(reference, rel=0.03)
+    # Six motions a class: one pair in six is a motion with itself.
+    different = multimodality_by_class(features, labels, rng=np.random.default_rng(3), num_pairs=3000)
+    assert different == pytest.approx(reference / (1 - 1 / 6), rel=0.03)
+    exact = []
+    for label in range(CLASSES):
+        members = features[labels == label]
+        distances = np.linalg.norm(members[:, None] - members[None], axis=-1)
+        exact.append(distances.sum() / (6 * 5))
+    assert different == pytest.approx(np.mean(exact), rel=0.03)
+
+
+def test_two_motions_a_class_are_always_paired_with_each_other() -> None:
+    features = np.array([[0.0], [3.0], [10.0], [15.0]])
+    labels = np.array([0, 0, 1, 1])
+    assert multimodality_by_class(features, labels, rng=np.random.default_rng(0)) == 4.0
+    with pytest.raises(ValueError, match="class 1 has a single motion"):
+        multimodality_by_class(features[:3], labels[:3], rng=np.random.default_rng(0))
+    with pytest.raises(ValueError, match="3 motions and 4 labels"):
+        multimodality_by_class(features[:3], labels, rng=np.random.default_rng(0))
+
+
+def plain_fid(x: np.ndarray, y: np.ndarray) -> float:
+    a, b = np.cov(x, rowvar=False), np.cov(y, rowvar=False)
+    root = np.sqrt(np.maximum(np.linalg.eigvals(a @ b).real, 0)).sum()
+    return float(((x.mean(0) - y.mean(0)) ** 2).sum() + np.trace(a) + np.trace(b) - 2 * root)
+
+
+@pytest.mark.parametrize("protocol", ACTION_PROTOCOLS, ids=lambda protocol: protocol.name)
+def test_each_protocol(protocol) -> None:  # type: ignore[no-untyped-def]
+    counted = {"native": None, "a2m": 3000, "actor": None, "mdm": 1000}[protocol.name]
+    draws: Sequence[LabelledRecognition] = [recognised(counted or 160, seed) for seed in (1, 2)]
+    train, test = recognised(300, 8).recognition.features, recognised(200, 9).recognition.features
+    few = replace(protocol, replications=4)
+    found = score_actions({"train": train, "test": test}, draws, few, seed=0)
+    for replication in range(4):
+        motions = draws[replication % 2]
+        features = motions.recognition.features
+        hits = motions.recognition.scores.argmax(axis=1) == motions.labels
+        assert found.values["accuracy"].values[replication] == pytest.approx(hits.mean())
+        assert found.values["fid_train"].values[replication] == pytest.approx(plain_fid(train, features), rel=1e-9)
+        assert found.values["fid_test"].values[replication] == pytest.approx(plain_fid(test, features), rel=1e-9)
+    replaced = protocol.name != "native"
+    suffix = "_with_replacement" if replaced else ""
+    # All pairs of the first draw, with and without a motion's distance to itself.
+    features = draws[0].recognition.features
+    expected = 2 * pdist(features).sum() / len(features) ** 2
+    many = replace(protocol, replications=40, diversity_pairs=150)
+    diversity = score_actions({}, draws[:1], many, seed=0).values["diversity" + suffix]
+    assert diversity.estimate.mean == pytest.approx(expected, rel=0.03)
+    assert f"multimodality_by_class{suffix}" in found.values
+    assert found.sizes == {"real (train)": 300, "real (test)": 200, "generated": counted or 160, "draws": 2}
+    assert all(find_metric(name) for name in found.values)
+
+
+def test_actors_spread_is_a_variance_and_no_interval() -> None:
+    actor = find_action_protocol("actor")
+    assert actor.spread == "1.96 · variance"
+    found = score_actions({}, [recognised(80, seed) for seed in range(20)], actor, seed=0)
+    values = np.array(found.values["accuracy"].values)
+    assert found.values["accuracy"].variance_spread == pytest.approx(1.96 * ((values - values.mean()) ** 2).mean())
+    assert found.values["accuracy"].estimate.ci95 == pytest.approx(1.96 * values.std() / np.sqrt(20))
+    assert any("not an interval" in remark for remark in found.remarks)
+    assert not any("there is one set" in remark for remark in found.remarks)
+
+
+def test_more_motions_than_a_protocol_counts_are_thinned_and_fewer_are_told() -> None:
+    few = replace(find_action_protocol("mdm"), replications=3, num_motions=40)
+    more = score_actions({"": recognised(90, 0).recognition.features}, [recognised(60, 1)], few, seed=0)
+    assert more.sizes["generated"] == 40
+    assert len(set(more.values["fid"].values)) == 3
+    fewer = score_actions({}, [recognised(20, 1)], few, seed=0)
+    assert any("counts 40 motions, here are 20" in remark for remark in fewer.remarks)
+    assert set(fewer.values) == {
+        "accuracy",
+        "diversity_with_replacement",
+        "multimodality_by_class_with_replacement",
+    }
+
+
+def test_refusals() -> None:
+    native = find_action_protocol("native")
+    with pytest.raises(ValueError, match="no set of motions"):
+        score_actions({}, [], native, seed=0)
+    with pytest.raises(ValueError, match=r"not \['val'\]"):
+        score_actions({"val": np.zeros((3, 2))}, [recognised(20, 0)], native, seed=0)
+    with pytest.raises(ValueError, match="one each for every motion"):
+        LabelledRecognition(Recognition(np.zeros((3, 2)), np.zeros((3, 4))), np.zeros(2, dtype=np.int64))
+    with pytest.raises(UsageError, match="no action protocol 't2m': native, a2m, actor, mdm"):
+        find_action_protocol("t2m")

@@ -1,0 +1,264 @@
+"""Tables 1 and 2 of PA-HiRes: which frames are given, figures held against their definition, data sets and refusals."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from eval.completion.encoders import HOLD, Completer
+from eval.completion.interpolation import InterpolationTask, measure_interpolation
+from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, InterpolationProtocol, scale_label
+from eval.completion.scores import measure_scale
+from eval.completion.takes import NoTakesError, data_sets_of, open_clips
+from eval.report.render import to_markdown
+from eval.sets.row_curves import CUBIC, LINEAR
+from eval.tables.pahires.extrapolation import TABLE as EXTRAPOLATION
+from eval.tables.pahires.inbetweening import TABLE as INBETWEENING
+from eval.tables.pahires.interpolation import TABLE_1, TABLE_2
+from eval.tables.registry import TableRequest
+from motionkit.core import kinematics
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.motion_field import MotionEncoder, Observation, Poses
+from motionkit.store.reader import Store
+from motionkit.store.writer import StoreWriter
+
+PROTOCOL = InterpolationProtocol()
+
+
+def test_frames_kept_at_whole_and_other_scales() -> None:
+    assert PROTOCOL.kept_frames(Fraction(3)).tolist()[:4] == [0, 3, 6, 9]
+    assert PROTOCOL.kept_frames(Fraction("2.4")).tolist()[:7] == [0, 2, 4, 7, 9, 12, 14]
+    assert PROTOCOL.kept_frames(Fraction("1.2")).tolist()[:7] == [0, 1, 2, 3, 4, 6, 7]
+    assert PROTOCOL.clip_frames == PROTOCOL.span_frames(Fraction(5)) == 76
+    assert PROTOCOL.span_frames(Fraction("4.8")) == 73
+    assert [scale_label(scale) for scale in (Fraction(2), Fraction("3.6"))] == ["×2", "×3.6"]
+    with pytest.raises(ValueError, match="scales lie above 1 and up to 5, not at 1"):
+        PROTOCOL.kept_frames(Fraction(1))
+
+
+@given(st.sampled_from((*INTEGER_SCALES, *OTHER_SCALES)), st.integers(2, 40))
+def test_a_span_ends_with_the_last_given_frame_and_asks_for_the_rest(scale: Fraction, num_kept: int) -> None:
+    protocol = InterpolationProtocol(num_kept)
+    kept, asked = protocol.kept_frames(scale), protocol.synthesised(scale)
+    assert kept.tolist() == [int(np.floor(i * float(scale) + 1e-9)) for i in range(num_kept)]
+    assert len(asked) == kept[-1] + 1 == protocol.span_frames(scale)
+    assert set(np.flatnonzero(asked)) == set(range(len(asked))) - set(kept.tolist())
+
+
+def take(number: int, num_frames: int, fps: int, split: str, source: str = "cmu") -> Motion:
+    rng = np.random.default_rng(number)
+    time = np.arange(num_frames)[:, None, None] / fps
+    turns = 0.5 * rng.normal(size=(1, 22, 3)) * np.sin(2.0 * rng.normal(size=(1, 22, 3)) * time + number)
+    turns[:, [10, 11, 15, 20, 21]] = 0.0  # leaves, which no position shows
+    local = Rotation.from_rotvec(turns.reshape(-1, 3)).as_quat(scalar_first=True).reshape(num_frames, 22, 4)
+    root = np.array([0.9, 0.02, 0.3]) * np.sin(time[:, 0] + number) + [0, 0.95, 0]
+    return Motion(
+        kinematics.forward_kinematics(local.astype(np.float32), root.astype(np.float32), SMPL22),
+        SMPL22,
+        TimeGrid(Fraction(fps), num_frames),
+        local_rotations=local.astype(np.float32),
+        root_translation=root.astype(np.float32),
+        sequence_id=f"take-{number}",
+        split=split,
+        provenance=Provenance(source=source, subject=f"{number % 2}", source_sha256=f"{number:064d}"),
+    )
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("interpolation") / "store"
+    with StoreWriter.create(path) as writer:
+        writer.add(take(0, 160, 60, "test"))
+        writer.add(take(1, 160, 30, "test"))
+        writer.add(take(2, 70, 30, "test"))
+        writer.add(take(3, 100, 50, "test"))
+        for number in (4, 6):
+            writer.add(take(number, 110, 30, "train"))
+        writer.add(take(8, 90, 30, "test", source="studio"))
+    return path
+
+
+def test_clips_are_real_frames_of_whole_multiples(store: Path) -> None:
+    opened = Store.open(store)
+    cmu = next(each for each in data_sets_of(opened) if each.label == "CMU, 30 fps")
+    clips = open_clips(opened, cmu, "test", None, 76, 76)
+    # 60 fps: 80 frames at 30, one clip; 160 frames: two; 70 are too few; 50 fps is no multiple.
+    assert (clips.num_clips, clips.num_takes, clips.num_short, clips.num_other_fps) == (3, 2, 1, 1)
+    poses = clips.read(slice(0, 3))
+    true = take(0, 160, 60, "test")
+    np.testing.assert_allclose(poses.joint_positions[0], true.joint_positions[:152:2], atol=2e-3)
+    np.testing.assert_allclose(poses.joint_positions[2], take(1, 160, 30, "").joint_positions[76:152], atol=2e-3)
+    turned = np.abs(np.sum(poses.local_rotations()[0] * np.asarray(true.local_rotations)[:152:2], axis=-1))
+    assert turned.min() > 1 - 1e-4
+    assert np.allclose(np.diff(poses.times_seconds), 1 / 30)
+    with pytest.raises(NoTakesError, match="none of the 1 takes of split 'test' has 500 frames at 30 fps"):
+        open_clips(opened, next(each for each in data_sets_of(opened) if each.name == "studio"), "test", None, 500, 76)
+
+
+def figures(store: Path, encoder: MotionEncoder, scale: str) -> dict[str, float]:
+    opened = Store.open(store)
+    cmu = next(each for each in data_sets_of(opened) if each.label == "CMU, 30 fps")
+    clips, train = (open_clips(opened, cmu, split, None, 76, 76) for split in ("test", "train"))
+    task = InterpolationTask(clips, measure_scale(train), PROTOCOL)
+    row = Completer("row", encoder, "", "")
+    found, failed = measure_interpolation(task, (Fraction(scale),), [row])
+    assert not failed
+    return {name: values[f"×{scale}"].mean for name, values in found["row"].items()}
+
+
+def test_figures_of_held_poses_are_those_of_their_definition(store: Path) -> None:
+    """Everything once more from the motions, with scipy's rotations and loops over clips."""
+    found = figures(store, INTERPOLATORS["hold"], "2.4")
+    motions = [take(0, 160, 60, "").frames(0, 152), *(take(1, 160, 30, "").frames(k, k + 76) for k in (0, 76))]
+    steps = (2, 1, 1)
+    training = np.concatenate([numbers(take(number, 110, 30, "").frames(0, 76), 1) for number in (4, 6)])
+    mean, std = training.mean(axis=0), training.std(axis=0)
+    varies = std > 1e-4
+    std[[0, 2]] = np.sqrt((std[[0, 2]] ** 2).mean())
+    for group in (slice(1, 2), slice(3, 9), slice(9, 135)):
+        floor = 0.25 * np.sqrt((std[group][varies[group]] ** 2).mean())
+        std[group] = np.maximum(std[group], floor)
+    kept = [int(np.floor(i * 2.4 + 1e-9)) for i in range(16)]
+    last = kept[-1]
+    decibels, distances, accelerations = [], [], []
+    for motion, step in zip(motions, steps, strict=True):
+        true = numbers(motion, step)[: last + 1]
+        held = np.array([true[max(k for k in kept if k <= frame)] for frame in range(last + 1)])
+        asked = [frame for frame in range(last + 1) if frame not in kept]
+        error = ((held - true)[asked] / (4 * std))[:, varies]
+        decibels.append(-10 * np.log10((error**2).mean()))
+        joints = motion.joint_positions[::step][: last + 1].astype(float)
+        still = np.array([joints[max(k for k in kept if k <= frame)] for frame in range(last + 1)])
+        distances.append(np.linalg.norm(still - joints, axis=-1)[asked].mean())
+        second = (still - joints)[2:] - 2 * (still - joints)[1:-1] + (still - joints)[:-2]
+        accelerations.append(np.linalg.norm(second * 900, axis=-1).mean())
+    assert mean.shape == (135,) and varies.sum() == 105
+    assert found["psnr"] == pytest.approx(np.mean(decibels), abs=0.05)
+    assert found["mpjpe_global"] == pytest.approx(np.mean(distances), rel=0.02)
+    assert found["acceleration_error"] == pytest.approx(np.mean(accelerations), rel=0.02)
+
+
+def numbers(motion: Motion, step: int) -> np.ndarray:
+    """The 135 numbers of a clip in its own frame, from scipy's matrices."""
+    assert motion.local_rotations is not None
+    matrices = Rotation.from_quat(motion.local_rotations[::step].reshape(-1, 4), scalar_first=True).as_matrix()
+    matrices = matrices.reshape(-1, 22, 3, 3)
+    root = motion.joint_positions[::step, 0].astype(float)
+    hips = SMPL22.offsets[SMPL22.index("left_hip")] - SMPL22.offsets[SMPL22.index("right_hip")]
+    x, _, z = matrices[0, 0] @ (hips / np.linalg.norm(hips))
+    turn = Rotation.from_rotvec([0, np.arctan2(z, x), 0]).as_matrix()
+    root = (root - [root[0, 0], 0, root[0, 2]]) @ turn.T
+    matrices[:, 0] = turn @ matrices[:, 0]
+    return np.concatenate((root, matrices[..., :2].swapaxes(-1, -2).reshape(len(root), -1)), axis=1)
+
+
+class PositionsOnly:
+    """The truth as positions: rotations have to come from inverse kinematics."""
+
+    name = "positions"
+
+    def __init__(self, method: str) -> None:
+        self.encoder = INTERPOLATORS[method]  # type: ignore[index]
+
+    def encode(self, observation: Observation, **reach: float) -> object:
+        return self.encoder.encode(observation, **reach)
+
+
+class Broken:
+    name = "broken"
+
+    def query_many(self, observations: Sequence[Observation], times_seconds: np.ndarray) -> list[Poses]:
+        raise ValueError("windows of 5 frames are longer than training saw")
+
+    encode = query_many
+
+
+def test_smoother_is_better_and_positions_alone_can_be_scored(store: Path) -> None:
+    held, line, smooth = (figures(store, encoder, "4") for encoder in (INTERPOLATORS["hold"], LINEAR, CUBIC))
+    assert held["psnr"] + 10 < line["psnr"] and line["psnr"] + 10 < smooth["psnr"]
+    assert held["ssim"] < line["ssim"] < smooth["ssim"] <= 1
+    assert smooth["rotation_angle_error"] < 0.1 < line["rotation_angle_error"] < held["rotation_angle_error"]
+    positions = figures(store, PositionsOnly("cubic"), "4")  # type: ignore[arg-type]
+    assert positions["mpjpe_global"] < 0.01 * held["mpjpe_global"]
+    # The twist of a bone is in no position: these rotations are others.
+    assert positions["rotation_angle_error"] > 10 * smooth["rotation_angle_error"]
+
+
+def request(store: Path, tmp_path: Path, **more: object) -> TableRequest:
+    return replace(TableRequest(store=store, results=tmp_path / "results", run=tmp_path / "runs" / "nano"), **more)  # type: ignore[arg-type]
+
+
+def test_tables_1_and_2_have_all_data_sets_and_the_papers_figures(store: Path, tmp_path: Path) -> None:
+    for table, columns in ((TABLE_1, ("×2", "×3", "×4", "×5")), (TABLE_2, ("×1.2", "×2.4", "×3.6", "×4.8"))):
+        result = table.build(request(store, tmp_path))
+        titles = [block.title for block in result.blocks]
+        assert titles[:2] == ["all data sets, 30 fps: PSNR (dB)", "all data sets, 30 fps: SSIM"]
+        assert titles[4:6] == ["CMU, 30 fps: PSNR (dB)", "CMU, 30 fps: SSIM"]
+        held = {block.title: block.rows[0].cells[columns[0]].value for block in result.blocks}
+        cmu, studio = held["CMU, 30 fps: PSNR (dB)"], held["studio, 30 fps: PSNR (dB)"]
+        assert held["all data sets, 30 fps: PSNR (dB)"] == pytest.approx((3 * cmu + studio) / 4)  # 3 clips and 1
+        assert "studio, 30 fps: MPJPE (cm)" in titles and "Printed in the PA-HiRes paper, CMU: SSIM" in titles
+        assert all(block.columns == columns for block in result.blocks)
+        assert [row.name for row in result.blocks[0].rows] == [
+            "hold", "linear", "SLERP", "Catmull-Rom", "SQUAD", "cubic spline",
+        ]  # fmt: skip
+        assert any(line.startswith("HumanML3D, 20 fps: the store has none of it") for line in result.missing)
+        assert any("CMU, 120 fps: " in line and "whole multiple of 120 fps" in line for line in result.missing)
+        told = " ".join(result.notes)
+        assert "CMU, 30 fps: 2 performers, 1 of whom are in the training split too" in told
+        assert "studio, 30 fps has no training split" in told
+        assert "1 shorter than 76 frames and 1 of framerates that are no multiple of the table's" in told
+        assert "**Small scale**" in result.caption
+        assert "| hold |" in to_markdown(result)
+    parts = len(list((tmp_path / "results" / "parts").iterdir()))
+    assert TABLE_2.build(request(store, tmp_path)).blocks == result.blocks
+    assert len(list((tmp_path / "results" / "parts").iterdir())) == parts
+
+
+def test_tables_over_windows(store: Path, tmp_path: Path) -> None:
+    result = INBETWEENING.build(request(store, tmp_path))
+    blocks = {block.title: block for block in result.blocks}
+    rows = {row.name: row for row in blocks["CMU, 30 fps: L2P"].rows}
+    figures = [rows["zero velocity"].cells[f"{length} frames"].value for length in (5, 15, 30, 45)]
+    assert figures == sorted(figures) and figures[0] > 0
+    assert rows["interpolation (SLERP)"].cells["5 frames"].value < figures[0]
+    printed = {row.name: row for row in blocks["Printed for LaFAN1: NPSS"].rows}
+    assert printed["PA-HiRes (PA-HiRes paper)"].cells["30 frames"].value == 0.1055
+    assert printed["TS-Former (its authors)"].cells["30 frames"].value == 0.1124
+    assert "digit for digit" in printed["MC-Trans (PA-HiRes paper)"].note
+    assert any("LaFAN1, 30 fps: the store has no take of LaFAN1's subject1" in line for line in result.missing)
+    further = EXTRAPOLATION.build(request(store, tmp_path))
+    rows = {row.name: row for row in further.blocks[0].rows}
+    assert list(rows) == ["zero velocity", "constant velocity"]
+    for column in ("after: 5", "before: 5"):
+        assert rows["constant velocity"].cells[column].value < rows["zero velocity"].cells[column].value
+
+
+def test_what_cannot_be_asked_is_told_in_a_line(store: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="the condition"):
+        TABLE_1.build(request(store, tmp_path, where="no_such_column = 1"))
+    with pytest.raises(NoTakesError, match=r"no chosen take of .* has a framerate that is a whole multiple of 7 fps"):
+        TABLE_1.build(request(store, tmp_path, fps=(Fraction(7),)))
+    with pytest.raises(UsageError, match="--encoder squid=nano: trained encoders are"):
+        TABLE_1.build(request(store, tmp_path, encoders=(("squid", tmp_path / "runs" / "nano"),)))
+
+
+def test_an_encoder_that_fails_is_left_out_and_named(store: Path) -> None:
+    opened = Store.open(store)
+    cmu = next(each for each in data_sets_of(opened) if each.label == "CMU, 30 fps")
+    clips = open_clips(opened, cmu, "test", None, 76, 76)
+    task = InterpolationTask(clips, measure_scale(clips), PROTOCOL)
+    broken = Completer("broken", Broken(), "", "")  # type: ignore[arg-type]
+    found, failed = measure_interpolation(task, INTEGER_SCALES[:1], [broken, HOLD])
+    assert list(found) == ["hold"]
+    assert failed == {"broken": "×2: windows of 5 frames are longer than training saw"}

@@ -1,0 +1,60 @@
+"""Sets that can be scored, but whose scores mean something else than they seem to."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from eval.clip_fid.score import ClipError, PoseRange, Protocol, score_rows
+from eval.sets.remarks import set_remarks
+from eval.sets.sets import SampleSet, sample_set
+
+FPS = Fraction(30)
+PROTOCOL = Protocol(sizes=PoseRange(16, 24), num_clips=64, replications=1, detailed_replications=1)
+
+
+class Flattened:
+    """The first pose's coordinates and the last one's: 132 numbers."""
+
+    name = "flattened"
+    fingerprint = "flattened/1"
+
+    def describe(self, clips: np.ndarray, fps: Fraction) -> np.ndarray:
+        return clips[:, [0, -1]].reshape(len(clips), -1).astype(np.float64)
+
+
+def moving(name: str, seed: int = 0, num_sequences: int = 4) -> SampleSet:
+    rng = np.random.default_rng(seed)
+    sequences = [rng.normal(size=(60, 22, 3)).astype(np.float32) for _ in range(num_sequences)]
+    return sample_set(name, FPS, sequences, [str(index) for index in range(num_sequences)])
+
+
+def frozen(name: str, num_poses: int) -> SampleSet:
+    poses = np.random.default_rng(1).normal(size=(num_poses, 1, 22, 3)).astype(np.float32)
+    return sample_set(name, FPS, [np.repeat(pose, 60, axis=0) for pose in poses], [str(i) for i in range(num_poses)])
+
+
+def test_sequences_of_the_real_set_are_found_in_any_order() -> None:
+    real = moving("real")
+    half = sample_set("half", FPS, [*moving("other", seed=2).sequences(), real.sequence(3), real.sequence(0)], "abcdef")
+    remarks = set_remarks(real, {"half": half, "copy": real.select([2, 0, 1, 3]), "other": moving("other", seed=2)})
+    assert [remark.split(" are copies")[0] for remark in remarks] == [
+        "half, 30 fps: 2 of 6 sequences",
+        "copy, 30 fps: 4 of 4 sequences",
+    ]
+
+
+def test_motion_that_stands_still_is_named_even_where_sequences_differ() -> None:
+    remarks = set_remarks(moving("real"), {"statues": frozen("statues", 3), "dancer": moving("dancer", seed=3)})
+    assert [remark.split(":")[0] for remark in remarks] == ["statues, 30 fps"]
+
+
+def test_a_real_set_with_constant_features_is_refused() -> None:
+    with pytest.raises(ClipError, match=r"statue at 30 fps: every clip has the same flattened features"):
+        score_rows(frozen("statue", 1), {"other": moving("other")}, Flattened(), PROTOCOL)
+
+
+def test_a_generated_set_with_constant_features_gets_its_numbers() -> None:
+    score = score_rows(moving("real"), {"statue": frozen("statue", 1)}, Flattened(), PROTOCOL)["statue"]
+    assert score.clip_fid.mean > 1.0
+    assert score.details["recall"].mean == 0.0

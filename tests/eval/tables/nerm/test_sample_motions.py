@@ -1,0 +1,153 @@
+"""Another system's samples: repeated answers, whom they belong to, what is missing."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from eval.sample_folder import SampleFolder
+from eval.sample_folder.folder import SampleFolderError
+from eval.sets.sets import SampleSet, sample_set
+from eval.tables.nerm.sample_motions import AS_VECTORS, BY_JOINTS, sample_embeddings
+from eval.text_motion.embedding_cache import Embedder
+from eval.text_motion.protocol import find_text_motion_protocol
+from eval.text_motion.real_pairs import CaptionedMotions
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Caption
+
+NATIVE, PAIRED = find_text_motion_protocol("native"), find_text_motion_protocol("mld")
+
+
+class First:
+    """An evaluator whose embedding of a motion is its first number, its length, and of a caption its tokens' length."""
+
+    name, fingerprint, fps, layout = "first", "1", None, "smpl22"
+
+    def remark_at(self, fps: Fraction) -> str:
+        return ""
+
+    def embed_motions(self, samples: SampleSet) -> np.ndarray:
+        return np.array([[float(sequence[0, 0, 0]), float(len(sequence))] for sequence in samples.sequences()])
+
+    def embed_texts(self, captions: list[Caption]) -> np.ndarray:
+        return np.array([[len(caption.text), len(caption.tokens)] for caption in captions], dtype=np.float64)
+
+
+EMBEDDER = Embedder(First(), None)
+
+
+def sequence(value: float, frames: int = 41) -> np.ndarray:
+    return np.full((frames, 22, 3), value, dtype=np.float32)
+
+
+def real() -> CaptionedMotions:
+    captions = tuple(Caption(text, tokens=text.upper()) for text in ("walks", "runs fast", "walks", "sits"))
+    texts = [caption.text for caption in captions]
+    samples = sample_set("real", Fraction(20), [sequence(i) for i in range(4)], ["r0", "r1", "r2", "r3"], texts)
+    return CaptionedMotions(samples, captions, {caption.text: caption for caption in captions}, {}, 0)
+
+
+def folder(names: list[str], captions: list[str], groups: list[str] | None = None, frames: int = 41) -> SampleFolder:
+    positions = np.concatenate([sequence(10 + index, frames) for index in range(len(names))])
+    return SampleFolder(
+        "mine",
+        positions,
+        np.full(len(names), frames, dtype=np.int64),
+        (Fraction(20),) * len(names),
+        tuple(names),
+        tuple(captions),
+        ("",) * len(names),
+        tuple(groups or names),
+    )
+
+
+def test_answers_to_one_prompt_are_draws_and_multimodality() -> None:
+    names = [f"{group}_{repeat}" for repeat in range(3) for group in "ab"]
+    found = sample_embeddings(folder(names, ["walks", "sits"] * 3, ["a", "b"] * 3), real(), NATIVE, EMBEDDER)
+    assert [draw.motions[:, 0].tolist() for draw in found.draws] == [[10, 11], [12, 13], [14, 15]]
+    assert found.repeated is not None
+    assert found.repeated[..., 0].tolist() == [[10, 12, 14], [11, 13, 15]]
+    # Captions of the real set keep their tokens.
+    assert found.draws[0].texts.tolist() == [[5, 5], [4, 4]]
+
+
+def test_prompts_that_were_answered_more_often_are_multimodality_alone() -> None:
+    captions = ["walks", "sits", "sits", "a new one"]
+    found = sample_embeddings(folder(["0", "1", "2", "3"], captions, ["a", "b", "b", "c"]), real(), NATIVE, EMBEDDER)
+    assert [draw.motions[:, 0].tolist() for draw in found.draws] == [[10, 11, 13]]
+    assert found.repeated is not None and found.repeated[..., 0].tolist() == [[11, 12]]
+    assert found.draws[0].texts[2].tolist() == [9, 0]
+    assert sample_embeddings(folder(["0"], ["sits"]), real(), NATIVE, EMBEDDER).repeated is None
+
+
+def test_samples_belong_to_real_motions_by_name_or_else_by_caption() -> None:
+    named = sample_embeddings(folder(["x/r2.npy", "x/r0.npy"], ["sits", "sits"]), real(), PAIRED, EMBEDDER)
+    assert named.real_rows is not None and named.real_rows.tolist() == [2, 0]
+    captioned = folder(["0", "1", "2"], ["walks", "sits", "walks"])
+    told = sample_embeddings(captioned, real(), PAIRED, EMBEDDER)
+    assert told.real_rows is not None and told.real_rows.tolist() == [0, 3, 2]
+
+
+def test_samples_without_a_real_motion_are_left_out_and_told() -> None:
+    for captions, rows in ((["walks", "walks", "walks"], [0, 2]), (["walks", "unheard of", "sits"], [0, 3])):
+        found = sample_embeddings(folder(["0", "1", "2"], captions), real(), PAIRED, EMBEDDER)
+        assert found.real_rows is not None and found.real_rows.tolist() == rows
+        assert len(found.draws[0].motions) == 2
+        assert found.remarks == ("1 of 3 have no real motion of their text that takes part: left out",)
+        assert sample_embeddings(folder(["0", "1", "2"], captions), real(), NATIVE, EMBEDDER).real_rows is None
+    # Most names fit: names decide, and the caption of another real motion doesn't.
+    named = sample_embeddings(folder(["r2", "r9", "r0"], ["sits"] * 3), real(), PAIRED, EMBEDDER)
+    assert named.real_rows is not None and named.real_rows.tolist() == [2, 0]
+    with pytest.raises(UsageError, match="protocol 'mld' compares with the real motions of the same texts"):
+        sample_embeddings(folder(["0", "1"], ["unheard of", "new"]), real(), PAIRED, EMBEDDER)
+
+
+def test_long_samples_are_cropped_like_real_motions() -> None:
+    found = sample_embeddings(folder(["0", "1"], ["walks", "sits"], frames=300), real(), NATIVE, EMBEDDER)
+    assert found.draws[0].motions[:, 1].tolist() == [197, 197]
+
+
+def test_samples_without_captions_are_refused() -> None:
+    with pytest.raises(SampleFolderError, match="have no caption"):
+        sample_embeddings(folder(["0", "1"], ["walks", ""]), real(), NATIVE, EMBEDDER)
+
+
+class KitVectors(First):
+    """An evaluator that reads KIT's pose vectors: their first number, and how many there are."""
+
+    fps, vector_size = Fraction(20), 251
+
+    def embed_vectors(self, motions: Sequence[np.ndarray], lengths: Sequence[int] | None = None) -> np.ndarray:
+        self.seen = [len(motion) for motion in motions]
+        numbers = self.seen if lengths is None else lengths
+        return np.array([[float(motion[0, 0]), float(number)] for motion, number in zip(motions, numbers, strict=True)])
+
+
+def test_vectors_reach_an_evaluator_that_reads_them_and_no_other() -> None:
+    joints = folder(["0", "1"], ["walks", "sits"], frames=300)
+    kit = replace(joints, vectors=tuple(np.full((300, 251), 70 + i, dtype=np.float32) for i in range(2)))
+    wide = replace(joints, vectors=tuple(np.zeros((300, 263), dtype=np.float32) for _ in range(2)))
+    slow = replace(kit, fps=(Fraction(10),) * 2)
+    reads = Embedder(KitVectors(), None)
+    found = sample_embeddings(kit, real(), NATIVE, reads)
+    # 9.8 s at 20 fps are 197 poses, and so many poses have 196 vectors.
+    assert found.remarks == (AS_VECTORS,) and found.draws[0].motions.tolist() == [[70, 196], [71, 196]]
+    for other, reason in ((joints, "not all came"), (wide, "263 numbers, it reads 251"), (slow, "another framerate")):
+        by_joints = sample_embeddings(other, real(), NATIVE, reads)
+        assert by_joints.remarks[0].startswith(BY_JOINTS) and reason in by_joints.remarks[0]
+        assert by_joints.draws[0].motions.tolist() == [[10, 197], [11, 197]]
+    assert sample_embeddings(kit, real(), NATIVE, EMBEDDER).remarks == ()
+
+
+def test_stored_padding_follows_whole_motions_alone() -> None:
+    short = folder(["0", "1"], ["walks", "sits"], frames=50)
+    padded = replace(short, vectors=tuple(np.full((53, 251), 70 + i, dtype=np.float32) for i in range(2)))
+    evaluator = KitVectors()
+    found = sample_embeddings(padded, real(), NATIVE, Embedder(evaluator, None))
+    assert found.draws[0].motions.tolist() == [[70, 50], [71, 50]] and evaluator.seen == [53, 53]
+    long = folder(["0", "1"], ["walks", "sits"], frames=300)
+    cropped = replace(long, vectors=tuple(np.zeros((303, 251), dtype=np.float32) for _ in range(2)))
+    sample_embeddings(cropped, real(), NATIVE, Embedder(evaluator, None))
+    assert evaluator.seen == [196, 196]

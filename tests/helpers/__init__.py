@@ -1,0 +1,1 @@
+"""What tests share: `from tests.helpers.NAME import …`."""

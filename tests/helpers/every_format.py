@@ -1,0 +1,136 @@
+"""A small valid source of every format in the catalogue."""
+
+import json
+import struct
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.formats import parquet
+from motionkit.formats.deepmimic import humanoid3d
+from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
+from tests.helpers.amass_samples import smplh_fields, write_amass
+from tests.helpers.format_samples import bvh_text, lafan1_text, write_asfamc
+
+
+def bodies(num_frames: int, joints: int) -> np.ndarray:
+    """Joints that stand a hand apart and move a little."""
+    rng = np.random.default_rng(3)
+    return (0.2 + 0.05 * np.arange(joints)[:, None] + 0.01 * rng.normal(size=(num_frames, joints, 3))).astype(
+        np.float32
+    )
+
+
+def write_text(name: str, text: str) -> Callable[[Path], Path]:
+    """A source of one text file."""
+
+    def write(folder: Path) -> Path:
+        (folder / name).write_text(text)
+        return folder / name
+
+    return write
+
+
+def write_array(name: str, array: np.ndarray) -> Callable[[Path], Path]:
+    """A source of one .npy file."""
+
+    def write(folder: Path) -> Path:
+        np.save(folder / name, array)
+        return folder / name
+
+    return write
+
+
+def write_arrays(name: str, **arrays: np.ndarray) -> Callable[[Path], Path]:
+    """A source of one .npz file."""
+
+    def write(folder: Path) -> Path:
+        np.savez(folder / name, **arrays)  # type: ignore[arg-type]
+        return folder / name
+
+    return write
+
+
+def write_rows(folder: Path) -> Path:
+    positions, path = bodies(5, 22), folder / "rows.parquet"
+    motion = Motion(positions, SMPL22, TimeGrid(Fraction(30), 5), captions=(Caption("walks"),), sequence_id="take")
+    columns = {name: [value] for name, value in parquet.row_of(motion).items()}
+    pq.write_table(pa.table(columns, parquet.SCHEMA), path, compression="zstd")
+    return path
+
+
+def write_acclaim(folder: Path) -> Path:
+    write_asfamc(folder)
+    return next(folder.glob("*.amc"))
+
+
+def write_style(folder: Path) -> Path:
+    (folder / "Old").mkdir()
+    (folder / "Frame_Cuts.csv").write_text("STYLE_NAME,FW_START,FW_STOP\nOld,0,3\n")
+    (folder / "Old" / "Old_FW.bvh").write_text(bvh_text())
+    return folder / "Old" / "Old_FW.bvh"
+
+
+def write_motion_of_frames(folder: Path) -> Path:
+    frame = [1 / 30, 0.0, 0.9, 0.0]
+    for size in humanoid3d().rotation_sizes:
+        frame += {4: [1.0, 0.0, 0.0, 0.0], 1: [0.0], 0: []}[size]
+    (folder / "walk.txt").write_text(json.dumps({"Loop": "wrap", "Frames": [frame] * 4}))
+    return folder / "walk.txt"
+
+
+def write_markers(folder: Path) -> Path:
+    """Three markers in four frames, floats in Intel's order, as the format's manual lays them out."""
+
+    def parameter(name: bytes, kind: int, dimensions: tuple[int, ...], body: bytes) -> bytes:
+        content = struct.pack("bB", kind, len(dimensions)) + bytes(dimensions) + body + b"\0"
+        return struct.pack("bb", len(name), 1) + name + struct.pack("<h", len(content) + 2) + content
+
+    records = struct.pack("bb", 5, -1) + b"POINT" + struct.pack("<h", 3) + b"\0"
+    for name, number in ((b"USED", 3), (b"FRAMES", 4), (b"DATA_START", 3)):
+        records += parameter(name, 2, (), struct.pack("<h", number))
+    records += parameter(b"SCALE", 4, (), struct.pack("<f", -1.0)) + parameter(b"RATE", 4, (), struct.pack("<f", 100.0))
+    records += parameter(b"LABELS", -1, (4, 3), b"LASIRASILFHD") + parameter(b"UNITS", -1, (2,), b"mm")
+    header = bytes([2, 0x50]) + struct.pack("<5H", 3, 0, 1, 4, 0) + struct.pack("<f", -1.0)
+    header += struct.pack("<2H", 3, 1) + struct.pack("<f", 100.0)
+    values = np.concatenate((1000 * bodies(4, 3), np.zeros((4, 3, 1), np.float32)), axis=-1)
+    path = folder / "take.c3d"
+    path.write_bytes(
+        header.ljust(512, b"\0") + (bytes([1, 0x50, 1, 84]) + records).ljust(512, b"\0") + values.tobytes()
+    )
+    return path
+
+
+def write_published(joints: int) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        write_humanml3d(folder, [Entry("000001", bodies(12, joints), None, (), "train")])
+        return folder / "new_joints" / "000001.npy"
+
+    return write
+
+
+# Each writes a source into an empty folder and returns the file that holds the motion.
+SOURCES: dict[str, Callable[[Path], Path]] = {
+    "lafan1": write_text("walk1_subject5.bvh", lafan1_text(6)),
+    "100style": write_style,
+    "bvh": write_text("take.bvh", bvh_text()),
+    "asfamc": write_acclaim,
+    "c3d": write_markers,
+    "deepmimic": write_motion_of_frames,
+    "uestc": write_arrays("a0_d1_p001_c1_color.npz", pose=np.full((3, 72), 0.1, np.float32)),
+    "amass": lambda folder: write_amass(folder / "take_poses.npz", smplh_fields()),
+    "humanml3d": write_published(22),
+    "kit": write_published(21),
+    "humanact12": write_array("P01G01R01F0069T0143A0102.npy", bodies(8, 24)),
+    "joints-npy": write_array("take.npy", bodies(8, 22)),
+    "npz": write_arrays("take.npz", joint_positions=bodies(5, 22), fps=np.array(30.0), captions=np.array(["walks"])),
+    "parquet": write_rows,
+    "csv": write_text("take.csv", "time_seconds,a_x,a_y,a_z\n0.0,1,2,3\n0.5,1,2,3.5\n1.0,1,2,3.25\n"),
+}

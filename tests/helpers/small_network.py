@@ -1,0 +1,74 @@
+"""A temporal network of a few thousand numbers for the tests of all that lies outside of networks."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+
+from motionkit.clips.temporal.base_curves import located, seconds_beyond
+from motionkit.clips.temporal.network import ObservedWindow
+from motionkit.clips.temporal.settings import TaskSettings, TemporalSettings
+from motionkit.clips.temporal.trained import TrainedNetwork, load_network, train_network
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import StageContext
+from tests.helpers.tiny import write_store
+
+TASKS = TaskSettings(
+    interpolate=2.0,
+    gap=1.0,
+    scattered=1.0,
+    extend=1.0,
+    num_frames=6,
+    past_frames=4,
+    future_frames=3,
+    longest_gap=9,
+    longest_reach=8,
+    num_queries=8,
+)
+
+
+@dataclass(frozen=True)
+class SmallConfig:
+    width: int = 32
+    training: TemporalSettings = field(
+        default_factory=lambda: TemporalSettings(tasks=TASKS, steps=30, batch=8, rate=3e-3, mirrored=False)
+    )
+
+
+class SmallNetwork(torch.nn.Module):
+    """The frames on both sides of a query, the fraction between them and the seconds beyond: an MLP."""
+
+    def __init__(self, num_numbers: int, width: int) -> None:
+        super().__init__()
+        self.layers = torch.nn.Sequential(
+            torch.nn.Linear(2 * num_numbers + 2, width), torch.nn.SiLU(), torch.nn.Linear(width, num_numbers)
+        )
+
+    def forward(self, window: ObservedWindow) -> torch.Tensor:
+        segment, fraction = located(window)
+        rows = torch.arange(len(segment))[:, None]
+        following = (segment + 1).clamp(max=window.frames.shape[1] - 1)
+        times = torch.stack((fraction, seconds_beyond(window)), dim=-1)
+        answer: torch.Tensor = self.layers(
+            torch.cat((window.frames[rows, segment], window.frames[rows, following], times), dim=-1)
+        )
+        return answer
+
+
+def make(config: SmallConfig, num_numbers: int) -> torch.nn.Module:
+    return SmallNetwork(num_numbers, config.width)
+
+
+def train(folder: Path, config: SmallConfig, *, resume: bool = False) -> RunFolder:
+    """Train on a corpus of seconds, which is made where it is missing."""
+    store = folder / "store"
+    if not store.exists():
+        write_store(store)
+    run = RunFolder(folder / "run")
+    context = StageContext(store, run, "tiny", seed=3, resume=resume, device="cpu")
+    train_network(context, "small", config, config.training, lambda numbers: make(config, numbers))
+    return run
+
+
+def load(run: RunFolder) -> TrainedNetwork:
+    return load_network(run, "small", SmallConfig, make, lambda config: config.training, name="Small")

@@ -1,0 +1,98 @@
+"""Every trainable stage at a size of seconds, on motions that are known: what the tests of whole trainings share.
+
+The settings are written out, so that a change of a recipe doesn't change them.
+"""
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from eval.native_evaluator.settings import NativeConfig, NativeNetworkConfig, NativeTrainingConfig
+from eval.native_evaluator.stage import STAGE as EVALUATOR
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.store.writer import StoreWriter
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import Stage, StageContext
+from nerm.recipes import NermConfig
+from nerm.settings import CodebookConfig, DenoiserConfig, FieldConfig, TransformerConfig
+from nerm.stages import CODEBOOK, DENOISER, FIELD
+from tests.helpers.nerm_corpus import analytic_positions
+
+STEPS = 60
+NERM = NermConfig(
+    codebook=CodebookConfig(
+        width=16, code_dimension=16, num_codes=16, batch=8, window_frames=32, steps=STEPS, rate=1e-3, rate_drop_at=50
+    ),
+    field=FieldConfig(
+        max_duration_seconds=3.0,
+        stride_seconds=1.0,
+        latent_layout="local",
+        latent_dimension=64,
+        knots=(8,),
+        knot_numbers=(8,),
+        initialisation="ridge",
+        ridge=0.1,
+        num_frequencies=8,
+        num_queries=8,
+        attention_layers=1,
+        hidden=32,
+        layers=3,
+        activation="silu",
+        linear_path=True,
+        framerate_scale=0.05,
+        scaling="group",
+        epochs=None,
+        steps=STEPS,
+        batch=8,
+        num_poses=8,
+        contiguous=False,
+        seconds_per_visit=2.5,
+        warmup_fraction=0.1,
+        lowest_fps=20.0,
+        rate=2e-3,
+        attention_rate=1e-3,
+        latent_rate=2e-2,
+        weight_decay=0.0,
+        schedule="cosine",
+    ),
+    denoiser=DenoiserConfig(
+        network=TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0, latent_tokens=8),
+        text_encoder="none",
+        batch=16,
+        steps=STEPS,
+        epochs=None,
+        rate=2e-3,
+        schedule="cosine",
+        ema_decay=0.9,
+    ),
+)
+NATIVE = NativeConfig(
+    network=NativeNetworkConfig(convolution=16, recurrent=8, embedding=12, shared=5, text_hidden=8),
+    training=NativeTrainingConfig(
+        steps=STEPS, batch_size=12, framerates=(20.0, 60.0), max_poses=24, statistics_batches=2, text_encoder=""
+    ),
+)
+STAGES: dict[str, tuple[Stage[Any], Any]] = {
+    stage.name: (stage, config)
+    for stage, config in ((CODEBOOK, NERM), (FIELD, NERM), (DENOISER, NERM), (EVALUATOR, NATIVE))
+}
+
+
+def write_store(path: Path) -> Path:
+    """Six takes of four seconds at 30, 60 and 120 fps, four of them for training."""
+    with StoreWriter.create(path) as writer:
+        for index, rate in enumerate((120, 30, 60, 120, 120, 30)):
+            grid = TimeGrid(Fraction(rate), 4 * rate + 1)
+            positions = analytic_positions(grid.seconds(), index % 4)
+            split = "test" if index >= 4 else "train"
+            action = ("walk", "sway")[index % 2]
+            writer.add(Motion(positions, SMPL22, grid, split=split, sequence_id=f"take-{index}", action=action))
+    return path
+
+
+def train_stage(name: str, store: Path, run: Path, *, resume: bool = False, shared: bool = False) -> None:
+    """Train one stage of a run on the CPU, `shared` by the ranks that this process has joined."""
+    stage, config = STAGES[name]
+    stage.train(StageContext(store, RunFolder(run), "tiny", seed=1, resume=resume, device="cpu", shared=shared), config)

@@ -1,0 +1,137 @@
+import io
+import json
+import unicodedata
+
+import pytest
+
+from motionkit.cli import console
+from motionkit.cli.console import LineConsole, print_json, print_text
+from motionkit.core.errors import MotionkitError, describe
+from motionkit.core.plain_text import printable
+from motionkit.core.progress import LOGGER, Progress, task, warn
+
+HOSTILE = {
+    "\x1b[31mred\x1b[0m": r"\x1b[31mred\x1b[0m",
+    "\x1b]0;title\x07": r"\x1b]0;title\x07",
+    "\x9b31m": r"\x9b31m",
+    "a\nmotionkit: all is well": r"a\nmotionkit: all is well",
+    "a\r\tb\x08": r"a\r\tb\x08",
+    "cod\u202egnp.exe": r"cod\u202egnp.exe",
+    "\u2066\u2069\u200b\u2028": r"\u2066\u2069\u200b\u2028",
+    "caf\udce9": r"caf\udce9",
+    ":smile: [red]é 走\N{GRINNING FACE}": ":smile: [red]é 走\N{GRINNING FACE}",
+}
+
+
+@pytest.mark.parametrize(("text", "shown"), HOSTILE.items())
+def test_texts_are_shown_and_not_obeyed(text: str, shown: str) -> None:
+    assert printable(text) == shown
+    file = io.StringIO()
+    LineConsole(file=file, force_terminal=True).print(f"read {text}")
+    assert file.getvalue() == f"read {shown}\n"
+
+
+def test_every_control_and_every_mark_of_direction_is_escaped() -> None:
+    letters = [chr(number) for number in range(0x110000)]
+    unsafe = [
+        letter
+        for letter in letters
+        if unicodedata.category(letter) in ("Cc", "Zl", "Zp", "Cs")
+        or unicodedata.bidirectional(letter) in ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
+    ]
+    assert [letter for letter in unsafe if printable(letter) == letter] == []
+
+
+@pytest.mark.parametrize("console_of", [console.stdout, console.stderr])
+def test_the_consoles_change_no_name(console_of: LineConsole, capsys: pytest.CaptureFixture[str]) -> None:
+    console_of.print("a:smile:[bold].bvh  x")
+    captured = capsys.readouterr()
+    assert captured.out + captured.err == "a:smile:[bold].bvh  x\n"
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_json_holds_the_same_text_without_a_letter_that_is_obeyed(
+    text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    print_json({"name": [text]})
+    printed = capsys.readouterr().out
+    assert all(printable(line) == line for line in printed.splitlines())
+    (name,) = json.loads(printed)["name"]
+    assert name == text.replace("\udce9", r"\udce9")
+
+
+def test_lines_stay_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    print_text("a\nb\x1b\n")
+    assert capsys.readouterr().out == "a\nb\\x1b\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (MotionkitError("a.bvh: broken"), "a.bvh: broken"),
+        (OSError(28, "No space left on device", "runs/x.npy"), "runs/x.npy: No space left on device"),
+        (OSError(28, "No space left on device"), "No space left on device"),
+        (OSError(18, "Invalid cross-device link", "a", None, "b"), "a to b: Invalid cross-device link"),
+        (OSError("odd"), "odd"),
+    ],
+)
+def test_errors_of_the_system_are_told_with_their_file(error: Exception, told: str) -> None:
+    assert describe(error) == told
+
+
+LINE_ABOVE_ERASED = "\x1b[1A\x1b[2K"
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """What a terminal is sent on stderr."""
+    file = io.StringIO()
+    monkeypatch.setattr(console, "stderr", LineConsole(file=file, force_terminal=True, width=100))
+    return file
+
+
+def test_every_task_has_a_bar_until_it_is_finished(terminal: io.StringIO) -> None:
+    with console.progress() as show:
+        show(Progress("outer", 1, 3))
+        show(Progress("inner\x1b[2J", 7, None, "a\nb"))
+        both = terminal.getvalue()
+        show(Progress("inner\x1b[2J", 7, None, finished=True))
+        show(Progress("outer", 2, 3))
+    assert "outer" in both and "1/3" in both
+    assert r"inner\x1b[2J" in both and r"a\nb" in both and "7/?" in both
+    last = terminal.getvalue()[len(both) :]
+    assert "2/3" in last and "inner" not in last[last.rindex("outer") :]
+    assert last.endswith(LINE_ABOVE_ERASED)
+
+
+def test_bars_are_erased_where_a_task_fails(terminal: io.StringIO) -> None:
+    with pytest.raises(KeyError), console.progress() as show:
+        show(Progress("never finished", 1, 2))
+        raise KeyError
+    drawn = terminal.getvalue()
+    assert "1/2" in drawn and drawn.endswith(LINE_ABOVE_ERASED)
+
+
+def test_no_bar_is_drawn_where_stderr_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with console.progress() as show, task(show, "read", 2) as work:
+        work.advance()
+    assert capsys.readouterr() == ("", "")
+
+
+def test_warnings_are_lines_on_stderr(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(LOGGER, "handlers", [])
+    console.show_warnings()
+    console.show_warnings()
+    warn("[bold] of a\nb")
+    assert capsys.readouterr() == ("", "motionkit: warning: [bold] of a\\nb\n")
+
+
+def test_the_end_of_a_long_message_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    name = "x" * 1_000_000
+    console.stderr.print(f"motionkit: {name}\x1b is damaged: delete it")
+    shown = capsys.readouterr().err
+    assert len(shown) < 2 * console.LONGEST_MESSAGE and shown.count("\n") == 1
+    assert shown.startswith("motionkit: xxx") and shown.endswith("\\x1b is damaged: delete it\n")
+    assert f"{1_000_037 - console.LONGEST_MESSAGE:,} letters left out" in shown
+    console.stdout.print(name)
+    assert capsys.readouterr().out == f"{name}\n"

@@ -1,0 +1,153 @@
+from typing import Literal
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from motionkit.core import kinematics
+from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
+
+
+def random_quaternions(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    return Rotation.random(int(np.prod(shape)), rng).as_quat(scalar_first=True).reshape(*shape, 4)
+
+
+def test_quaternion_algebra_agrees_with_scipy() -> None:
+    rng = np.random.default_rng(0)
+    a, b = random_quaternions(rng, 50), random_quaternions(rng, 50)
+    v = rng.normal(size=(50, 3))
+    ra, rb = (Rotation.from_quat(q, scalar_first=True) for q in (a, b))
+    assert np.allclose(kinematics.quaternion_to_matrix(kinematics.quaternion_multiply(a, b)), (ra * rb).as_matrix())
+    assert np.allclose(kinematics.quaternion_rotate(a, v), ra.apply(v))
+    assert np.allclose(kinematics.quaternion_to_matrix(kinematics.matrix_to_quaternion(ra.as_matrix())), ra.as_matrix())
+
+
+def test_rotation_vectors_agree_with_scipy() -> None:
+    vectors = np.random.default_rng(2).normal(0, 3, size=(40, 3, 3)).astype(np.float32)
+    vectors[0] = 0.0
+    vectors[1] *= 1e-8
+    found = kinematics.rotation_vector_to_quaternion(vectors)
+    assert np.array_equal(found[0], np.tile(np.float32([1, 0, 0, 0]), (3, 1)))
+    expected = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(40, 3, 3, 3)
+    assert np.allclose(kinematics.quaternion_to_matrix(found), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("order", ["XYZ", "ZYX", "ZXY", "YXZ"])
+def test_euler_orders_agree_with_scipy(order: str) -> None:
+    angles = np.random.default_rng(1).uniform(-3, 3, size=(20, 3))
+    assert np.allclose(kinematics.euler_to_matrix(angles, order), Rotation.from_euler(order, angles).as_matrix())
+    extrinsic = Rotation.from_euler(order.lower(), angles).as_matrix()
+    assert np.allclose(kinematics.euler_to_matrix(angles, order, kind="extrinsic"), extrinsic)
+
+
+def test_the_shortest_rotation_between_directions() -> None:
+    rng = np.random.default_rng(2)
+    a, b = rng.normal(size=(100, 3)), rng.normal(size=(100, 3))
+    b[0] = -a[0]
+    turned = kinematics.quaternion_rotate(kinematics.quaternion_between(a, b), a)
+    cosine = np.sum(turned * b, -1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+    assert np.allclose(cosine, 1.0)
+
+
+def test_slerp_halves_the_angle_on_the_shorter_arc() -> None:
+    a = np.array([[1.0, 0, 0, 0]])
+    b = -Rotation.from_rotvec([[0, 1.2, 0]]).as_quat(scalar_first=True)
+    middle = kinematics.quaternion_slerp(a, b, np.array([0.5]))
+    assert Rotation.from_quat(middle, scalar_first=True).magnitude()[0] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("skeleton", [SMPL22, KIT21])
+def test_inverse_then_forward_kinematics_restores_chains(skeleton: Skeleton) -> None:
+    rng = np.random.default_rng(3)
+    rotations = random_quaternions(rng, 12, skeleton.num_joints).astype(np.float32)
+    root = rng.normal(size=(12, 3)).astype(np.float32)
+    positions = kinematics.forward_kinematics(rotations, root, skeleton)
+    recovered = kinematics.inverse_kinematics(positions, skeleton)
+    assert np.allclose(kinematics.forward_kinematics(recovered, root, skeleton), positions, atol=2e-5)
+
+
+def test_along_time_no_bone_turns_about_itself() -> None:
+    rng = np.random.default_rng(6)
+    steps = Rotation.from_rotvec(rng.normal(scale=0.4, size=(40, 22, 3)).cumsum(axis=0).reshape(-1, 3))
+    rotations = steps.as_quat(scalar_first=True).reshape(40, 22, 4).astype(np.float32)
+    root = np.zeros((40, 3), np.float32)
+    positions = kinematics.forward_kinematics(rotations, root, SMPL22)
+    local = kinematics.inverse_kinematics_in_time(positions, SMPL22)
+    assert np.allclose(kinematics.forward_kinematics(local, root, SMPL22), positions, atol=2e-5)
+    chosen = [joint for joint in range(22) if len(SMPL22.children(joint)) == 1]
+    assert len(chosen) > 10
+
+    def twist(local: np.ndarray) -> float:
+        """How much farther joints turn from frame to frame than their bones' directions do, radians."""
+        found = local.astype(np.float64)[:, chosen]
+        rest = np.stack([SMPL22.offsets[SMPL22.children(joint)[0]] for joint in chosen]).astype(np.float64)
+        bones = kinematics.quaternion_rotate(found, rest / np.linalg.norm(rest, axis=-1, keepdims=True))
+        swing = np.arccos(np.clip(np.sum(bones[1:] * bones[:-1], axis=-1), -1, 1))
+        turns = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(found[:-1]), found[1:])
+        return float((np.linalg.norm(kinematics.quaternion_to_rotation_vector(turns), axis=-1) - swing).max())
+
+    assert twist(local) < 1e-3 < 1.0 < twist(kinematics.inverse_kinematics(positions, SMPL22))
+
+
+def test_along_time_a_bone_that_vanishes_for_a_frame_points_again_afterwards() -> None:
+    walk = np.random.default_rng(7).normal(size=(5, 22, 3)).astype(np.float32)
+    walk[2, 20] = walk[2, 18]
+    local = kinematics.inverse_kinematics_in_time(walk, SMPL22).astype(np.float64)
+    world = kinematics.global_rotations(local, SMPL22)[:, 18]
+    pointed = kinematics.quaternion_rotate(world, SMPL22.offsets[20].astype(np.float64))
+    bone = (walk[:, 20] - walk[:, 18]).astype(np.float64)
+    cosine = np.sum(pointed * bone, axis=-1)[[0, 1, 3, 4]] / np.linalg.norm(bone[[0, 1, 3, 4]], axis=-1)
+    assert np.allclose(cosine, np.linalg.norm(SMPL22.offsets[20]), atol=1e-5)
+
+
+def test_bone_lengths_are_kept() -> None:
+    rng = np.random.default_rng(4)
+    rotations = random_quaternions(rng, 5, SMPL22.num_joints).astype(np.float32)
+    positions = kinematics.forward_kinematics(rotations, np.zeros((5, 3), np.float32), SMPL22)
+    lengths = np.linalg.norm(positions[:, 1:] - positions[:, list(SMPL22.parents[1:])], axis=-1)
+    assert np.allclose(lengths, np.linalg.norm(SMPL22.offsets[1:], axis=-1), atol=1e-6)
+
+
+def test_forward_kinematics_with_offsets_that_move_agrees_with_the_plain_recursion() -> None:
+    rng = np.random.default_rng(5)
+    rotations = random_quaternions(rng, 6, SMPL22.num_joints)
+    offsets = rng.normal(size=(6, SMPL22.num_joints, 3))
+    root = rng.normal(size=(6, 3))
+    expected, turns = np.empty_like(offsets), []
+    for joint, parent in enumerate(SMPL22.parents):
+        local = Rotation.from_quat(rotations[:, joint], scalar_first=True)
+        turns.append(local if parent < 0 else turns[parent] * local)
+        expected[:, joint] = root if parent < 0 else expected[:, parent] + turns[parent].apply(offsets[:, joint])
+    positions = kinematics.forward_kinematics(rotations, root, SMPL22, offsets)
+    assert np.allclose(positions, expected)
+    again, world = kinematics.forward_kinematics_matrices(
+        kinematics.quaternion_to_matrix(rotations), root, SMPL22, offsets
+    )
+    assert np.allclose(again, expected)
+    assert np.allclose(world, np.stack([turn.as_matrix() for turn in turns], axis=1))
+
+
+@pytest.mark.parametrize("order", ["XYZ", "ZYX", "YXZ", "ZX", "Y", "XYX"])
+@pytest.mark.parametrize("kind", ["intrinsic", "extrinsic"])
+def test_euler_angles_as_quaternions_and_as_matrices_agree(order: str, kind: Literal["intrinsic", "extrinsic"]) -> None:
+    angles = np.random.default_rng(6).uniform(-4, 4, size=(3, 5, len(order)))
+    q = kinematics.euler_to_quaternion(angles, order, kind=kind)
+    assert np.allclose(kinematics.quaternion_to_matrix(q), kinematics.euler_to_matrix(angles, order, kind=kind))
+
+
+def test_quaternions_never_jump() -> None:
+    q = np.random.default_rng(7).normal(size=(200, 22, 4))
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    smooth = kinematics.continuous_quaternions(q)
+    assert np.all(np.sum(smooth[1:] * smooth[:-1], axis=-1) >= 0)
+    assert np.allclose(np.abs(np.sum(smooth * q, axis=-1)), 1.0)
+
+
+def test_rotation_vectors_round_trip_in_both_precisions() -> None:
+    vectors = np.random.default_rng(8).uniform(-1.8, 1.8, (50, 3))
+    vectors[0] = 0.0
+    for dtype, tolerance in ((np.float64, 1e-12), (np.float32, 1e-6)):
+        q = kinematics.rotation_vector_to_quaternion(vectors.astype(dtype))
+        again = kinematics.quaternion_to_rotation_vector(q)
+        assert q.dtype == again.dtype == dtype
+        assert np.allclose(again, vectors, atol=tolerance)

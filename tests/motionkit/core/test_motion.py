@@ -1,0 +1,133 @@
+import pickle
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.formats.arrays.npz import read_npz
+
+
+def still(num_frames: int = 5, fps: int = 30) -> Motion:
+    positions = np.zeros((num_frames, SMPL22.num_joints, 3), np.float32)
+    return Motion(joint_positions=positions, skeleton=SMPL22, timegrid=TimeGrid(Fraction(fps), num_frames))
+
+
+def test_cutting_keeps_the_clock() -> None:
+    part = still().frames(2, 4)
+    assert part.num_frames == 2
+    assert part.timegrid.seconds().tolist() == pytest.approx([2 / 30, 3 / 30])
+
+
+@pytest.mark.parametrize(("start", "stop"), [(-1, 2), (3, 3), (0, 6)])
+def test_cutting_outside_is_refused(start: int, stop: int) -> None:
+    with pytest.raises(ValueError, match="do not lie inside"):
+        still().frames(start, stop)
+
+
+def test_shapes_must_agree_with_the_clock_and_the_skeleton() -> None:
+    with pytest.raises(ValueError, match="time grid and the skeleton"):
+        Motion(np.zeros((4, 22, 3), np.float32), SMPL22, TimeGrid(Fraction(30), 5))
+    with pytest.raises(ValueError, match="time grid and the skeleton"):
+        Motion(np.zeros((5, 22, 3), np.float32), KIT21, TimeGrid(Fraction(30), 5))
+
+
+def test_the_operation_log_grows_and_the_original_stays() -> None:
+    motion = still()
+    assert motion.logged("scaled by 0.01").provenance.operations == ("scaled by 0.01",)
+    assert motion.provenance.operations == ()
+
+
+def test_parents_must_precede_children() -> None:
+    with pytest.raises(ValueError, match="precede"):
+        Skeleton("bad", ("a", "b", "c"), (-1, 2, 0), np.zeros((3, 3), np.float32))
+
+
+@pytest.mark.parametrize("skeleton", STANDARD_SKELETONS.values(), ids=lambda skeleton: skeleton.name)
+def test_standard_skeletons_are_symmetric(skeleton: Skeleton) -> None:
+    for left, right in skeleton.left_right_pairs:
+        assert skeleton.offsets[left][0] == pytest.approx(-skeleton.offsets[right][0], abs=0.01)
+        assert np.allclose(skeleton.offsets[left][1:], skeleton.offsets[right][1:], atol=0.01)
+
+
+def test_equal_skeletons_share_a_fingerprint_whatever_their_name() -> None:
+    twin = Skeleton("twin", SMPL22.joint_names, SMPL22.parents, SMPL22.offsets, SMPL22.left_right_pairs, SMPL22.feet)
+    assert twin == SMPL22
+    assert twin.fingerprint != KIT21.fingerprint
+
+
+def test_format_errors_survive_the_way_between_processes() -> None:
+    error = FormatError("expected 66 numbers, found 65", path="a.bvh", reason="channel-count", line=12, frame=3)
+    twin = pickle.loads(pickle.dumps(error))  # noqa: S301
+    assert str(twin) == str(error) == "a.bvh, line 12, frame 3: expected 66 numbers, found 65"
+    assert twin.reason == "channel-count"
+
+
+def captioned() -> Motion:
+    """Two seconds at 60 fps whose clock begins at 1 s."""
+    captions = (
+        Caption("all"),
+        Caption("first", 1.0, 1.5),
+        Caption("middle", 1.25, 2.25, tokens="middle/NOUN"),
+        Caption("last", 2.5, 3.0),
+        Caption("from the middle on", 2.0),
+    )
+    positions = np.random.default_rng(0).normal(size=(120, 22, 3)).astype(np.float32)
+    return Motion(positions, SMPL22, TimeGrid(Fraction(60), 120, 1.0), captions=captions, sequence_id="take")
+
+
+def test_seconds_are_those_of_the_clock_and_half_open() -> None:
+    motion = captioned()
+    part = motion[1.5:2.0]
+    assert part.timegrid == TimeGrid(Fraction(60), 30, 1.5)
+    np.testing.assert_array_equal(part.joint_positions, motion.joint_positions[30:60])
+    assert part[1.75:2.0].timegrid.start_seconds == 1.75
+    assert motion[:].num_frames == 120 and motion[2:].num_frames == 60 and motion[:2].num_frames == 60
+    # A frame just before the start is not taken, and one at the stop is not either.
+    assert motion[1.51:1.99].num_frames == 29
+    assert motion[Fraction(4, 3) : 1 + 2 / 3].num_frames == 20
+    assert part.sequence_id == "take"
+
+
+def test_captions_are_cut_with_the_frames() -> None:
+    told = [(each.text, each.start_seconds, each.end_seconds) for each in captioned()[1.5:2.5].captions]
+    assert told == [("all", 0.0, None), ("middle", 1.5, 2.25), ("from the middle on", 2.0, None)]
+    told = [(each.text, each.start_seconds, each.end_seconds) for each in captioned()[1.0:2.0].captions]
+    assert told == [("all", 0.0, None), ("first", 1.0, 1.5), ("middle", 1.25, None)]
+    assert captioned()[1.5:2.0].captions[1].tokens == "middle/NOUN"
+
+
+@pytest.mark.parametrize("seconds", [slice(3.0, None), slice(None, 1.0), slice(2.0, 1.5), slice(1.501, 1.502)])
+def test_seconds_without_a_frame_are_refused(seconds: slice) -> None:
+    with pytest.raises(ValueError, match=r"no frame lies in .* at 1 to 2.98333 s"):
+        captioned()[seconds]
+
+
+@pytest.mark.parametrize("key", [3, 1.5, slice(0, 2, 1), (0, 1)])
+def test_anything_but_seconds_is_refused(key: object) -> None:
+    with pytest.raises(TypeError):
+        captioned()[key]  # type: ignore[index]
+
+
+def test_bare_joints_become_a_motion() -> None:
+    motion = Motion.from_joints(np.ones((7, 22, 3)), 59.94)
+    assert motion.skeleton is SMPL22 and motion.fps == Fraction(60000, 1001)
+    assert motion.joint_positions.dtype == np.float32
+    assert Motion.from_joints(np.ones((7, 21, 3), np.float32), "25/2").skeleton is KIT21
+    assert Motion.from_joints(np.ones((7, 22, 3)), 20, SMPL22.scaled(2.0)).skeleton == SMPL22.scaled(2.0)
+    with pytest.raises(ValueError, match="24 joints"):
+        Motion.from_joints(np.ones((7, 24, 3)), 20)
+    with pytest.raises(ValueError, match="framerate"):
+        Motion.from_joints(np.ones((7, 22, 3)), "fast")
+
+
+def test_methods_reach_what_lies_above(tmp_path: Path) -> None:
+    motion = captioned().frames(0, 20)
+    assert motion.resample("120").fps == 120 and motion.resample(23.976).fps == Fraction(24000, 1001)
+    motion.save(str(tmp_path / "take.npz"))
+    np.testing.assert_array_equal(read_npz(tmp_path / "take.npz").joint_positions, motion.joint_positions)
+    assert motion._repr_html_().startswith("<iframe")

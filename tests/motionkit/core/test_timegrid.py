@@ -1,0 +1,57 @@
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motionkit.core.timegrid import TimeGrid, num_frames_within, parse_fps
+
+
+@pytest.mark.parametrize(
+    ("value", "fps"),
+    [
+        (120.00004577636719, Fraction(120)),
+        ("59.9999885", Fraction(60)),
+        ("59.94", Fraction(60000, 1001)),
+        ("30000/1001", Fraction(30000, 1001)),
+        (1 / 0.0083333, Fraction(120)),
+        (1 / 0.0333333, Fraction(30)),
+        (12.5, Fraction(25, 2)),
+        (90, Fraction(90)),
+    ],
+)
+def test_framerates_are_read_exactly(value: object, fps: Fraction) -> None:
+    assert parse_fps(value) == fps  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("value", [0, -1, float("nan"), float("inf"), 1e9, "0"])
+def test_impossible_framerates_are_refused(value: object) -> None:
+    with pytest.raises(ValueError, match="framerate"):
+        parse_fps(value)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("value", ["fast", "1/0", "30/x", ""])
+def test_what_is_no_number_is_refused_with_examples_of_one(value: str) -> None:
+    with pytest.raises(ValueError, match=f"such as 120, 59.94 or 30000/1001, not '{value}'"):
+        parse_fps(value)
+
+
+def test_time_stamps_do_not_drift() -> None:
+    seconds = TimeGrid(Fraction(30000, 1001), 1_000_000).seconds()
+    assert seconds[-1] == pytest.approx(999_999 * 1001 / 30000, abs=1e-9)
+
+
+@given(fps=st.sampled_from([20, 24, 30, 60, 120, 250]), num_frames=st.integers(1, 3000))
+def test_coordinates_round_trip(fps: int, num_frames: int) -> None:
+    grid = TimeGrid(Fraction(fps), num_frames)
+    coordinates = grid.normalised(10.0)
+    assert coordinates[0] == -1.0
+    assert np.allclose((coordinates + 1.0) * 5.0, grid.seconds(), atol=1e-9)
+    assert num_frames_within(grid.span_seconds, grid.fps) == num_frames
+
+
+def test_a_whole_window_has_one_point_more_than_its_intervals() -> None:
+    # NeRM prints s·l_max coordinates from −1 to 1; both ends are in only with s·l_max + 1 points.
+    coordinates = TimeGrid(Fraction(20), 201).normalised(10.0)
+    assert coordinates[[0, -1]].tolist() == [-1.0, 1.0]

@@ -1,0 +1,378 @@
+"""Interpolators: what each restores exactly, what is true of all, and how they look beside scipy's."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline, Slerp
+
+from motionkit.core import kinematics
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.completion import query_many
+from motionkit.fields.interpolation import interpolators
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS, TIMES_AT_ONCE, Method, interpolate
+from motionkit.fields.motion_field import (
+    MotionEncoder,
+    MotionField,
+    Observation,
+    Poses,
+    joint_velocities,
+    motion_chunks,
+    to_motion,
+)
+from tests.helpers.turning_body import random_motion
+
+METHODS: list[Method] = list(INTERPOLATORS)
+SMOOTH: list[Method] = ["catmull-rom", "cubic", "rotation-catmull-rom", "squad", "rotation-cubic"]
+ON_ROTATIONS: list[Method] = ["slerp", "rotation-catmull-rom", "squad", "rotation-cubic"]
+NTSC = Fraction(30000, 1001)
+
+
+def uneven(motion: Motion, seed: int = 0) -> Observation:
+    """About half the frames of a motion, the first and the last among them."""
+    kept = np.random.default_rng(seed).uniform(size=motion.num_frames) < 0.5
+    kept[[0, -1]] = True
+    return Observation.of(motion, kept)
+
+
+def turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angles between rotations, radians."""
+    return np.asarray(
+        (Rotation.from_quat(a.reshape(-1, 4), scalar_first=True).inv()
+         * Rotation.from_quat(b.reshape(-1, 4), scalar_first=True)).magnitude()
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("rotations", [True, False])
+def test_observed_frames_are_exact_at_even_and_uneven_times(method: Method, rotations: bool) -> None:
+    for observation in (
+        Observation.of(random_motion(0, fps=NTSC, rotations=rotations)),
+        uneven(random_motion(1, rotations=rotations)),
+    ):
+        poses = INTERPOLATORS[method].encode(observation).query(observation.times_seconds)
+        assert np.abs(poses.joint_positions - observation.poses.joint_positions).max() < 1e-6
+        if poses.local_rotations is not None:
+            assert observation.poses.local_rotations is not None and observation.poses.root_translation is not None
+            assert turn_between(poses.local_rotations, observation.poses.local_rotations).max() < 1e-5
+            assert poses.root_translation is not None
+            assert np.abs(poses.root_translation - observation.poses.root_translation).max() < 1e-6
+        else:
+            assert method not in ON_ROTATIONS or not rotations
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("rotations", [True, False])
+def test_many_motions_at_once_are_each_as_alone(method: Method, rotations: bool) -> None:
+    motions = [random_motion(seed, rotations=rotations) for seed in range(3)]
+    kept = np.flatnonzero(np.random.default_rng(1).uniform(size=motions[0].num_frames) < 0.5)
+    observations = [Observation.of(motion).rows(kept) for motion in motions]
+    times = np.concatenate((motions[0].timegrid.seconds(), observations[0].times_seconds[:1] - [0.05, 0.2]))
+    before, after = np.ptp(times), np.ptp(times)
+    together = query_many(INTERPOLATORS[method], observations, times, motions[0].fps)
+    for observation, found in zip(observations, together, strict=True):
+        field = INTERPOLATORS[method].encode(observation, before_seconds=before, after_seconds=after)
+        expected = field.query(times)
+        assert found.is_like(expected)
+        assert np.abs(found.joint_positions - expected.joint_positions).max() < 1e-6
+        if expected.local_rotations is not None:
+            assert found.local_rotations is not None
+            assert turn_between(found.local_rotations, expected.local_rotations).max() < 1e-5
+
+
+def test_many_motions_must_be_observed_alike() -> None:
+    first, second = (Observation.of(random_motion(seed)) for seed in (0, 1))
+    with pytest.raises(ValueError, match="motion 1 of 2 is not observed at the times of the first"):
+        INTERPOLATORS["slerp"].query_many([first, second.rows(slice(0, -1))], first.times_seconds)
+    with pytest.raises(ValueError, match="no motion is observed"):
+        INTERPOLATORS["hold"].query_many([], first.times_seconds)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_interpolators_are_encoders_of_motion_fields(method: Method) -> None:
+    assert isinstance(INTERPOLATORS[method], MotionEncoder) and INTERPOLATORS[method].name == method
+    assert isinstance(interpolate(random_motion(2), method), MotionField)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@settings(max_examples=10)
+@given(seed=st.integers(0, 1000))
+def test_the_order_and_the_company_of_times_do_not_matter(method: Method, seed: int) -> None:
+    field = INTERPOLATORS[method].encode(uneven(random_motion(seed), seed), before_seconds=0.2, after_seconds=0.3)
+    rng = np.random.default_rng(seed)
+    times = rng.uniform(field.start_seconds, field.end_seconds, 40)
+    order = rng.permutation(40)
+    straight, shuffled = field.query(times), field.query(times[order])
+    assert np.allclose(straight.joint_positions[order], shuffled.joint_positions, atol=1e-6, rtol=0)
+    one_by_one = np.concatenate([field.query(times[[k]]).joint_positions for k in range(5)])
+    assert np.allclose(one_by_one, straight.joint_positions[:5], atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_half_the_framerate_is_every_second_pose(method: Method) -> None:
+    field = interpolate(random_motion(3, fps=Fraction(25)), method)
+    at_30, at_60 = (to_motion(field, Fraction(fps)).joint_positions for fps in (30, 60))
+    assert np.array_equal(at_30, at_60[::2][: len(at_30)])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_chunks_are_the_whole(method: Method) -> None:
+    field = interpolate(random_motion(4, num_frames=200), method)
+    whole = to_motion(field, Fraction(1000))
+    assert whole.num_frames > TIMES_AT_ONCE
+    chunks = list(motion_chunks(field, Fraction(1000), 999))
+    assert np.array_equal(np.concatenate([chunk.joint_positions for chunk in chunks]), whole.joint_positions)
+    seconds = np.concatenate([chunk.timegrid.seconds() for chunk in chunks])
+    assert np.allclose(seconds, whole.timegrid.seconds(), atol=1e-12, rtol=0)
+    if whole.local_rotations is not None:
+        parts = [chunk.local_rotations for chunk in chunks if chunk.local_rotations is not None]
+        assert np.array_equal(np.concatenate(parts), whole.local_rotations)
+    with pytest.raises(ValueError, match="one frame at least, not 0"):
+        next(motion_chunks(field, Fraction(30), 0))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_long_motions_are_worked_through_in_blocks_that_nobody_sees(
+    method: Method, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for rotations in (True, False):
+        observation = uneven(random_motion(16, num_frames=400, rotations=rotations))
+        whole = INTERPOLATORS[method].encode(observation, before_seconds=0.1, after_seconds=0.1)
+        times = np.random.default_rng(0).permutation(np.linspace(whole.start_seconds, whole.end_seconds, 500))
+        expected = whole.query(times)
+        with monkeypatch.context() as patched:
+            patched.setattr(interpolators, "FRAMES_AT_ONCE", 60)
+            field = INTERPOLATORS[method].encode(observation, before_seconds=0.1, after_seconds=0.1)
+            found = field.query(times)
+            assert len(field._blocks) == interpolators.BLOCKS_KEPT
+        assert np.allclose(found.joint_positions, expected.joint_positions, atol=1e-6, rtol=0)
+        if expected.local_rotations is not None:
+            assert found.local_rotations is not None
+            assert np.allclose(found.local_rotations, expected.local_rotations, atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_domain_is_the_observed_span(method: Method) -> None:
+    field = interpolate(random_motion(5, num_frames=4), method)
+    assert field.end_seconds - field.start_seconds == pytest.approx(0.1)
+    with pytest.raises(ValueError, match=r"1 of 2 times lie outside the motion, the first at 1\.36"):
+        field.query(np.array([1.3, 1.36]))
+    with pytest.raises(ValueError, match="the first at nan"):
+        field.query(np.array([1.3, np.nan]))
+    with pytest.raises(ValueError, match="0 or more, not -1"):
+        INTERPOLATORS[method].encode(Observation.of(random_motion(5)), before_seconds=-1.0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("num_frames", [1, 2, 3])
+def test_very_short_motions(method: Method, num_frames: int) -> None:
+    motion = random_motion(6, num_frames=num_frames)
+    sampled = to_motion(interpolate(motion, method), Fraction(90))
+    assert sampled.num_frames == 3 * (num_frames - 1) + 1
+    assert np.allclose(sampled.joint_positions[::3], motion.joint_positions, atol=1e-6)
+    beyond = INTERPOLATORS[method].encode(Observation.of(motion), after_seconds=1.0)
+    later = beyond.query(np.array([beyond.end_seconds])).joint_positions
+    assert np.isfinite(later).all()
+    if num_frames == 1:
+        assert np.allclose(later, motion.joint_positions, atol=1e-6)
+
+
+def test_an_empty_query_has_no_poses() -> None:
+    assert interpolate(random_motion(7)).query(np.array([])).joint_positions.shape == (0, 22, 3)
+
+
+def test_observations_are_checked() -> None:
+    motion = random_motion(8, num_frames=3)
+    poses = Poses.of(motion)
+    for times, message in (
+        ([0.0, 0.0, 1.0], r"0\.000000 s \(row 1\) follows 0\.000000 s"),
+        ([0.0, 2.0, 1.0], r"1\.000000 s \(row 2\) follows 2\.000000 s"),
+        ([0.0, np.nan, 1.0], "time 1 is not a finite number"),
+        ([0.0, 1.0], r"say \(2, 22\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Observation(np.array(times), poses, SMPL22)
+    with pytest.raises(ValueError, match="nothing is observed"):
+        Observation.of(motion, np.zeros(3, dtype=np.bool_))
+    with pytest.raises(ValueError, match=r"a mask of 3 bools, one for each frame, not bool \(4,\)"):
+        Observation.of(motion, np.ones(4, dtype=np.bool_))
+    assert motion.local_rotations is not None
+    unseen = motion.joint_positions.copy()
+    unseen[1, 4, 2] = np.nan
+    with pytest.raises(ValueError, match=r"joint_positions of pose 1 \(1\.2833 s\) hold a number that is not finite"):
+        Observation(motion.timegrid.seconds(), Poses(unseen, motion.local_rotations), SMPL22)
+    assert repr(Observation.of(motion)).startswith("Observation([1.2500, 1.3167] s, Poses(3 of 22 joints, local_rot")
+
+
+def test_velocities_need_a_step() -> None:
+    with pytest.raises(ValueError, match="some length, not 0 s"):
+        joint_velocities(interpolate(random_motion(8)), np.array([1.3]), step_seconds=0.0)
+
+
+def polynomial_motion(degree: int, fps: int = 10) -> tuple[Motion, "np.ndarray"]:
+    coefficients = np.random.default_rng(degree).normal(size=(degree + 1, 22, 3))
+    motion = Motion(polynomial(coefficients, np.arange(12) / fps), SMPL22, TimeGrid(Fraction(fps), 12))
+    return motion, coefficients
+
+
+def polynomial(coefficients: np.ndarray, times: np.ndarray) -> np.ndarray:
+    powers = times[:, None] ** np.arange(len(coefficients))
+    return np.einsum("tk,kjc->tjc", powers, coefficients).astype(np.float32)
+
+
+@pytest.mark.parametrize(("method", "degree"), [("linear", 1), ("catmull-rom", 2), ("cubic", 3)])
+def test_polynomials_that_are_restored(method: Method, degree: int) -> None:
+    motion, coefficients = polynomial_motion(degree)
+    # Catmull-Rom's rates at the two ends are those of the outermost steps.
+    times = np.linspace(0.1, 1.0, 40) if method == "catmull-rom" else np.linspace(0, 1.1, 40)
+    for observation in (Observation.of(motion), Observation.of(motion, np.arange(12) % 5 != 2)):
+        inner = times[(times >= observation.times_seconds[1]) & (times <= observation.times_seconds[-2])]
+        chosen = inner if method == "catmull-rom" else times
+        found = INTERPOLATORS[method].encode(observation).query(chosen).joint_positions
+        assert np.allclose(found, polynomial(coefficients, chosen), atol=1e-5)
+    higher, coefficients = polynomial_motion(degree + 1)
+    found = interpolate(higher, method).query(times).joint_positions
+    assert np.abs(found - polynomial(coefficients, times)).max() > 1e-4
+
+
+def spinning(times: np.ndarray) -> np.ndarray:
+    """Joint j turns about its own axis at a constant rate; quaternions."""
+    rates = np.random.default_rng(9).normal(size=(22, 3))
+    turns = Rotation.from_rotvec((times[:, None, None] * rates).reshape(-1, 3))
+    return np.asarray(turns.as_quat(scalar_first=True).reshape(len(times), 22, 4).astype(np.float32))
+
+
+@pytest.mark.parametrize("method", ON_ROTATIONS)
+def test_constant_rates_of_turning_are_restored_and_continued(method: Method) -> None:
+    kept = np.sort(np.random.default_rng(1).choice(np.arange(30), 12, replace=False)) / 10
+    root = (np.outer(kept, [1.0, 0.5, -0.2]) + 0.3).astype(np.float32)
+    local = spinning(kept)
+    positions = kinematics.forward_kinematics(local, root, SMPL22)
+    field = INTERPOLATORS[method].encode(
+        Observation(kept, Poses(positions, local, root), SMPL22), before_seconds=0.5, after_seconds=0.5
+    )
+    times = np.linspace(field.start_seconds, field.end_seconds, 60)
+    poses = field.query(times)
+    assert poses.local_rotations is not None
+    assert turn_between(poses.local_rotations, spinning(times)).max() < 2e-5
+    truth = kinematics.forward_kinematics(
+        spinning(times), (np.outer(times, [1.0, 0.5, -0.2]) + 0.3).astype(np.float32), SMPL22
+    )
+    assert np.allclose(poses.joint_positions, truth, atol=2e-5)
+
+
+def test_slerp_agrees_with_scipy() -> None:
+    motion = random_motion(10)
+    for observation in (Observation.of(motion), uneven(motion)):
+        field = INTERPOLATORS["slerp"].encode(observation)
+        times = np.random.default_rng(1).uniform(field.start_seconds, field.end_seconds, 50)
+        poses = field.query(times)
+        given, root = observation.poses.local_rotations, observation.poses.root_translation
+        assert given is not None and root is not None
+        expected = np.empty((50, 22, 4), np.float32)
+        for joint in range(22):
+            rotations = Rotation.from_quat(given[:, joint].astype(np.float64), scalar_first=True)
+            expected[:, joint] = Slerp(observation.times_seconds, rotations)(times).as_quat(scalar_first=True)
+        assert poses.local_rotations is not None and poses.root_translation is not None
+        assert turn_between(poses.local_rotations, expected).max() < 1e-5
+        path = [np.interp(times, observation.times_seconds, root[:, axis]) for axis in range(3)]
+        assert np.allclose(poses.root_translation, np.stack(path, -1), atol=1e-6)
+        positions = kinematics.forward_kinematics(expected, poses.root_translation, SMPL22)
+        assert np.allclose(poses.joint_positions, positions, atol=1e-5)
+
+
+def test_cubic_fields_agree_with_scipy() -> None:
+    observation = uneven(random_motion(11, num_frames=40))
+    times = np.linspace(observation.start_seconds, observation.end_seconds, 77)
+    positions = INTERPOLATORS["cubic"].encode(observation).query(times).joint_positions
+    reference = CubicSpline(observation.times_seconds, observation.poses.joint_positions.astype(np.float64))
+    assert np.allclose(positions, reference(times), atol=1e-6)
+    turned = INTERPOLATORS["rotation-cubic"].encode(observation).query(times).local_rotations
+    given = observation.poses.local_rotations
+    assert given is not None and turned is not None
+    for joint in (0, 7, 21):
+        knots = Rotation.from_quat(given[:, joint].astype(np.float64), scalar_first=True)
+        spline = RotationSpline(observation.times_seconds, knots)(times).as_quat(scalar_first=True)
+        assert turn_between(turned[:, joint], spline).max() < 1e-5
+
+
+@pytest.mark.parametrize("method", SMOOTH)
+def test_velocity_is_continuous_at_every_frame_and_beyond_the_ends(method: Method) -> None:
+    observation = uneven(random_motion(12, num_frames=30))
+    knots = observation.times_seconds
+
+    def jump(method: Method, step: float) -> float:
+        """Largest difference of the slopes shortly after and shortly before a frame, m/s."""
+        field = INTERPOLATORS[method].encode(observation, before_seconds=0.1, after_seconds=0.1)
+        times = np.concatenate([knots + offset * step for offset in (-2, -1, 1, 2)])
+        before, left, right, after = np.split(field.query(times).joint_positions.astype(np.float64), 4)
+        return float(np.abs((after - right) - (left - before)).max() / step)
+
+    # Where acceleration is finite the difference vanishes with the step; a kink keeps it.
+    assert jump(method, 1e-3) < 0.15 * jump(method, 1e-2) + 0.05
+    assert jump("linear", 1e-3) > 0.8 * jump("linear", 1e-2) > 1.0
+
+
+def test_hold_stands_still_and_the_others_go_on() -> None:
+    motion = random_motion(13)
+    observation = Observation.of(motion)
+    times = np.array([1.25, 1.25 + 0.9 / 30, 1.25 + 1 / 30])
+    held = interpolate(motion, "hold").query(times)
+    assert np.array_equal(held.joint_positions, motion.joint_positions[[0, 0, 1]])
+    end = observation.end_seconds
+    later = np.array([end, end + 0.1, end + 0.2])
+    for method in METHODS:
+        field = INTERPOLATORS[method].encode(observation, after_seconds=0.2)
+        path = field.query(later).joint_positions[:, 0]
+        moved = np.diff(path, axis=0)
+        assert np.allclose(moved[0], moved[1], atol=1e-6)
+        assert bool(np.all(moved == 0)) == (method == "hold")
+        if method in ON_ROTATIONS:
+            positions = field.query(later).joint_positions
+            bones = np.linalg.norm(positions[:, 1:] - positions[:, list(SMPL22.parents[1:])], axis=-1)
+            assert np.allclose(bones, bones[0], atol=1e-6)
+
+
+def overhead(times: np.ndarray) -> np.ndarray:
+    """An upper arm circling straight up, 180 degrees from rest, the elbow bent by 90."""
+    circle = 0.1 * np.stack((np.cos(np.pi * times), 0 * times, np.sin(np.pi * times)), axis=-1)
+    local = np.zeros((len(times), 22, 4))
+    local[..., 0] = 1.0
+    raised = Rotation.from_rotvec(circle) * Rotation.from_rotvec([0, 0, np.pi])
+    local[:, SMPL22.index("left_shoulder")] = raised.as_quat(scalar_first=True)
+    local[:, SMPL22.index("left_elbow")] = Rotation.from_rotvec([np.pi / 2, 0, 0]).as_quat(scalar_first=True)
+    return kinematics.forward_kinematics(local, np.zeros((len(times), 3)), SMPL22).astype(np.float32)
+
+
+@pytest.mark.parametrize("method", ON_ROTATIONS)
+def test_arms_overhead_do_not_swing_between_positions(method: Method) -> None:
+    grid = TimeGrid(Fraction(20), 41)
+    found = to_motion(interpolate(Motion(overhead(grid.seconds()), SMPL22, grid), method), Fraction(160))
+    assert np.abs(found.joint_positions - overhead(found.timegrid.seconds())).max() < 2e-4
+
+
+@pytest.mark.parametrize("method", ON_ROTATIONS)
+def test_rotations_keep_bone_lengths_and_lines_do_not(method: Method) -> None:
+    motion = random_motion(14, rotations=False)
+    times = motion.timegrid.seconds()[:-1] + 0.5 * motion.timegrid.seconds_between_frames
+    parents, rest = list(SMPL22.parents[1:]), np.linalg.norm(SMPL22.offsets[1:], axis=-1)
+
+    def error(method: Method) -> float:
+        positions = interpolate(motion, method).query(times).joint_positions
+        return float(np.abs(np.linalg.norm(positions[:, 1:] - positions[:, parents], axis=-1) - rest).max())
+
+    assert error(method) < 1e-3 < 5e-3 < error("linear")
+
+
+def test_velocities_are_those_of_the_motion() -> None:
+    motion, coefficients = polynomial_motion(2)
+    times = np.linspace(0, 1.1, 23)
+    slopes = coefficients[1] + 2 * coefficients[2] * times[:, None, None]
+    assert np.allclose(joint_velocities(interpolate(motion, "cubic"), times), slopes, atol=5e-3)
+    still = interpolate(random_motion(15, num_frames=1))
+    assert np.array_equal(joint_velocities(still, np.array([1.25])), np.zeros((1, 22, 3)))

@@ -1,0 +1,121 @@
+"""Completion: given frames stay, times are exact, and what comes beyond is the encoder's."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motionkit.core.skeleton import KIT21
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.completion import (
+    complete,
+    extrapolate,
+    inbetween,
+    observed_errors,
+    reconstruct,
+    upsample,
+)
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Method, interpolate
+from motionkit.fields.motion_field import Observation, to_motion
+from tests.helpers.turning_body import random_motion
+
+METHODS: list[Method] = list(INTERPOLATORS)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_upsampling_keeps_frames_captions_and_logs(method: Method) -> None:
+    motion = random_motion(9)
+    faster = upsample(motion, Fraction(120), INTERPOLATORS[method])
+    assert faster.fps == 120 and faster.num_frames == 4 * 19 + 1 and faster.timegrid.start_seconds == 1.25
+    assert np.array_equal(faster.joint_positions[::4], motion.joint_positions)
+    assert faster.captions == motion.captions and faster.sequence_id == "turn"
+    assert faster.provenance.operations == (f"upsample 30 -> 120 fps ({method})",)
+    between = to_motion(interpolate(motion, method), Fraction(120))
+    assert np.allclose(between.joint_positions, faster.joint_positions, atol=1e-6)
+    assert upsample(motion, Fraction(30)) is motion
+    with pytest.raises(ValueError, match="use downsample"):
+        upsample(motion, Fraction(20), INTERPOLATORS[method])
+
+
+@settings(max_examples=25)
+@given(
+    st.integers(1, 30),
+    st.sampled_from([Fraction(24), Fraction(30), Fraction(30000, 1001)]),
+    st.sampled_from([Fraction(24), Fraction(60), Fraction(120000, 1001), Fraction(50)]),
+    st.floats(0, 0.5),
+    st.floats(0, 0.5),
+)
+def test_given_frames_are_found_on_every_grid(
+    frames: int, fps_from: Fraction, fps_to: Fraction, before: float, after: float
+) -> None:
+    motion = random_motion(3, num_frames=frames, fps=fps_from)
+    done = complete(motion, INTERPOLATORS["slerp"], fps=fps_to, before_seconds=before, after_seconds=after)
+    times = done.timegrid.seconds()
+    assert 1.25 - before - 1e-6 <= times[0] and times[-1] <= 1.25 + motion.timegrid.span_seconds + after + 1e-6
+    near = np.abs(times[:, None] - motion.timegrid.seconds()[None]) < 1e-7
+    shared, which = np.nonzero(near)
+    assert len(shared) >= 1
+    assert np.array_equal(done.joint_positions[shared], motion.joint_positions[which])
+    assert done.local_rotations is not None and motion.local_rotations is not None
+    assert np.array_equal(np.abs(done.local_rotations[shared]), np.abs(motion.local_rotations[which]))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_gap_is_filled_and_the_rest_is_left(method: Method) -> None:
+    motion = random_motion(4, num_frames=40)
+    observed = np.ones(40, dtype=np.bool_)
+    observed[10:25] = False
+    filled = inbetween(motion, observed, INTERPOLATORS[method])
+    assert np.array_equal(filled.joint_positions[observed], motion.joint_positions[observed])
+    assert not np.allclose(filled.joint_positions[~observed], motion.joint_positions[~observed], atol=1e-2)
+    expected = INTERPOLATORS[method].encode(Observation.of(motion, observed)).query(motion.timegrid.seconds())
+    assert np.allclose(filled.joint_positions, expected.joint_positions, atol=1e-6)
+    assert filled.provenance.operations == (f"in-between 15 of 40 frames ({method})",)
+    # What was to be filled is not read.
+    spoilt = motion.joint_positions.copy()
+    spoilt[~observed] += 9.0
+    again = inbetween(replace(motion, joint_positions=spoilt), observed, INTERPOLATORS[method])
+    assert np.array_equal(again.joint_positions, filled.joint_positions)
+
+
+def test_a_gap_at_an_end_is_extrapolated() -> None:
+    motion = random_motion(5, num_frames=10)
+    observed = np.arange(10) >= 4
+    held = inbetween(motion, observed, INTERPOLATORS["hold"])
+    assert np.array_equal(held.joint_positions[:4], np.repeat(motion.joint_positions[4:5], 4, axis=0))
+    with pytest.raises(ValueError, match="nothing is observed"):
+        inbetween(motion, np.zeros(10, dtype=np.bool_))
+
+
+def test_extrapolation_adds_whole_frames() -> None:
+    motion = random_motion(6, num_frames=10)
+    longer = extrapolate(motion, before_seconds=0.05, after_seconds=0.1, encoder=INTERPOLATORS["linear"])
+    assert longer.timegrid == TimeGrid(Fraction(30), 14, 1.25 - 1 / 30)
+    assert np.array_equal(longer.joint_positions[1:11], motion.joint_positions)
+    step = motion.joint_positions[-1] - motion.joint_positions[-2]
+    assert np.allclose(longer.joint_positions[-1], motion.joint_positions[-1] + 3 * step, atol=1e-5)
+    step = motion.joint_positions[1] - motion.joint_positions[0]
+    assert np.allclose(longer.joint_positions[0], motion.joint_positions[0] - step, atol=1e-5)
+    still = extrapolate(motion, after_seconds=1.0, encoder=INTERPOLATORS["hold"])
+    assert still.num_frames == 40 and np.array_equal(still.joint_positions[-1], motion.joint_positions[-1])
+    for seconds in (-1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match=f"0 or more, not {seconds:g}"):
+            extrapolate(motion, before_seconds=seconds)
+
+
+def test_reconstruction_puts_nothing_back() -> None:
+    motion = random_motion(7)
+    made = reconstruct(motion, INTERPOLATORS["cubic"], Fraction(90))
+    assert made.num_frames == 58 and made.provenance.operations == ("reconstruct (cubic)",)
+    assert np.allclose(made.joint_positions[::3], motion.joint_positions, atol=1e-6)
+    field = interpolate(motion)
+    with pytest.raises(ValueError, match="their joints must be the same"):
+        observed_errors(field, Observation.of(random_motion(7, skeleton=KIT21)))
+    assert observed_errors(field, Observation.of(motion)).max() < 1e-6
+    every_other = Observation.of(motion, np.arange(20) % 2 == 0)
+    coarse = INTERPOLATORS["hold"].encode(every_other, after_seconds=1 / 30)
+    assert np.array_equal(observed_errors(coarse, Observation.of(motion)) > 0.0, (np.arange(20) % 2 == 1)[:, None]
+                          & np.ones(22, dtype=np.bool_))  # fmt: skip

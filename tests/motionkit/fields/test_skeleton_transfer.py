@@ -1,0 +1,195 @@
+"""Own skeletons by encoders for 22 joints: nothing changes where nothing is known better, and much where it is."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from motionkit.core import kinematics
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
+from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.completion import complete
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Interpolator
+from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses
+from motionkit.fields.transfer import Transferred, canonical_observation, counterpart_joints
+
+CUBIC, SLERP = INTERPOLATORS["rotation-cubic"], INTERPOLATORS["slerp"]
+FPS = Fraction(30)
+
+
+def mixamo() -> Skeleton:
+    """A rig with MotionBuilder's names, arms along x, with a finger and a reference joint of its own above the hips."""
+    joints = (
+        ("Reference", -1, (0.0, 0.0, 0.0)),
+        ("Hips", 0, (0.0, 0.95, 0.0)),
+        ("Spine", 1, (0.0, 0.11, 0.0)),
+        ("Spine1", 2, (0.0, 0.13, 0.0)),
+        ("Spine2", 3, (0.0, 0.13, 0.0)),
+        ("Neck", 4, (0.0, 0.16, 0.0)),
+        ("Head", 5, (0.0, 0.11, 0.02)),
+        ("LeftShoulder", 4, (0.06, 0.11, 0.0)),
+        ("LeftArm", 7, (0.12, 0.0, 0.0)),
+        ("LeftForeArm", 8, (0.27, 0.0, 0.0)),
+        ("LeftHand", 9, (0.26, 0.0, 0.0)),
+        ("LeftHandIndex1", 10, (0.09, 0.0, 0.02)),
+        ("RightShoulder", 4, (-0.06, 0.11, 0.0)),
+        ("RightArm", 12, (-0.12, 0.0, 0.0)),
+        ("RightForeArm", 13, (-0.27, 0.0, 0.0)),
+        ("RightHand", 14, (-0.26, 0.0, 0.0)),
+        ("LeftUpLeg", 1, (0.09, -0.06, 0.0)),
+        ("LeftLeg", 16, (0.0, -0.43, 0.0)),
+        ("LeftFoot", 17, (0.0, -0.42, 0.0)),
+        ("LeftToeBase", 18, (0.0, -0.06, 0.13)),
+        ("RightUpLeg", 1, (-0.09, -0.06, 0.0)),
+        ("RightLeg", 20, (0.0, -0.43, 0.0)),
+        ("RightFoot", 21, (0.0, -0.42, 0.0)),
+        ("RightToeBase", 22, (0.0, -0.06, 0.13)),
+    )
+    names, parents, offsets = zip(*joints, strict=True)
+    return Skeleton("rig", names, parents, np.array(offsets, np.float32))
+
+
+def swinging(skeleton: Skeleton, seed: int = 0, num_frames: int = 91) -> Motion:
+    """Every joint swings smoothly about its own axis; the hips travel inside a reference that stays."""
+    rng = np.random.default_rng(seed)
+    seconds = np.arange(num_frames) / float(FPS)
+    joints = skeleton.num_joints
+    axes = rng.normal(size=(joints, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    phases, rates = rng.uniform(0, 6, joints), rng.uniform(0.8, 1.6, joints)
+    angles = 0.5 * np.sin(2 * np.pi * rates * seconds[:, None] + phases)
+    angles[:, 0] = 0.0
+    local = Rotation.from_rotvec((angles[..., None] * axes).reshape(-1, 3)).as_quat(scalar_first=True)
+    local = local.reshape(num_frames, joints, 4).astype(np.float32)
+    bones = np.repeat(skeleton.offsets[None], num_frames, axis=0).astype(np.float32)
+    travels = 1 if skeleton.joint_names[0] == "Reference" else 0
+    bones[:, travels, 0] += 0.3 * np.sin(5 * seconds)
+    bones[:, travels, 2] += 0.8 * seconds
+    positions = kinematics.forward_kinematics(local, bones[:, 0], skeleton, bones)
+    return Motion(positions, skeleton, TimeGrid(FPS, num_frames), local, positions[:, 0])
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """Knows a motion in the 22-joint layout, and answers with its interpolated frames whatever it is shown."""
+
+    truth: Observation
+    name: str = "oracle"
+
+    def encode(
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> MotionField:
+        assert observation.skeleton.joint_names == SMPL22.joint_names
+        return CUBIC.encode(self.truth, before_seconds=before_seconds, after_seconds=after_seconds)
+
+
+def gaps(num_frames: int) -> np.ndarray:
+    observed = np.ones(num_frames, bool)
+    observed[10:30] = observed[45:70] = False
+    return observed
+
+
+@pytest.mark.parametrize("interpolator", [CUBIC, SLERP], ids=lambda each: each.name)
+@pytest.mark.parametrize("rotations", [True, False])
+def test_with_the_interpolator_itself_as_the_model_nothing_changes(interpolator: Interpolator, rotations: bool) -> None:
+    motion = swinging(mixamo())
+    if not rotations:
+        motion = Motion(motion.joint_positions, motion.skeleton, motion.timegrid)
+    asked = {"fps": Fraction(75), "observed": gaps(motion.num_frames), "after_seconds": 0.2}
+    plain = complete(motion, interpolator, **asked)
+    carried = complete(motion, Transferred(interpolator, interpolator), **asked)
+    np.testing.assert_allclose(carried.joint_positions, plain.joint_positions, atol=2e-6)
+    assert (carried.local_rotations is None) == (not rotations)
+    if rotations:
+        assert plain.local_rotations is not None and carried.local_rotations is not None
+        alike = np.abs(np.sum(plain.local_rotations * carried.local_rotations, axis=-1))
+        assert alike.min() > 1 - 1e-6
+        np.testing.assert_allclose(carried.root_translation, plain.root_translation, atol=1e-6)
+
+
+def test_what_is_known_of_the_22_joints_comes_over_to_the_rig() -> None:
+    motion = swinging(mixamo())
+    truth = canonical_observation(Observation.of(motion))
+    observed = gaps(motion.num_frames)
+    plain = complete(motion, CUBIC, observed=observed)
+    carried = complete(motion, Transferred(Oracle(truth), CUBIC), observed=observed)
+
+    def error(made: Motion) -> float:
+        off = np.linalg.norm(made.joint_positions - motion.joint_positions, axis=-1)[~observed]
+        return float(off[:, 1:].mean())
+
+    assert error(plain) > 0.05
+    assert error(carried) < 0.15 * error(plain)
+    # The pelvis, whose path alone is wanted, is where it was.
+    hips = motion.skeleton.index("Hips")
+    np.testing.assert_allclose(carried.joint_positions[:, hips], motion.joint_positions[:, hips], atol=2e-4)
+
+
+def test_bones_keep_their_length_and_the_reference_its_place() -> None:
+    motion = swinging(mixamo(), seed=2)
+    truth = canonical_observation(Observation.of(swinging(mixamo(), seed=5)))  # another motion: a large correction
+    made = complete(motion, Transferred(Oracle(truth), SLERP), observed=gaps(motion.num_frames))
+    bones = Joints.of(Poses.of(made), made.skeleton).bones
+    rigid = np.arange(2, made.skeleton.num_joints)
+    np.testing.assert_allclose(
+        bones[:, rigid], np.broadcast_to(made.skeleton.offsets[rigid], bones[:, rigid].shape), atol=2e-6
+    )
+    np.testing.assert_allclose(made.joint_positions[:, 0], motion.joint_positions[:, 0], atol=1e-6)
+    assert made.local_rotations is not None and motion.local_rotations is not None
+    # A finger has no counterpart: it keeps the rotation in the hand that it was interpolated with.
+    finger = motion.skeleton.index("LeftHandIndex1")
+    plain = complete(motion, SLERP, observed=gaps(motion.num_frames))
+    assert plain.local_rotations is not None
+    alike = np.abs(np.sum(plain.local_rotations[:, finger] * made.local_rotations[:, finger], axis=-1))
+    assert alike.min() > 1 - 1e-6
+
+
+def test_queries_do_not_depend_on_order_or_company() -> None:
+    motion = swinging(mixamo())
+    truth = canonical_observation(Observation.of(swinging(mixamo(), seed=5)))
+    encoder = Transferred(Oracle(truth), CUBIC)
+    assert isinstance(encoder, MotionEncoder)
+    field = encoder.encode(Observation.of(motion, gaps(motion.num_frames)))
+    assert isinstance(field, MotionField)
+    times = np.random.default_rng(0).uniform(field.start_seconds, field.end_seconds, 40)
+    together, alone = field.query(times), field.query(times[7:8])
+    np.testing.assert_allclose(alone.joint_positions[0], together.joint_positions[7], atol=1e-6)
+    with pytest.raises(ValueError, match="outside the motion"):
+        field.query(np.array([field.end_seconds + 1.0]))
+
+
+def test_the_22_joints_themselves_are_answered_as_the_model_answers() -> None:
+    truth, motion = swinging(SMPL22, seed=3), swinging(SMPL22, seed=4)
+    observed = gaps(motion.num_frames)
+    made = complete(motion, Transferred(Oracle(Observation.of(truth)), SLERP), observed=observed)
+    np.testing.assert_allclose(made.joint_positions[~observed], truth.joint_positions[~observed], atol=2e-5)
+
+
+def test_counterparts_of_a_rig() -> None:
+    rig = mixamo()
+    found = {SMPL22.joint_names[joint]: rig.joint_names[own] for joint, own in counterpart_joints(rig).items()}
+    assert found["pelvis"] == "Hips" and found["spine3"] == "Spine2" and found["left_wrist"] == "LeftHand"
+    assert "Reference" not in found.values() and "LeftHandIndex1" not in found.values()
+    assert len(set(found.values())) == len(found)
+    assert {KIT21.joint_names[own] for own in counterpart_joints(KIT21).values()} >= {"root", "LK", "RE", "BUN"}
+
+
+def test_a_skeleton_that_nobody_knows_is_refused() -> None:
+    dog = Skeleton("dog", ("hub", "tail", "snout"), (-1, 0, 0), np.eye(3, dtype=np.float32))
+    motion = swinging(dog)
+    with pytest.raises(SkeletonMapError, match="dog"):
+        Transferred(CUBIC).encode(Observation.of(motion))
+
+
+def test_canonical_positions_are_those_of_the_map() -> None:
+    motion = swinging(mixamo())
+    canonical = canonical_observation(Observation.of(motion))
+    np.testing.assert_allclose(canonical.poses.joint_positions, map_joints(motion, "smpl22"), atol=1e-6)
+    assert canonical.poses.local_rotations is not None
+    again = Joints.of(canonical.poses, SMPL22).positions(SMPL22)
+    np.testing.assert_allclose(again, canonical.poses.joint_positions, atol=1e-5)

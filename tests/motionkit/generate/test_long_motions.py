@@ -1,0 +1,167 @@
+"""Motions longer than a model makes: how long the pieces are, that they meet without a jump, that framerates agree."""
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Caption
+from motionkit.core.skeleton import SMPL22
+from motionkit.fields.assembly import AssembledField
+from motionkit.fields.motion_field import MotionField, Poses, check_times, to_motion
+from motionkit.generate.long_motions import captions_of, generate_joined, is_joined, pieces_of
+from motionkit.generate.models import GenerationRequest, GenerativeModel
+from motionkit.synthetic import draw_body, perform
+
+
+def script(*seconds, text="walks"):
+    return tuple(GenerationRequest(each, text=f"{text} {number}") for number, each in enumerate(seconds))
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """A performance that is higher by a millimetre for each 10 fps that it is told: it depends on s, as NeRM does."""
+
+    field: MotionField
+    fps: Fraction = Fraction(120)
+    skeleton = SMPL22
+    start_seconds = 0.0
+
+    @property
+    def end_seconds(self):
+        return self.field.end_seconds
+
+    def at_fps(self, fps):
+        return replace(self, fps=fps)
+
+    def query(self, times_seconds):
+        check_times(self, times_seconds)
+        poses = self.field.query(times_seconds)
+        higher = np.array([0.0, 1e-4 * float(self.fps), 0.0])
+        return Poses((poses.joint_positions + higher).astype(np.float32))
+
+
+class Performer:
+    """Motions that follow from seed, number and length; every other one a walk. Counts what it is asked for."""
+
+    name, skeleton, max_training_fps, max_duration_seconds = "Performer", SMPL22, Fraction(120), 4.0
+
+    def __init__(self, told=False):
+        self.asked = []
+        self.told = told
+
+    def generate(self, requests, *, seed, sampling=None, first=0):
+        self.asked.append([request.duration_seconds for request in requests])
+        fields = []
+        for number, request in enumerate(requests, start=first):
+            rng = np.random.default_rng((seed, number))
+            body = draw_body(np.random.default_rng(0), "body")
+            field = perform(rng, body, ["walk" if number % 2 else "squat"], request.duration_seconds)
+            fields.append(Told(field) if self.told else field)
+        return fields
+
+
+@given(
+    seconds=st.lists(st.floats(1.5, 60.0), min_size=1, max_size=4),
+    longest=st.floats(3.0, 12.0),
+    overlap=st.floats(0.05, 1.4),
+)
+def test_pieces_make_up_the_script_to_the_second(seconds, longest, overlap):
+    wanted = script(*seconds)
+    pieces = pieces_of(wanted, longest, overlap)
+    lengths = np.array([piece.duration_seconds for piece in pieces])
+    assert (lengths <= longest + 1e-9).all() and (lengths > overlap).all()
+    assert lengths.sum() - (len(pieces) - 1) * overlap == pytest.approx(sum(seconds))
+    # Where one request gives way to the next, the middle of the overlap is the end of its seconds.
+    middles = np.cumsum(lengths - overlap) + overlap / 2
+    of_request = [[piece for piece in pieces if piece.text == request.text] for request in wanted]
+    last = np.cumsum([len(each) for each in of_request]) - 1
+    np.testing.assert_allclose(middles[last][:-1], np.cumsum(seconds)[:-1])
+    for each in of_request:
+        assert len(set(each)) == 1
+        # One piece fewer would not do.
+        shorter = len(each) - 1
+        span = each[0].duration_seconds * len(each) - (len(each) - 1) * overlap
+        assert shorter == 0 or (span + (shorter - 1) * overlap) / shorter > longest
+
+
+def test_what_one_motion_is_enough_for_is_not_joined():
+    assert not is_joined(script(4.0), 4.0)
+    assert not is_joined((GenerationRequest(None),), 4.0)
+    assert is_joined(script(4.01), 4.0)
+    assert is_joined(script(1.0, 1.0), 4.0)
+    assert pieces_of(script(3.0), 4.0, 0.5) == list(script(3.0))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "overlap", "message"),
+    [
+        ((8.0,), 2.1, r"overlap by more than 0 s and up to 2 s, not by 2.1 s"),
+        ((8.0,), 0.0, "not by 0 s"),
+        ((8.0,), float("nan"), "not by nan s"),
+        ((2.0, 0.4), 0.5, "part 2 of 2 of a joined motion lasts 0.4 s: each lasts longer than the 0.5 s"),
+        ((2.0, None), 0.5, "part 2 of 2 of a joined motion has no length"),
+        ((float("inf"),), 0.5, "lasts inf s"),
+    ],
+)
+def test_what_cannot_be_joined(seconds, overlap, message):
+    with pytest.raises(UsageError, match=message):
+        pieces_of(script(*seconds), 4.0, overlap)
+
+
+def test_a_long_motion_has_no_jump_in_place_or_velocity():
+    assert isinstance(Performer(), GenerativeModel)
+    field = generate_joined(Performer(), script(9.0, 5.0), seed=3)
+    assert isinstance(field, AssembledField)
+    assert field.end_seconds == pytest.approx(14.0)
+    assert len(field.pieces) == 5
+    joints = np.concatenate((field.fade_start, field.fade_end))
+
+    def jumps(step):
+        around = np.concatenate([joints + count * step for count in (-2, -1, 1, 2)])
+        before, left, right, after = np.split(field.query(around).joint_positions.astype(np.float64), 4)
+        return np.abs(right - left).max(), np.abs((after - right) - (left - before)).max() / step
+
+    place, velocity = jumps(1e-3)
+    nearer_place, nearer_velocity = jumps(2.5e-4)
+    # What is continuous shrinks with the step; 1 mm or 0.2 m/s would stay.
+    assert nearer_place < 0.4 * place + 5e-4
+    assert nearer_velocity < 0.4 * velocity + 0.1
+    # And the pieces do disagree: without the cross-fade there would be a jump.
+    ends = np.array([piece.end_seconds for piece in field.pieces[:-1]])
+    gaps = [
+        np.abs(after.query(end[None]).joint_positions - before.query(end[None]).joint_positions).max()
+        for before, after, end in zip(field.pieces, field.pieces[1:], ends, strict=False)
+    ]
+    assert max(gaps) > 0.05
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_30_fps_is_every_second_frame_of_60(told):
+    field = generate_joined(Performer(told), script(11.0), seed=5)
+    slow, fast = (to_motion(field, Fraction(fps)).joint_positions for fps in (30, 60))
+    assert len(fast) == 2 * len(slow) - 1
+    # Where pieces lie does not depend on what they are told, so the difference is what the model itself differs by.
+    shift = np.array([0.0, 1e-4 * 30 if told else 0.0, 0.0])
+    np.testing.assert_allclose(fast[::2] - slow, np.broadcast_to(shift, slow.shape), atol=2e-6)
+
+
+def test_a_motion_follows_from_its_seed_and_number():
+    instants = np.linspace(0.0, 9.0, 50)
+
+    def poses(**options):
+        return generate_joined(Performer(), script(9.0), **options).query(instants).joint_positions
+
+    np.testing.assert_array_equal(poses(seed=1, number=2), poses(seed=1, number=2))
+    assert np.abs(poses(seed=1, number=2) - poses(seed=1, number=3)).max() > 1e-3
+    assert np.abs(poses(seed=1, number=2) - poses(seed=2, number=2)).max() > 1e-3
+
+
+def test_texts_know_their_seconds():
+    assert captions_of(script(4.0)) == (Caption("walks 0"),)
+    assert captions_of((GenerationRequest(4.0, action="jump"),)) == ()
+    assert captions_of(script(4.0, 6.5)) == (Caption("walks 0", 0.0, 4.0), Caption("walks 1", 4.0, 10.5))

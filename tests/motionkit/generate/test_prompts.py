@@ -1,0 +1,59 @@
+"""Files of prompts: what they say, and where they are wrong."""
+
+import pytest
+
+from motionkit.core.errors import UsageError
+from motionkit.generate.models import GenerationRequest
+from motionkit.generate.prompts import read_prompts
+
+
+def test_one_text_a_line(tmp_path):
+    path = tmp_path / "prompts.txt"
+    path.write_text("a person walks, slowly\n\n  a jump \n")
+    prompts = read_prompts(path, 4.0)
+    assert [prompt.request.text for prompt in prompts] == ["a person walks, slowly", "a jump"]
+    assert {prompt.request.duration_seconds for prompt in prompts} == {4.0}
+    assert prompts[1].where == f"{path}, line 3"
+
+
+def test_tables_and_objects_say_the_same(tmp_path):
+    (tmp_path / "p.csv").write_text('﻿text,seconds,action\n"up, then down",2.5,\n,,jump\n', encoding="utf-8")
+    (tmp_path / "p.jsonl").write_text('{"text": "up, then down", "seconds": 2.5}\n{"action": "jump"}\n')
+    for name in ("p.csv", "p.jsonl"):
+        found = [prompt.request for prompt in read_prompts(tmp_path / name)]
+        assert found == [GenerationRequest(2.5, text="up, then down"), GenerationRequest(None, action="jump")]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("p.xlsx", "a walk", r"prompts are a \.txt"),
+        ("p.txt", " \n", "holds no prompts"),
+        ("p.csv", "words\na walk\n", "line 1: unknown column 'words'"),
+        ("p.csv", "seconds\n2\n", "names neither 'text' nor 'action'"),
+        ("p.csv", "text,seconds\na walk, slowly,2\n", "line 2: more fields than the header names"),
+        ("p.csv", "text,action\na walk,walk\n", "line 2: give a text or an action, not both"),
+        ("p.csv", "text,seconds\na walk,-1\n", "line 2: seconds is a positive number, not '-1'"),
+        ("p.csv", "text,seconds\na walk,nan\n", "line 2: seconds is a positive number"),
+        ("p.csv", 'text\n"a walk\n', "not a CSV table"),
+        ("p.jsonl", '{"text": "a walk"}\n{"text": }\n', "line 2: not JSON"),
+        ("p.jsonl", '["a walk"]\n', "line 1: expected an object"),
+        ("p.jsonl", '{"seconds": 2}\n', "there is neither"),
+        ("p.jsonl", '{"text": "a walk", "seconds": true}\n', "seconds is a positive number, not True"),
+        ("p.jsonl", f'{{"text": "a walk", "seconds": {"9" * 400}}}\n', "seconds is a positive number, not inf"),
+        ("p.jsonl", "[" * 100_000, "line 1: not JSON"),
+        ("p.jsonl", r'{"text": "\ud800"}', "line 1: not JSON .*half a character"),
+        ("p.jsonl", '{"text": 3}\n', "text and action are strings"),
+        ("p.jsonl", '{"text": "a walk", "fps": 30}\n', "unknown column 'fps'"),
+    ],
+)
+def test_faults_are_named_with_their_line(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UsageError, match=message):
+        read_prompts(tmp_path / name)
+
+
+def test_bytes_that_are_no_text(tmp_path):
+    (tmp_path / "p.txt").write_bytes(b"a walk\n\xff\xfe\n")
+    with pytest.raises(UsageError, match="not UTF-8"):
+        read_prompts(tmp_path / "p.txt")

@@ -1,0 +1,248 @@
+"""Removal, compaction, merging: each is one commit, and what stays is bit by bit what it was."""
+
+import re
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from motionkit.core.errors import StoreError, UsageError
+from motionkit.core.skeleton import KIT21
+from motionkit.store import Store, StoreWriter
+from motionkit.store.cache.positions import open_cache
+from motionkit.store.life.removal import remove
+from motionkit.store.life.rewrite import compact, merge
+from motionkit.store.reports.quality import report_quality
+from motionkit.store.validate import faults
+
+
+def motions(make_motion, count=40):
+    return [
+        make_motion(
+            f"take-{i}",
+            600 if i % 7 == 3 else 30 + i,
+            fps=Fraction(120 if i % 2 else 30),
+            rotations=i % 3 == 0,
+            skeleton=KIT21 if i % 5 == 4 else make_motion("any").skeleton,
+            split="test" if i % 4 == 0 else "train",
+        )
+        for i in range(count)
+    ]
+
+
+def write(path, motions, *, part_bytes=2**18, pieces=1):
+    """A store of the motions, appended in so many pieces."""
+    for piece in np.array_split(np.arange(len(motions)), pieces):
+        writer = StoreWriter.append(path, part_bytes=part_bytes) if path.exists() else StoreWriter.create(path)
+        with writer:
+            for i in piece:
+                writer.add(motions[i])
+    return path
+
+
+def assert_holds(path, motions, indices=None):
+    """The store is intact and holds these motions, under these indices."""
+    assert list(faults(path)) == []
+    store = Store.open(path)
+    assert store.select().tolist() == (list(range(len(motions))) if indices is None else indices)
+    for found, expected in zip(store.read_many(store.select()), motions, strict=True):
+        assert found.sequence_id == expected.sequence_id
+        assert found.captions == expected.captions
+        np.testing.assert_array_equal(found.joint_positions, expected.joint_positions)
+        assert (found.local_rotations is None) == (expected.local_rotations is None)
+        if expected.local_rotations is not None:
+            np.testing.assert_array_equal(found.local_rotations, expected.local_rotations)
+            np.testing.assert_array_equal(found.root_translation, expected.root_translation)
+
+
+def test_removed_sequences_are_gone_and_the_others_keep_their_numbers(tmp_path, make_motion):
+    made = motions(make_motion)
+    path = write(tmp_path / "store", made, pieces=4)
+    before = Store.open(path)
+    assert set(remove(path, ["take-5"], where="split = 'test'")) == {
+        "take-5",
+        *(f"take-{i}" for i in range(0, 40, 4)),
+    }
+    kept = [i for i in range(40) if i % 4 and i != 5]
+    assert_holds(path, [made[i] for i in kept], kept)
+    store = Store.open(path)
+    assert store.fingerprint != before.fingerprint
+    assert store.read("take-7").sequence_id == store.read(7).sequence_id == "take-7"
+    assert store.sequences.loc[7, "sequence_id"] == "take-7"
+    for nobody in (5, 40, -1):
+        with pytest.raises(StoreError, match=f"holds no sequence {nobody}: its indices are from 1 to 39"):
+            store.read(nobody)
+    with pytest.raises(StoreError, match="'take-5'"):
+        store.read("take-5")
+    assert before.read(5).sequence_id == "take-5"  # whoever opened it before reads on
+
+
+def test_sql_sees_no_segments_of_removed_sequences(tmp_path, make_motion):
+    path = write(tmp_path / "store", motions(make_motion))
+    remove(path, ["take-3"])
+    counted = Store.open(path).query(
+        "SELECT count(*) AS n, count(DISTINCT sequence_index) AS sequences, sum(num_frames) AS frames FROM segments"
+    )
+    frames = sum(motion.num_frames for motion in motions(make_motion)) - 600
+    assert counted.to_pylist() == [{"n": Store.open(path).manifest.num_segments, "sequences": 39, "frames": frames}]
+
+
+def test_the_quality_report_counts_what_is_left(tmp_path, make_motion):
+    path = write(tmp_path / "store", motions(make_motion))
+    remove(path, ["take-0", "take-3"])
+    assert report_quality(Store.open(path)).num_sequences == 38
+    assert report_quality(Store.open(path), "sequence_id = 'take-39'").num_sequences == 1
+
+
+def test_a_number_is_not_given_twice(tmp_path, make_motion):
+    """Neither a sequence's nor a part's, also where the last ones were removed: old readers must not see new frames."""
+    path = write(tmp_path / "store", motions(make_motion, 20), pieces=2)
+    parts = Store.open(path).manifest.parts
+    remove(path, [f"take-{i}" for i in range(10, 20)])
+    assert Store.open(path).manifest.parts == parts[:1]
+    with StoreWriter.append(path) as writer:
+        assert writer.add(make_motion("again")) == 20
+    store = Store.open(path)
+    assert store.manifest.parts == (parts[0], "segments/part-00002.parquet")
+    assert store.read(20).sequence_id == "again"
+
+
+def test_everything_can_be_removed_and_the_store_filled_again(tmp_path, make_motion):
+    path = write(tmp_path / "store", motions(make_motion, 3))
+    assert len(remove(path, where="true")) == 3
+    assert_holds(path, [], [])
+    assert Store.open(path).query("SELECT count(*) AS n FROM segments").to_pylist() == [{"n": 0}]
+    with StoreWriter.append(path) as writer:
+        writer.add(make_motion("first"))
+    assert_holds(path, [make_motion("first")], [3])
+
+
+def test_a_removal_of_nothing_changes_nothing(small_store):
+    before = Store.open(small_store).fingerprint
+    assert remove(small_store, where="fps = 1") == ()
+    with pytest.raises(StoreError, match="'nobody'"):
+        remove(small_store, ["take-0", "nobody"])
+    with pytest.raises(UsageError, match="'nonsense = 1' cannot be asked: duckdb"):
+        remove(small_store, where="nonsense = 1")
+    assert Store.open(small_store).fingerprint == before
+
+
+def test_the_cache_is_made_of_what_is_left(tmp_path, make_motion):
+    made = motions(make_motion, 12)
+    path = write(tmp_path / "store", made)
+    remove(path, ["take-0", "take-4", "take-9"])
+    store = Store.open(path)
+    cache = open_cache(store)
+    kept = [i for i in range(12) if i not in (0, 4, 9)]
+    assert cache.sequence_index.tolist() == kept
+    np.testing.assert_array_equal(cache.sequence_positions(2), made[3].joint_positions)
+    assert store.sequences_table["sequence_id"].take(store.rows_of(cache.sequence_index)).to_pylist() == [
+        f"take-{i}" for i in kept
+    ]
+
+
+def test_a_compacted_store_is_that_of_one_ingest(tmp_path, make_motion):
+    """But for the numbers of its parts, which go on."""
+    made = motions(make_motion)
+    path = write(tmp_path / "store", made, pieces=7)
+    remove(path, where="split = 'test'")
+    kept = [motion for motion in made if motion.split != "test"]
+    assert compact(path, part_bytes=2**18)
+    assert_holds(path, kept)
+    with StoreWriter.create(tmp_path / "fresh", part_bytes=2**18) as writer:
+        for motion in kept:
+            writer.add(motion)
+    store, fresh = Store.open(path), Store.open(tmp_path / "fresh")
+    assert len(store.manifest.parts) == len(fresh.manifest.parts) > 1
+    for ours, theirs in zip(store.manifest.parts, fresh.manifest.parts, strict=True):
+        assert (path / ours).read_bytes() == (fresh.path / theirs).read_bytes()
+    assert store.sequences_table.drop_columns("part").equals(fresh.sequences_table.drop_columns("part"))
+    assert store.skeletons_table.equals(fresh.skeletons_table)
+    assert sorted(each.name for each in (path / "segments").iterdir()) == [
+        name.removeprefix("segments/") for name in store.manifest.parts
+    ]
+    assert not compact(path, part_bytes=2**18)
+
+
+@pytest.mark.parametrize("copy", [lambda path: compact(path), lambda path: merge(path.parent / "out", [path])])
+def test_damage_is_not_copied_under_a_new_checksum(tmp_path, make_motion, copy):
+    path = write(tmp_path / "store", motions(make_motion, 6), pieces=2)
+    part = path / Store.open(path).manifest.parts[1]
+    content = bytearray(part.read_bytes())
+    content[len(content) // 2] ^= 1
+    part.write_bytes(content)
+    fingerprint = Store.open(path).fingerprint
+    with pytest.raises(StoreError, match=r"part-00001\.parquet is missing or damaged"):
+        copy(path)
+    assert Store.open(path).fingerprint == fingerprint
+    assert not (tmp_path / "out" / "manifest.json").exists()
+
+
+def test_who_opened_a_store_before_it_was_compacted_is_told(tmp_path, make_motion):
+    path = write(tmp_path / "store", motions(make_motion, 6), pieces=2)
+    before = Store.open(path)
+    before.read(0)
+    assert compact(path)
+    assert before.read(1).sequence_id == "take-1"  # its row group is still in memory
+    with pytest.raises(StoreError, match=r"written anew after it was opened .* open it again"):
+        before.read(5)
+    with pytest.raises(StoreError, match="written anew after it was opened"):
+        before.query("SELECT count(*) FROM segments")
+
+
+def test_a_merge_into_a_new_store_is_that_of_one_ingest(tmp_path, make_motion):
+    made = motions(make_motion, 20)
+    first = write(tmp_path / "first", made[:8], pieces=3)
+    second = write(tmp_path / "second", made[8:])
+    write(tmp_path / "fresh", made)
+    report = merge(tmp_path / "out", [first, second])
+    assert (report.num_stored, report.num_already_stored, report.conflicts, report.num_in_store) == (20, 0, (), 20)
+    assert Store.open(tmp_path / "out").fingerprint == Store.open(tmp_path / "fresh").fingerprint
+
+
+def test_a_subset_becomes_a_store(tmp_path, make_motion):
+    made = motions(make_motion, 20)
+    source = write(tmp_path / "source", made)
+    merge(tmp_path / "out", [source], where="fps = 120 AND has_rotations")
+    chosen = [motion for motion in made if motion.fps == 120 and motion.local_rotations is not None]
+    assert_holds(tmp_path / "out", chosen)
+    used = {motion.skeleton.fingerprint for motion in chosen}
+    assert set(Store.open(tmp_path / "out").skeletons) == used
+
+
+def test_a_merge_adds_what_is_new(tmp_path, make_motion):
+    made = motions(make_motion, 20)
+    out = write(tmp_path / "out", made[:8])
+    source = write(tmp_path / "source", made[4:12])
+    report = merge(out, [source, source])
+    assert (report.num_stored, report.num_already_stored, report.num_in_store) == (4, 12, 12)
+    assert_holds(out, made[:12])
+    before = Store.open(out).fingerprint
+    assert merge(out, [source]).num_stored == 0
+    assert Store.open(out).fingerprint == before
+
+
+def with_source(motion, sha256):
+    return replace(motion, provenance=replace(motion.provenance, source_sha256=sha256))
+
+
+def test_one_id_for_two_files_is_a_conflict(tmp_path, make_motion):
+    mine, theirs = motions(make_motion, 9), [with_source(motion, "cd" * 32) for motion in motions(make_motion, 12)]
+    out, source = write(tmp_path / "out", mine), write(tmp_path / "source", theirs)
+    before = Store.open(out).fingerprint
+    says = re.escape("9 ids stand for different files: 'take-0', 'take-1', 'take-2', 'take-3', 'take-4' and 4 more")
+    with pytest.raises(StoreError, match=says):
+        merge(out, [source])
+    assert Store.open(out).fingerprint == before
+    report = merge(out, [source], on_conflict="skip")
+    assert report.conflicts == tuple(f"take-{i}" for i in range(9))
+    assert_holds(out, [*mine, *theirs[9:]])
+
+
+def test_a_merge_that_chooses_nothing(small_store, tmp_path):
+    with pytest.raises(UsageError, match="no sequence of the sources is chosen by 'fps = 1'"):
+        merge(tmp_path / "out", [small_store], where="fps = 1")
+    with pytest.raises(StoreError, match="there is no store"):
+        merge(tmp_path / "out", [small_store, tmp_path / "nowhere"])
+    assert not (tmp_path / "out").exists()

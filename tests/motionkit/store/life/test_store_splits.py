@@ -1,0 +1,191 @@
+"""Splits by performer: nobody in two, the shares that were asked for, the same for the same seed."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motionkit.core.errors import StoreError, UsageError
+from motionkit.store import Store, StoreWriter
+from motionkit.store.life.splits import DEFAULT_SHARES, assign_groups, split
+from motionkit.store.validate import faults
+
+
+def taken_by(make_motion, name, subject, *, source="made", subset="by-hand", num_frames=30, split="train"):
+    motion = make_motion(name, num_frames, fps=Fraction(30), split=split)
+    return replace(motion, provenance=replace(motion.provenance, source=source, subset=subset, subject=subject))
+
+
+def write(path, motions):
+    with StoreWriter.create(path) as writer:
+        for motion in motions:
+            writer.add(motion)
+    return path
+
+
+@pytest.fixture
+def many(tmp_path, make_motion):
+    """Two data sets whose subjects have the same numbers: 30 performers of 1 to 4 takes."""
+    motions = [
+        taken_by(make_motion, f"{source}-{subject}-{take}", f"{subject:02}", source=source, num_frames=20 + 7 * take)
+        for source in ("first", "second")
+        for subject in range(15)
+        for take in range(1 + subject % 4)
+    ]
+    return write(tmp_path / "store", motions)
+
+
+def splits_of(path, *keys):
+    """The splits in which each group of sequences is."""
+    found = {}
+    rows = Store.open(path).sequences[[*keys, "split"]]
+    for *group, name in rows.itertuples(index=False):
+        found.setdefault(tuple(group), set()).add(name)
+    return found
+
+
+@given(
+    seconds=st.lists(st.floats(0.1, 50.0), min_size=3, max_size=25),
+    shares=st.lists(st.floats(0.05, 1.0), min_size=1, max_size=3),
+    seed=st.integers(0, 1000),
+)
+def test_no_split_is_farther_from_its_share_than_a_group_is_long(seconds, shares, seed):
+    lengths = np.array(seconds)
+    found = assign_groups(lengths, shares, seed)
+    got = np.bincount(found, weights=lengths, minlength=len(shares))
+    asked = np.array(shares) / sum(shares) * lengths.sum()
+    # One group more than it lacked; where a split would have stayed empty, another may lack as many groups.
+    assert (got - asked <= lengths.max() + 1e-9).all()
+    assert (np.bincount(found, minlength=len(shares)) > 0).all()
+    np.testing.assert_array_equal(found, assign_groups(lengths, shares, seed))
+
+
+def test_performers_are_whole_and_shares_near(many):
+    report = split(many)
+    assert all(len(found) == 1 for found in splits_of(many, "source", "subject").values())
+    longest = max(
+        rows["duration_seconds"].sum() for _, rows in Store.open(many).sequences.groupby(["source", "subject"])
+    )
+    total = sum(each.duration_seconds for each in report.splits)
+    assert [each.split for each in report.splits] == list(DEFAULT_SHARES)
+    assert sum(each.num_groups for each in report.splits) == 30
+    for each in report.splits:
+        assert each.share == pytest.approx(each.duration_seconds / total)
+        assert abs(each.share - DEFAULT_SHARES[each.split]) * total <= longest
+    # 01 of one data set is not 01 of the other: some seed parts them.
+    parted = [split(many, seed=seed) and splits_of(many, "subject") for seed in range(3)]
+    assert any(len(found) > 1 for each in parted for found in each.values())
+
+
+def test_only_the_table_changes_and_the_seed_decides(many, tmp_path, make_motion):
+    before = Store.open(many)
+    frames = [before.read(index).joint_positions for index in before.select()]
+    parts = {name: entry for name, entry in before.manifest.files.items() if name.startswith("segments/")}
+    first = split(many, seed=1)
+    after = Store.open(many)
+    assert list(faults(many)) == []
+    assert first.fingerprint == after.fingerprint != before.fingerprint
+    assert {name: after.manifest.files[name] for name in parts} == parts
+    for index, expected in zip(after.select(), frames, strict=True):
+        np.testing.assert_array_equal(after.read(index).joint_positions, expected)
+    kept = after.sequences_table.column_names
+    assert after.sequences_table.schema == before.sequences_table.schema
+    for name in kept:
+        if name != "split":
+            assert after.sequences_table[name].equals(before.sequences_table[name])
+    assert split(many, seed=1).num_changed == 0
+    assert split(many, seed=2).num_changed > 0
+    assert split(many, seed=1).fingerprint == first.fingerprint
+
+
+def test_the_order_of_the_takes_does_not_matter(tmp_path, make_motion):
+    motions = [taken_by(make_motion, f"{subject}-{take}", subject) for subject in "abcdefgh" for take in range(2)]
+    one, other = write(tmp_path / "one", motions), write(tmp_path / "other", motions[::-1])
+    split(one)
+    split(other)
+    assert splits_of(one, "sequence_id") == splits_of(other, "sequence_id")
+
+
+def test_a_dry_run_says_the_same_and_leaves_the_store(many):
+    before = Store.open(many).fingerprint
+    told = split(many, dry_run=True)
+    assert Store.open(many).fingerprint == before == told.fingerprint
+    assert told.splits == split(many).splits
+
+
+def test_a_whole_source_is_held_out(many):
+    split(many, {"test": 1.0}, where="source = 'second'")
+    assert splits_of(many, "source") == {("first",): {"train"}, ("second",): {"test"}}
+    report = split(many, {"train": 1.0, "test": 1.0}, by="source")
+    assert [(each.num_groups, each.asked_share) for each in report.splits] == [(1, 0.5), (1, 0.5)]
+
+
+def test_one_performer_in_two_folders_of_a_source_is_one(tmp_path, make_motion):
+    motions = [
+        taken_by(make_motion, f"{subset}-{subject}", subject, subset=subset)
+        for subset in ("amc", "bvh")
+        for subject in "abcdef"
+    ]
+    path = write(tmp_path / "store", motions)
+    split(path, {"train": 1.0, "test": 1.0})
+    assert sorted(map(sorted, splits_of(path, "subject").values())) == [["test"]] * 3 + [["train"]] * 3
+
+
+def test_any_sql_says_what_stays_together(tmp_path, make_motion):
+    motions = [taken_by(make_motion, f"s{subject}_take{take}", "") for subject in range(6) for take in range(3)]
+    path = write(tmp_path / "store", motions)
+    split(path, {"train": 2.0, "test": 1.0}, by="split_part(sequence_id, '_', 1)")
+    by_name = {}
+    for sequence_id, name in Store.open(path).sequences[["sequence_id", "split"]].itertuples(index=False):
+        by_name.setdefault(sequence_id[:2], set()).add(name)
+    assert sorted(map(sorted, by_name.values())) == [["test"]] * 2 + [["train"]] * 4
+
+
+def test_nobody_is_torn_by_a_condition(many):
+    split(many, {"train": 1.0})
+    with pytest.raises(UsageError, match=r"would be in two splits.*--where leaves out a part.*--by sequence_id"):
+        split(many, {"test": 1.0}, where="num_frames < 30")
+    split(many, {"test": 1.0}, by="sequence_id", where="num_frames < 30")
+    # Performers whom the choice does not touch may be in two splits: they were before.
+    split(many, {"test": 1.0}, where="subject = '00'")
+
+
+def test_who_has_no_split_yet_is_no_hindrance(tmp_path, make_motion):
+    motions = [taken_by(make_motion, f"{name}{take}", name, split="") for name in "ab" for take in range(2)]
+    path = write(tmp_path / "store", motions)
+    split(path, {"test": 1.0}, where="sequence_id IN ('a0', 'b0')")
+    assert splits_of(path, "sequence_id")[("a1",)] == {""}
+
+
+@pytest.mark.parametrize(
+    ("shares", "options", "message"),
+    [
+        ({"train": 1.0, "tset": 1.0}, {}, "no split is called 'tset'"),
+        ({"train": 1.0, "test": 0.0}, {}, "positive numbers"),
+        ({"train": 1.0, "test": float("nan")}, {}, "positive numbers"),
+        ({}, {}, "positive numbers"),
+        (DEFAULT_SHARES, {"by": "nonsense"}, "groups by 'nonsense' cannot be asked for"),
+        (DEFAULT_SHARES, {"by": "source"}, "have 2 different values of 'source', which cannot fill 3 splits"),
+        (DEFAULT_SHARES, {"where": "fps = 1"}, "no sequence of"),
+        (DEFAULT_SHARES, {"by": "style"}, "have no value of 'style': leave them out with --where"),
+    ],
+)
+def test_what_cannot_be_split_is_told_and_left(many, shares, options, message):
+    before = Store.open(many).fingerprint
+    with pytest.raises(UsageError, match=message):
+        split(many, shares, **options)
+    assert Store.open(many).fingerprint == before
+
+
+def test_a_store_without_performers_is_told_what_to_do(tmp_path, make_motion):
+    named = [taken_by(make_motion, f"n{take}", "anna", source="known") for take in range(3)]
+    nameless = [taken_by(make_motion, f"x{take}", "", source="unknown") for take in range(3)]
+    path = write(tmp_path / "store", [*named, *nameless])
+    with pytest.raises(UsageError, match=r"3 of 6 sequences of .* \(sources: 'unknown'\) have no performer: leave"):
+        split(path)
+    split(path, {"train": 1.0}, where="subject = ''")
+    with pytest.raises(StoreError, match="there is no store"):
+        split(tmp_path / "nowhere")

@@ -1,0 +1,103 @@
+"""`read` and `read_all`: one motion of a file, one of many by its id, all of a folder, and what is told otherwise."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import motionkit as mk
+from tests.helpers.every_format import SOURCES
+from tests.helpers.small_bvh import bvh_text
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    """A folder of three BVH files, one of them in a folder of its own, with a table of captions."""
+    folder = tmp_path / "takes"
+    for name, frames in (("alpha", 4), ("beta", 5), ("more/gamma", 6)):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / f"{name}.bvh").write_text(bvh_text(frames))
+    (folder / "clips.csv").write_text("file,caption,action\nalpha.bvh,a person walks,walk\n")
+    return folder
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_a_file_with_what_stands_beside_it(takes: Path, kind: type) -> None:
+    motion = mk.read(kind(takes / "alpha.bvh"))
+    assert motion.num_frames == 4 and motion.sequence_id == "takes/alpha"
+    assert motion.captions == (mk.Caption("a person walks"),) and motion.action == "walk"
+    assert mk.read(takes / "alpha.bvh", fps="59.94").fps == Fraction(60000, 1001)
+
+
+def test_one_of_several_by_its_id_or_the_end_of_it(takes: Path) -> None:
+    assert mk.read(takes, sequence="takes/beta").num_frames == 5
+    assert mk.read(str(takes), sequence="gamma").num_frames == 6
+    with pytest.raises(mk.UsageError, match=r"3 motions, takes/alpha, takes/beta, .*sequence='takes/alpha'.*read_all"):
+        mk.read(takes)
+    with pytest.raises(mk.UsageError, match=r"no motion 'amma': takes/alpha"):
+        mk.read(takes, sequence="amma")
+
+
+def test_a_folder_of_one_needs_no_name(takes: Path) -> None:
+    assert mk.read(takes / "more").num_frames == 6
+
+
+def test_all_of_a_folder_one_at_a_time(takes: Path) -> None:
+    assert [motion.num_frames for motion in mk.read_all(str(takes))] == [4, 5, 6]
+    (takes / "more" / "gamma.bvh").write_text("HIERARCHY\n")
+    reading = mk.read_all(takes)
+    assert next(reading).num_frames == 4  # the bad file's turn has not come
+    with pytest.raises(mk.FormatError, match=r"gamma\.bvh"):
+        list(reading)
+    with pytest.warns(UserWarning, match=r"gamma\.bvh"):
+        assert [motion.num_frames for motion in mk.read_all(takes, on_error="skip")] == [4, 5]
+
+
+def test_what_leads_nowhere_or_holds_no_motion(tmp_path: Path) -> None:
+    with pytest.raises(mk.UsageError, match="does not exist"):
+        mk.read(tmp_path / "walk.bvh")
+    with pytest.raises(mk.UsageError, match="does not exist"):
+        mk.read_all(tmp_path / "takes")
+    (tmp_path / "empty").mkdir()
+    for given in ({}, {"sequence": "walk"}):
+        with pytest.raises(mk.FormatError, match="no motions in this folder"):
+            mk.read(tmp_path / "empty", **given)
+    (tmp_path / "walk.fbx").write_bytes(b"Kaydara FBX Binary")
+    with pytest.raises(mk.FormatError, match="no known format"):
+        mk.read(tmp_path / "walk.fbx")
+
+
+@pytest.mark.parametrize("given", [{"fps": "fast"}, {"fps": 0}, {"unit_metres": 0.0}, {"unit_metres": -1.0}])
+def test_options_that_are_none(takes: Path, given: dict) -> None:
+    with pytest.raises(ValueError):
+        mk.read(takes / "alpha.bvh", **given)
+
+
+def test_a_store_says_how_it_is_read(takes: Path, tmp_path: Path) -> None:
+    with mk.StoreWriter.create(tmp_path / "store") as writer:
+        writer.add(mk.read(takes / "alpha.bvh"))
+    with pytest.raises(mk.UsageError, match=r"is a store: Store\.open"):
+        mk.read(tmp_path / "store")
+
+
+def test_a_table_that_is_broken_is_told_and_costs_nothing(takes: Path) -> None:
+    (takes / "clips.csv").write_text("file,caption,fps\nalpha.bvh,a person walks,fast\n")
+    with pytest.warns(UserWarning, match=r"clips\.csv"):
+        assert mk.read(takes / "alpha.bvh").captions == ()
+
+
+def test_lost_frames_are_refused_as_everywhere(tmp_path: Path) -> None:
+    vectors = np.zeros((9, 263), np.float32)
+    vectors[5, 7] = np.nan
+    np.save(tmp_path / "walk.npy", vectors)
+    with pytest.raises(mk.FormatError, match="frame 5"):
+        mk.read(tmp_path / "walk.npy")
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_every_format_can_be_read(name: str, tmp_path: Path) -> None:
+    source, fps = SOURCES[name](tmp_path), 30 if name in ("asfamc", "joints-npy") else None
+    first = next(iter(mk.read_all(source, fps=fps)))
+    assert first.num_frames > 1
+    assert mk.read(source, sequence=first.sequence_id, fps=fps).num_frames == first.num_frames

@@ -1,0 +1,210 @@
+"""Every row of the ablation tables is a value of the configuration, trains, and differs in what it says alone."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+
+from eval.tables.parts import reported_figures
+from motionkit.clips.poses import WindowPoses
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import SMPL22
+from motionkit.training.ablations import run_name
+from motionkit.training.config import apply_overrides, flatten, parse_override
+from motionkit.training.schedule import step_generator
+from nerm.ablations import ABLATIONS, GLOBAL, LOCAL, NERM, Variant
+from nerm.field.training import FieldTraining, remarks, training_windows
+from nerm.recipes import RECIPES, NermConfig, nano, paper
+from nerm.settings import FieldConfig
+from tests.helpers.nerm_corpus import MemorySource, analytic_source
+
+CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
+SMALLER = (
+    "field.max_duration_seconds=4",
+    "field.stride_seconds=4",
+    "field.hidden=24",
+    "field.layers=3",
+    "field.num_queries=8",
+    "field.num_frequencies=8",
+    "field.batch=8",
+    "field.epochs=none",
+    "field.steps=12",
+    "field.rate=2e-3",
+    "field.latent_rate=2e-2",
+    "field.precision=float32",
+)
+LAYOUTS = ("global", "local")
+VARIANTS = sorted({variant for ablation in ABLATIONS.values() for variant in ablation.variants}, key=lambda v: v.name)
+
+
+def _settings(recipe: str, *changes: str) -> FieldConfig:
+    config: NermConfig = RECIPES[recipe]()
+    return apply_overrides(config, [*SMALLER, *changes]).field
+
+
+def _training(config: FieldConfig, source: MemorySource | None = None) -> FieldTraining:
+    source = source or analytic_source()
+    windows = training_windows(source, config)
+    poses = WindowPoses(source, windows, SMPL22.left_right_pairs, config.fixed_framerate)
+    return FieldTraining(poses, config, codebook=CODES, seed=3, device=torch.device("cpu"))
+
+
+def _losses(training: FieldTraining) -> list[float]:
+    return [
+        float(training.step(step, step_generator(3, "field", step))["reconstruction"].detach())
+        for step in range(training.steps)
+    ]
+
+
+@pytest.mark.parametrize("recipe", ["paper", "nano"])
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
+def test_every_variant_trains(variant: Variant, recipe: str) -> None:
+    losses = _losses(_training(_settings(recipe, *variant.settings(RECIPES[recipe]()))))
+    assert np.isfinite(losses).all()
+    assert np.mean(losses[-3:]) < np.mean(losses[:3])
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("encoding", ["none", "raw", "fourier", "codebook"])
+def test_every_time_encoding_trains_with_either_layout(encoding: str, layout: str) -> None:
+    losses = _losses(_training(_settings("paper", f"field.time_encoding={encoding}", f"field.latent_layout={layout}")))
+    assert np.mean(losses[-3:]) < np.mean(losses[:3])
+
+
+@pytest.mark.parametrize("table", ["5", "6", "7", "8"])
+def test_the_rows_are_those_of_the_paper_s_tables(table: str) -> None:
+    figures = reported_figures("nerm", table)
+    printed = {each.setting.partition(";")[2] or each.method for each in figures}
+    assert {entry.reported for entry in NERM.find(table).entries} - {""} == printed
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
+@pytest.mark.parametrize("recipe", sorted(RECIPES))
+def test_a_variant_differs_from_its_layout_in_what_it_says(variant: Variant, recipe: str) -> None:
+    base = Variant("base", variant.layout).configure(RECIPES[recipe]())
+    ours = variant.configure(RECIPES[recipe]())
+    assert ours.field.latent_layout == variant.layout
+    was, now = flatten(base), flatten(ours)
+    changed = {key for key in now if now[key] != was[key]}
+    assert changed <= {parse_override(setting)[0] for setting in variant.change}
+
+
+def test_names_of_variants_are_names_of_runs() -> None:
+    assert len({variant.name for variant in VARIANTS}) == len(VARIANTS)
+    assert run_name("nano", GLOBAL, 0) == "nano-global"
+    assert run_name("nano", GLOBAL, 3) == "nano-global-seed3"
+    assert NERM.command_for("5", "short", GLOBAL) == "motionkit ablate 5 --run short --only global"
+
+
+@pytest.mark.parametrize("table", ["5", "6", "7", "8", "9"])
+def test_the_full_model_of_the_paper_s_layout_is_in_every_table_of_the_paper(table: str) -> None:
+    assert GLOBAL in NERM.find(table).variants
+
+
+def test_the_rows_of_a_table_are_different_trainings() -> None:
+    for ablation in ABLATIONS.values():
+        configs = {variant.configure(nano()) for variant in ablation.variants}
+        assert len(configs) == len(ablation.variants), ablation.table
+
+
+def test_the_global_layout_of_the_paper_s_recipe_is_the_recipe() -> None:
+    assert GLOBAL.configure(paper()) == paper()
+
+
+def test_the_local_layout_of_nano_is_nano() -> None:
+    assert LOCAL.configure(nano()) == nano()
+
+
+def test_overrides_are_shared_but_not_those_of_what_is_varied() -> None:
+    non_variational = next(variant for variant in VARIANTS if variant.name == "global-non-variational")
+    config = non_variational.configure(nano(), ["field.steps=7"], "fps >= 60")
+    assert config.field.steps == 7
+    assert config.field.where == config.codebook.where == "(split = 'train') AND (fps >= 60)"
+    with pytest.raises(UsageError, match=r"field\.variational.*what 'global-non-variational' varies"):
+        non_variational.configure(nano(), ["field.variational=true"])
+
+
+def test_an_unknown_table_is_told_with_those_there_are() -> None:
+    with pytest.raises(UsageError, match=r"no ablation '4' of 'nerm'; there are: 5 \(time encoding\), 6"):
+        NERM.find("4")
+
+
+def test_frame_numbers_and_knots_exclude_each_other() -> None:
+    with pytest.raises(UsageError, match="need latent_layout=global"):
+        _settings("nano", "field.coordinates=frames")
+
+
+class TestFixedFramerate:
+    """Table 1's "NeRM-fixed"."""
+
+    def test_every_pose_is_taken_at_that_framerate(self) -> None:
+        training = _training(_settings("nano", "field.fixed_fps=20"))
+        for step in (0, 5, 11):
+            windows = torch.arange(len(training.poses.windows))
+            batch = training._draw(step, windows, windows, step_generator(3, "field", step))
+            ticks = (batch.coordinates + 1.0) * 2.0 * 20.0
+            torch.testing.assert_close(ticks, ticks.round(), atol=1e-9, rtol=0)
+            assert batch.fps.unique().tolist() == [20.0]
+
+    def test_scales_and_starting_latents_see_that_framerate_only(self) -> None:
+        config = _settings("nano", "field.fixed_fps=20")
+        whole = _training(config)
+        source = analytic_source()
+        between = source.positions.copy()
+        for start, count, fps in zip(source.start_row, source.num_frames, source.fps_numerator, strict=True):
+            frames = np.arange(count)
+            # Every native frame that no tick of 20 fps touches, before or after it, is spoilt.
+            ticks = frames * 20 / fps
+            touched = np.isin(frames, np.floor(np.arange(81) * fps / 20)) | np.isin(
+                frames, np.ceil(np.arange(81) * fps / 20)
+            )
+            assert (~touched).any() == (fps > 40), ticks
+            between[start : start + count][~touched] += 5.0
+        spoilt = _training(config, replace(source, positions=between))
+        torch.testing.assert_close(spoilt.scaling.mean, whole.scaling.mean)
+        torch.testing.assert_close(spoilt.mean.table, whole.mean.table)
+
+    def test_slower_sequences_are_left_out_and_told(self) -> None:
+        config = _settings("nano", "field.fixed_fps=60")
+        source = analytic_source()
+        windows = training_windows(source, config)
+        assert sorted(windows.fps) == [60.0, 120.0, 120.0]
+        assert remarks(source, windows, config) == ["1 of 4 sequences are slower than field.fixed_fps and are left out"]
+        with pytest.raises(UsageError, match=r"no training sequence has 250 fps .* the fastest has 120"):
+            training_windows(source, _settings("nano", "field.fixed_fps=250"))
+
+    def test_the_framerate_is_exact(self) -> None:
+        assert _settings("nano", "field.fixed_fps=30000/1001").fixed_framerate == Fraction(30000, 1001)
+        assert _settings("nano", "field.fixed_fps=12.5").fixed_framerate == Fraction(25, 2)
+        assert _settings("nano").fixed_framerate is None
+
+    @pytest.mark.parametrize("fps", ["0", "-20", "1000000", "fast", "20/0"])
+    def test_what_is_no_framerate_is_refused(self, fps: str) -> None:
+        with pytest.raises(UsageError, match=f"field.fixed_fps={fps}.*framerate"):
+            _settings("nano", f"field.fixed_fps={fps}")
+
+
+def test_one_framerate_and_short_windows_are_told() -> None:
+    source = analytic_source(rates=(30, 30), seconds=1.0)
+    config = _settings("paper")
+    windows = training_windows(source, config)
+    one, short = remarks(source, windows, config)
+    assert "every training sequence has 30 fps" in one
+    assert "2 of 2 windows are shorter than a clip of field.num_poses=32" in short
+    assert remarks(analytic_source(), training_windows(analytic_source(), config), config) == []
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("field.warmup_fps=40", "1 of 4 windows are slower than field.warmup_fps=40: during the warm-up"),
+        ("field.lowest_fps=500", "field.lowest_fps=500 has no effect: the fastest training sequence has 120 fps"),
+    ],
+)
+def test_framerates_that_the_windows_do_not_have_are_told(setting: str, told: str) -> None:
+    config = _settings("nano", setting)
+    source = analytic_source()
+    (only,) = remarks(source, training_windows(source, config), config)
+    assert told in only

@@ -1,0 +1,78 @@
+"""Zero masks, guidance (Eq. 6), and which captions belong to a window."""
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.core.errors import UsageError
+from nerm.conditions import NO_ACTION, ConditionEmbedding, ConditionLayout, Conditions, guided, unit_rows
+
+
+def conditions(batch: int = 3) -> Conditions:
+    generator = torch.Generator().manual_seed(0)
+    return Conditions(
+        text=torch.randn(batch, 5, generator=generator),
+        action=torch.arange(batch) % 2,
+        duration=torch.linspace(0.2, 1.0, batch),
+    )
+
+
+class Recorder:
+    """A 'denoiser' whose answer depends on the condition, and which remembers the batches it was given."""
+
+    def __init__(self):
+        self.batches = []
+
+    def __call__(self, latents, steps, given):
+        self.batches.append(len(latents))
+        return latents + given.text.sum(dim=1, keepdim=True) + 10 * given.action[:, None] + given.duration[:, None]
+
+
+def test_guidance_is_equation_6_in_one_batch():
+    denoiser, given_conditions = Recorder(), conditions()
+    latents, steps = torch.randn(3, 4, generator=torch.Generator().manual_seed(1)), torch.full((3,), 7)
+    found = guided(denoiser, latents, steps, given_conditions, 7.5)
+    assert denoiser.batches == [6]
+    with_condition = denoiser(latents, steps, given_conditions)
+    without = denoiser(latents, steps, given_conditions.unconditional())
+    torch.testing.assert_close(found, 7.5 * with_condition - 6.5 * without)
+
+
+def test_guidance_of_one_and_of_nothing_is_a_single_pass():
+    denoiser, given_conditions = Recorder(), conditions()
+    latents, steps = torch.zeros(3, 4), torch.full((3,), 7)
+    guided(denoiser, latents, steps, given_conditions, 1.0)
+    guided(denoiser, latents, steps, given_conditions.unconditional(), 7.5)
+    assert denoiser.batches == [3, 3]
+
+
+def test_dropping_masks_with_zeros_and_keeps_the_duration():
+    given_conditions = conditions()
+    dropped = given_conditions.dropped(torch.tensor([True, False, True]))
+    assert not dropped.text[[0, 2]].any()
+    assert dropped.action.tolist() == [NO_ACTION, 1, NO_ACTION]
+    torch.testing.assert_close(dropped.text[1], given_conditions.text[1])
+    torch.testing.assert_close(dropped.duration, given_conditions.duration)
+
+
+def test_masked_tokens_do_not_depend_on_what_was_masked():
+    torch.manual_seed(0)
+    embedding = ConditionEmbedding(ConditionLayout(text_dimension=5, actions=("walk", "jump")), width=8)
+    first, second = conditions(), conditions()
+    second = Conditions(text=second.text + 3, action=1 - second.action.clamp(max=1), duration=second.duration)
+    everything = torch.ones(3, dtype=torch.bool)
+    torch.testing.assert_close(embedding(first.dropped(everything)), embedding(second.dropped(everything)))
+    assert not torch.allclose(embedding(first), embedding(second))
+
+
+def test_unknown_action_is_refused_by_name():
+    layout = ConditionLayout(text_dimension=5, actions=("jump", "walk"))
+    assert layout.action_index("walk") == 1
+    assert layout.action_index("") == NO_ACTION
+    with pytest.raises(UsageError, match=r"no action 'swim'; it knows jump, walk"):
+        layout.action_index("swim")
+
+
+def test_unit_rows_leave_zeros_alone():
+    rows = unit_rows(np.array([[3.0, 4.0], [0.0, 0.0]], dtype=np.float32))
+    np.testing.assert_allclose(rows, [[0.6, 0.8], [0.0, 0.0]], rtol=1e-6)
