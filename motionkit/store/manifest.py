@@ -224,7 +224,8 @@ def read_committed(store: Path, name: str, entry: FileEntry) -> bytes | None:
     that is killed in between leaves a committed table under its pending name until the next writer moves it. The
     checksum says which one it is, also while a writer is at work.
     """
-    for path in (store / name, store / (name + PENDING_SUFFIX)):
+    # The first place again, for a writer may give a table its name between the two.
+    for path in (store / name, store / (name + PENDING_SUFFIX), store / name):
         # Both differ while a writer is at work, so the size tells most of the time, and nothing too large is read.
         try:
             if path.stat().st_size != entry.num_bytes:

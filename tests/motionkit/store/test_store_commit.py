@@ -372,6 +372,23 @@ def test_readers_read_on_while_writers_commit(small_store, make_motion):
     assert failures == []
 
 
+def test_a_table_that_gets_its_name_while_it_is_looked_for_is_found(small_store, monkeypatch):
+    table, pending = small_store / "sequences.parquet", small_store / "sequences.parquet.new"
+    content = table.read_bytes()
+    pending.write_bytes(content)
+    table.write_bytes(content[:-1] + b"0")  # the table of the commit before
+    read = files.read_regular
+
+    def read_slowly(path: Path) -> bytes:
+        found = read(path)
+        if pending.exists():
+            pending.replace(table)
+        return found
+
+    monkeypatch.setattr(files, "read_regular", read_slowly)
+    assert list(faults(small_store)) == []
+
+
 def test_create_and_append_say_what_is_wrong(small_store, tmp_path, make_motion):
     with pytest.raises(StoreError, match="already is a store"), StoreWriter.create(small_store):
         pass
