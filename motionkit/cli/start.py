@@ -8,12 +8,15 @@ from motionkit.core import interrupts
 def main() -> None:
     """Run the command line, then leave at once."""
     try:
-        interrupts.stop_like_ctrl_c()
+        interrupts.stop_by_signals()
         from motionkit.cli import app
 
         app.main()
-    except KeyboardInterrupt:
-        # While commands were loaded; later the app says so.
+    except SystemExit:
+        raise  # the app has said why
+    except BaseException:
+        if not interrupts.was_stopped():
+            raise
         print("motionkit: stopped", file=sys.stderr)
         sys.exit(130)
     finally:

@@ -1,6 +1,7 @@
 """Ctrl-C and SIGTERM, which may come at any moment, held back while something must not stop halfway."""
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,10 +32,28 @@ def held_back() -> Iterator[None]:
             signal.raise_signal(arrived)
 
 
-def stop_like_ctrl_c() -> None:
-    """Let SIGTERM raise `KeyboardInterrupt`, as Ctrl-C does, so that what was begun is tidied up."""
-    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+_stopped: list[int] = []
+
+
+def stop_by_signals() -> None:
+    """Let Ctrl-C and SIGTERM raise `KeyboardInterrupt`, so that what was begun is tidied up; see `was_stopped`.
+
+    A library that is being loaded may turn the exception into another, or print it where it cannot be raised.
+    """
+    for number in STOPPING:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, _stop)
+
+
+def was_stopped() -> bool:
+    """Whether one of the signals has come since `stop_by_signals`."""
+    return bool(_stopped)
+
+
+def _stop(number: int, frame: object) -> None:
+    _stopped.append(number)
+    sys.unraisablehook = lambda unraisable: None
+    raise KeyboardInterrupt
 
 
 def stop_no_more() -> None:

@@ -24,8 +24,8 @@ SCRIPT = """
 import sys
 from motionkit.cli import start
 
-prepare = start.interrupts.stop_like_ctrl_c
-start.interrupts.stop_like_ctrl_c = lambda: (prepare(), print("begun", flush=True))
+prepare = start.interrupts.stop_by_signals
+start.interrupts.stop_by_signals = lambda: (prepare(), print("begun", flush=True))
 sys.exit(start.main())
 """
 NUM_TAKES = 24
@@ -53,11 +53,41 @@ def test_an_interrupted_command_says_so(
     assert (outcome.code, outcome.stdout, outcome.stderr) == (130, "", STOPPED)
 
 
-def test_so_does_one_that_is_being_loaded(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(app, "build_app", interrupted)
-    with pytest.raises(SystemExit) as ended:
-        start.main()
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, RuntimeError])
+def test_so_does_one_that_is_being_loaded(
+    raised: type[BaseException], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def loading(only: str) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise raised from None  # a library may turn one into the other
+
+    monkeypatch.setattr(app, "build_app", loading)
+    monkeypatch.setattr(start.interrupts, "_stopped", [])
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    handlers = {number: signal.getsignal(number) for number in start.interrupts.STOPPING}
+    try:
+        with pytest.raises(SystemExit) as ended:
+            start.main()
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
     assert ended.value.code == 130 and capsys.readouterr().err == STOPPED
+
+
+def test_other_errors_of_loading_stay_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    def loading(only: str) -> None:
+        raise RuntimeError("a fault of a library")
+
+    monkeypatch.setattr(app, "build_app", loading)
+    handlers = {number: signal.getsignal(number) for number in start.interrupts.STOPPING}
+    try:
+        with pytest.raises(RuntimeError, match="a fault of a library"):
+            start.main()
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def test_the_server_of_workers_never_sees_ctrl_c() -> None:
