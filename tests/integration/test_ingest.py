@@ -293,7 +293,7 @@ DEADLY_INGEST = textwrap.dedent(
     """
     import os, sys
     from motionkit.cli.app import main
-    from motionkit.store import stretches
+    from motionkit.store.ingest import stretches
 
     read = stretches.read
     def deadly(item, options):

@@ -57,7 +57,7 @@ def test_an_interrupted_command_says_so(
 def test_so_does_one_that_is_being_loaded(
     raised: type[BaseException], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def loading(only: str) -> None:
+    def loading(only: str = "") -> None:
         try:
             signal.raise_signal(signal.SIGINT)
         except KeyboardInterrupt:
@@ -77,7 +77,7 @@ def test_so_does_one_that_is_being_loaded(
 
 
 def test_other_errors_of_loading_stay_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    def loading(only: str) -> None:
+    def loading(only: str = "") -> None:
         raise RuntimeError("a fault of a library")
 
     monkeypatch.setattr(app, "build_app", loading)

@@ -148,7 +148,7 @@ def test_an_index_is_the_place_among_what_is_new(tmp_path, monkeypatch, workers)
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from motionkit.store import stretches
+from motionkit.store.ingest import stretches
 from motionkit.store.ingest.ingest import ingest
 
 folder, store, when = map(Path, sys.argv[1:])
