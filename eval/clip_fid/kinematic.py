@@ -6,6 +6,7 @@ Every quantity is per second or relative, so its meaning does not change with th
 """
 
 import hashlib
+import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -133,7 +134,7 @@ def load_kinematic(path: Path) -> KinematicDescriptor:
     Raises `DamagedFileError` where it is not what was written, and `ValueError` where it is of another version.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             arrays = dict(file)
         version, fps = str(arrays.pop("version")), Fraction(str(arrays.pop("fps")))
         written = str(arrays.pop("fingerprint", ""))  # files of before have none

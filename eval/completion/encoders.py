@@ -16,7 +16,7 @@ from motionkit.complete.encoders import (
     runs_with,
     trained_encoder_names,
 )
-from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.training.run import RunFolder, commit, versions
@@ -61,7 +61,7 @@ def trained_completers(
     """The installed encoders for a task that `run` holds, then (name, run) pairs asked for, which must be there.
 
     What a table would show and `run` lacks is told in `missing`, with the runs that have it. Raises `UsageError` for a
-    name that no installed package has, and what loading an encoder that was asked for raises.
+    name that no installed package has, `DamagedFileError`, and what loading an encoder that was asked for raises.
     """
     known = installed_encoders()
     found: list[Completer] = []
@@ -70,6 +70,8 @@ def trained_completers(
         if run is not None and loader.complete_in(run):
             try:
                 found.append(completer_of(name, run, loader.title))
+            except DamagedFileError:
+                raise
             except MotionkitError as error:
                 missing.append(f"{loader.title}: {error}")
         elif name not in asked:

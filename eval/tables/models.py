@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from motionkit.clips.reconstruction import ReconstructsWindows
 from motionkit.complete.encoders import installed_encoders
 from motionkit.core.checksums import sha256_of
-from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.generate.models import GenerativeModel, installed_models
 from motionkit.training.loaders import Loader
@@ -67,6 +67,8 @@ def trained_models(run: Path | None, missing: list[str]) -> dict[str, TrainedMod
         model = Trained(loader, run)
         try:
             name = model.loaded.name
+        except DamagedFileError:
+            raise
         except MotionkitError as error:
             missing.append(f"{loader.title}: {error}")
             continue

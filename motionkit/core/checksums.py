@@ -1,4 +1,4 @@
-"""JSON files that carry a checksum of their own content, so that damage to any of it is noticed."""
+"""Files that carry a checksum of their own content, so that damage to any of it is noticed: JSON and safetensors."""
 
 import hashlib
 import json
@@ -12,6 +12,13 @@ from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import read_regular, write_whole
 
 CHECKSUM = "checksum"
+# In the metadata of a safetensors file: the sha256 of the whole file with zeros in its place.
+ZEROS = b"0" * 64
+# Not in a string of the header: there its quotes would be escaped.
+_TENSORS_CHECKSUM = re.compile(rb'"sha256":"([0-9a-f]{64})"')
+# What safetensors allows.
+LARGEST_HEADER_BYTES = 100_000_000
+PIECE_BYTES = 1 << 20
 _CHECKSUM_VALUE = re.compile("sha256:[0-9a-f]{64}")
 
 
@@ -74,3 +81,26 @@ def sha256_of(path: Path) -> str:
     """Hexadecimal sha256 of a file's content, read in pieces."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def require_intact_tensors(path: Path, mend: str) -> bool:
+    """Compare a safetensors file's bytes with the checksum in its header; False where it has none.
+
+    `mend` says what a person does about a damaged file. Raises `DamagedFileError`, or `OSError` for one that cannot be
+    read.
+    """
+    with path.open("rb") as file:
+        length = int.from_bytes(file.read(8), "little")
+        if length > LARGEST_HEADER_BYTES:
+            raise DamagedFileError(path, "not a whole safetensors file: its header is too long", mend)
+        header = file.read(length)
+        stated = _TENSORS_CHECKSUM.search(header)
+        if stated is None:
+            return False
+        start, end = stated.span(1)
+        digest = hashlib.sha256(length.to_bytes(8, "little") + header[:start] + ZEROS + header[end:])
+        while piece := file.read(PIECE_BYTES):
+            digest.update(piece)
+    if digest.hexdigest() != stated[1].decode():
+        raise DamagedFileError(path, "its content is not what its checksum says", mend)
+    return True

@@ -14,6 +14,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from motionkit.core.checksums import sha256_of, write_json
 from motionkit.core.errors import UsageError
 from motionkit.core.files import naming
 from motionkit.core.motion import Motion
@@ -140,6 +141,7 @@ def _write(selection: Selection, folder: Path) -> Iterator[Outcome]:
     if num_files:
         text = card(tally, num_files, parquet.SCHEMA, parquet.MEANING, data)
         (folder / CARD).write_text(text, encoding="utf-8")
+        write_json(folder / parquet.CHECKSUMS, {path.name: sha256_of(path) for path in sorted(data.iterdir())})
 
 
 def _split_name(split: str) -> str:
@@ -208,4 +210,5 @@ def _writer_options() -> dict[str, Any]:
         ],
         "use_byte_stream_split": [f"{name}.list.element" for name in parquet.MOTION_COLUMNS],
         "write_page_index": True,
+        "write_page_checksum": True,
     }

@@ -196,6 +196,7 @@ FORMATS: Mapping[str, Format] = {
             read=parquet.read_parquet,
             claims=parquet.claims,
             find=parquet.find,
+            beside=parquet.beside,
             writes=True,
         ),
     )

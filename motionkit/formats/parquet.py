@@ -18,7 +18,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float32
 
-from motionkit.core.errors import FormatError
+from motionkit.core.checksums import read_json, sha256_of
+from motionkit.core.errors import DamagedFileError, FormatError
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
@@ -34,6 +35,8 @@ REQUIRED = frozenset(("sequence_id", "joint_positions", "num_joints"))
 STATED = ("sequence_id", "source", "subset", "licence")
 # A row group is unpacked whole.
 MAX_ROW_GROUP_BYTES = 2 << 30
+CHECKSUMS = "checksums.json"
+MEND = "export again, or restore the file from a copy"
 FAULTS = (pa.ArrowException, OSError, ValueError, TypeError, KeyError, IndexError, OverflowError, ZeroDivisionError)
 
 
@@ -52,8 +55,12 @@ def find(folder: Path, root: Path) -> ScanResult:
     problems: list[FormatError] = []
     for path in _files(folder):
         try:
+            _require_intact(path)
             names = set(pq.read_schema(path).names)
             rows = pq.read_table(path, columns=[name for name in STATED if name in names]).to_pylist()
+        except FormatError as error:
+            problems.append(error)
+            continue
         except FAULTS as error:
             problems.append(_broken(path, error))
             continue
@@ -88,6 +95,22 @@ def read_parquet(item: SourceItem, options: ReadOptions) -> Motion:
         raise
     except FAULTS as error:
         raise _broken(item.path, error, item.key) from None
+
+
+def beside(folder: Path) -> tuple[Path, ...]:
+    """What an export writes beside the folder of its rows."""
+    return folder / CHECKSUMS, folder / "README.md"
+
+
+def _require_intact(path: Path) -> None:
+    # Of other files nobody knows what they should be.
+    record = path.parent.parent / CHECKSUMS
+    try:
+        intact = not record.is_file() or sha256_of(path) == read_json(record, MEND).get(path.name)
+    except DamagedFileError as error:
+        raise FormatError(f"its checksum cannot be read ({error})", path=path, reason="damaged") from None
+    if not intact:
+        raise FormatError(f"not what {CHECKSUMS} says: {MEND}", path=path, reason="damaged")
 
 
 def _files(folder: Path) -> list[Path]:
@@ -127,7 +150,7 @@ def _row_groups(path: Path, _modified: int) -> np.ndarray:
 # Rows come in order, and many share a row group.
 @lru_cache(maxsize=1)
 def _read_group(path: Path, group: int, _modified: int) -> pa.Table:
-    file = pq.ParquetFile(path)
+    file = pq.ParquetFile(path, page_checksum_verification=True)
     size = file.metadata.row_group(group).total_byte_size
     if size > MAX_ROW_GROUP_BYTES:
         raise FormatError(

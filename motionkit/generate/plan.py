@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import UsageError
 from motionkit.core.timegrid import format_fps
 from motionkit.fields.motion_field import MotionField
@@ -18,7 +17,7 @@ from motionkit.generate.long_motions import OVERLAP_SECONDS, Script, check_scrip
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.generate.prompts import Prompt
 from motionkit.generate.samples import GeneratedSample, motion_name, sample_field
-from motionkit.training.run import versions
+from motionkit.training.run import versions, weights_sha256
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ class GenerationPlan:
             "format": FORMAT,
             "version": 1,
             "model": model.name,
-            "weights_sha256": {path.parent.name: sha256_of(path) for path in sorted(run.glob("*/model.safetensors"))},
+            "weights_sha256": weights_sha256(run),
             "seed": self.seed,
             "sampling": asdict(self.sampling),
             "file_format": self.output.name,

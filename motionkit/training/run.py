@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from motionkit.core.checksums import read_json, sha256_of, write_json
+from motionkit.core.checksums import read_json, require_intact_tensors, sha256_of, write_json
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import remove_entry, require_no_link, temporary_name, write_whole
 from motionkit.core.plain_text import shown
@@ -139,6 +139,14 @@ class RunFolder:
         """Hexadecimal sha256 of the trained results of those of the stages that have one."""
         paths = {name: self.stage(name).model_path for name in stages}
         return {name: sha256_of(path) for name, path in paths.items() if path.is_file()}
+
+
+def weights_sha256(run: Path) -> dict[str, str]:
+    """Hexadecimal sha256 of every stage's trained weights; raises `DamagedFileError`."""
+    paths = sorted(run.glob("*/model.safetensors"))
+    for path in paths:
+        require_intact_tensors(path, MEND)
+    return {path.parent.name: sha256_of(path) for path in paths}
 
 
 def begin_stage(

@@ -5,23 +5,17 @@ The checksum stands in the file's metadata: the sha256 of the whole file, header
 
 import hashlib
 import json
-import re
 from collections.abc import Callable, Mapping, Set
 from pathlib import Path
 from typing import TypeVar
 
 from safetensors import SafetensorError, safe_open
 
+from motionkit.core.checksums import ZEROS, require_intact_tensors
 from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import whole_file
 
 CHECKSUM = "sha256"
-ZEROS = b"0" * 64
-# Not in a string of the header: there its quotes would be escaped.
-_STATED = re.compile(rb'"sha256":"([0-9a-f]{64})"')
-# What safetensors allows.
-LARGEST_HEADER_BYTES = 100_000_000
-PIECE_BYTES = 1 << 20
 
 TensorT = TypeVar("TensorT")
 
@@ -64,25 +58,13 @@ def checked_metadata(path: Path, known: Set[str], mend: str) -> dict[str, str]:
     A file of before there were checksums has none and is not checked. `mend` says what a person does about a damaged
     file. Raises `DamagedFileError`, and `OSError` where the file cannot be read.
     """
+    has_checksum = require_intact_tensors(path, mend)
     try:
-        with path.open("rb") as file:
-            length = int.from_bytes(file.read(8), "little")
-            if length > LARGEST_HEADER_BYTES:
-                raise ValueError("not a whole safetensors file: its header is too long")
-            header = file.read(length)
-            stated = _STATED.search(header)
-            if stated is not None:
-                start, end = stated.span(1)
-                digest = hashlib.sha256(length.to_bytes(8, "little") + header[:start] + ZEROS + header[end:])
-                while piece := file.read(PIECE_BYTES):
-                    digest.update(piece)
-                if digest.hexdigest() != stated[1].decode():
-                    raise ValueError("its content is not what its checksum says")
         with safe_open(path, framework="np") as opened:
             metadata: dict[str, str] = dict(opened.metadata() or {})
     except (SafetensorError, ValueError) as error:
         raise DamagedFileError(path, str(error), mend) from None
-    allowed = known | {CHECKSUM} if stated is not None else known
+    allowed = known | {CHECKSUM} if has_checksum else known
     if not metadata.keys() <= allowed:
         unknown = min(metadata.keys() - allowed)
         raise DamagedFileError(path, f"its header has an unknown key {unknown!r}", mend)

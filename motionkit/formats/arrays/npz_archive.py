@@ -59,6 +59,8 @@ def open_archive(path: Path, data: bytes) -> NpzArchive:
         )
     try:
         zipped = zipfile.ZipFile(io.BytesIO(data))
+        for info in zipped.infolist():
+            zipped.open(info).close()  # compares its name with that beside its content: a member may be optional
     except (*BROKEN, NotImplementedError) as error:
         raise FormatError(f"broken .npz archive ({error})", path=path, reason="truncated") from None
     members: dict[str, zipfile.ZipInfo] = {}

@@ -15,6 +15,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.export import parquet as export_parquet
 from motionkit.formats import parquet as parquet_schema
+from motionkit.formats.scan.scanner import scan
 from motionkit.store import Store, StoreWriter
 
 
@@ -26,7 +27,22 @@ def folder(store, export_as):
 def test_a_file_for_each_split(folder):
     names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     files = [f"data/{split}-00000-of-00001.parquet" for split in ("test", "train", "validation")]
-    assert names == ["README.md", *files]
+    assert names == ["README.md", "checksums.json", *files]
+
+
+def test_a_changed_byte_costs_its_file_and_is_named(folder):
+    path = folder / "data" / "train-00000-of-00001.parquet"
+    whole, whole_scan = path.read_bytes(), scan([folder])
+    assert whole_scan.ignored == ()
+    for place in (len(whole) // 2, len(whole) - 40):  # in a page, in the footer
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        found = scan([folder])
+        assert [(problem.path, problem.reason) for problem in found.problems] == [(path, "damaged")]
+        assert len(found.items) == len(whole_scan.items) - 1
+    path.write_bytes(whole)
+    record = folder / "checksums.json"
+    record.write_text(record.read_text().replace("a", "b"))
+    assert {problem.reason for problem in scan([folder]).problems} == {"damaged"}
 
 
 def test_pandas_has_every_motion_to_the_last_bit(store, folder):
