@@ -24,7 +24,7 @@ PIECE_SECONDS = 60.0
 FLOOR = """
 import sys
 from pathlib import Path
-from motionkit.formats import number_table
+from motionkit.formats.source import number_table
 from motionkit.formats.bvh.text import split_text
 from motionkit.formats.source.source_file import PART_BYTES, FileParts
 path, repeats = Path(sys.argv[1]), int(sys.argv[2])
