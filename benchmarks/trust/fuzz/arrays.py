@@ -3,6 +3,7 @@
 import ast
 import pickletools
 import struct
+import warnings
 from contextlib import suppress
 from random import Random
 
@@ -109,7 +110,8 @@ def mutate_pickle(rng: Random, content: bytes) -> bytes:
         return mutate_bytes(rng, content)
     head, body = content[:start], content[start:]
     places: list[int] = []
-    with suppress(ValueError, IndexError, OverflowError):
+    # pickletools warns of odd escapes in the strings of an input.
+    with suppress(ValueError, IndexError, OverflowError), warnings.catch_warnings(action="ignore"):
         places.extend(position for _, _, position in pickletools.genops(body) if position is not None)
     if len(places) < 3:
         return mutate_bytes(rng, content)
