@@ -1,4 +1,4 @@
-"""From seconds to what a network reads: coordinates t, the framerate, Fourier features (paper §3.1)."""
+"""From seconds to what a network reads: coordinates t, the framerate, Fourier features, attention (paper §3.1)."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Settings of the stage `codebook` (no torch)."""
+"""Settings of the stages `codebook`, `field` and `denoiser` (no torch)."""
 
 from dataclasses import dataclass, field
 from fractions import Fraction

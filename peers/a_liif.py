@@ -1,4 +1,4 @@
-"""A-LIIF in one dimension: LIIF whose MLP is mixed at every instant from a few basis MLPs."""
+"""A-LIIF and LMF in one dimension: LIIF whose MLP is mixed from a few, or modulated."""
 
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""EDSR-baseline with convolutions over time: the encoder that LIIF, Meta-SR, A-LIIF and LMF share."""
+"""What the one-dimensional networks share: the EDSR-baseline encoder, local MLPs, neighbouring frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

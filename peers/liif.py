@@ -1,4 +1,4 @@
-"""LIIF in one dimension: a local MLP around each frame, two of them mixed at every instant."""
+"""LIIF and Meta-SR in one dimension: local networks around each frame, asked at every instant."""
 
 import torch
 from jaxtyping import Float, Int

@@ -1,4 +1,4 @@
-"""What a row scores: means by metric and by column, which can be joined with those of other clips."""
+"""What a row scores: means by metric and by column, and the scale that they are measured in."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

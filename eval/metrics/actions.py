@@ -1,4 +1,4 @@
-"""Accuracy of an action recogniser on generated motions."""
+"""Metrics of the action task: accuracy, diversity, multimodality."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""What every metric refuses: too few samples, NaN, infinity, shapes that do not agree."""
+"""What every metric shares: what it refuses, confidence intervals, sums over batches."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Gaussians fitted to features: whole, or from sums that batches and ranks add up."""
+"""Distances of distributions of features: Gaussians fitted to them, the Fréchet distance, the kernel distance."""
 
 import math
 from dataclasses import dataclass

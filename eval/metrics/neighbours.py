@@ -1,4 +1,4 @@
-"""Precision, recall, density and coverage: fidelity and diversity by nearest neighbours."""
+"""Nearest neighbours among features: precision, recall, density and coverage, and the nearest training sample."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How far reconstructed poses are from the true ones: MPJPE in metres, angles, MRE in a vector's raw units.
+"""How far reconstructed poses are from the true ones: positions, angles, a vector's raw units, bones, derivatives.
 
 Arrays hold valid frames only, of one sequence or of many concatenated; every frame has the same weight and padding
 has none.

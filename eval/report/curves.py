@@ -1,4 +1,4 @@
-"""A result that sets seconds against quality (NeRM's Figure 8), as a curve over the seconds."""
+"""Results as curves: seconds against quality, columns of a table over the framerate, calibrations."""
 
 import re
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""A set known at a low framerate, fairly brought to a high one: by SLERP on joint rotations, or any other encoder."""
+"""Sets known at a low framerate and brought to a high one: by an encoder, as vectors, low-passed."""
 
 from collections.abc import Iterator, Sequence
 from fractions import Fraction

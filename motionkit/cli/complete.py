@@ -1,4 +1,4 @@
-"""The options of `motionkit complete`: their types and what the command line says of them."""
+"""`motionkit complete`: a motion at any framerate, its gaps closed, its ends continued."""
 
 from collections.abc import Sequence
 from enum import StrEnum

@@ -1,4 +1,4 @@
-"""`motionkit info`: what is in a store."""
+"""`motionkit info`: what is in a store, and how good it is."""
 
 from collections.abc import Iterator
 from dataclasses import asdict

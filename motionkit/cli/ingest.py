@@ -1,4 +1,4 @@
-"""The options of `motionkit ingest`: their types and what the command line says of them."""
+"""`motionkit ingest`: sources into a store."""
 
 from collections import Counter
 from collections.abc import Sequence

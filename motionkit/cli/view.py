@@ -1,4 +1,4 @@
-"""The options of `motionkit view`: their types and what the command line says of them."""
+"""`motionkit view`: moving skeletons in a page."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""An .npz file of the project's schema for each motion: everything that the store knows of it."""
+"""A file for each motion, in the formats that hold one motion each: .npz, BVH, glTF, CSV, .npy."""
 
 from collections.abc import Iterator
 from pathlib import Path

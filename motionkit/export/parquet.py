@@ -106,8 +106,6 @@ def _type_name(kind: pa.DataType) -> str:
     return {"float": "float32", "double": "float64"}.get(str(kind), str(kind))
 
 
-DATA_FOLDER = "data"
-CARD = "README.md"
 SHARD_BYTES = 256 * 2**20
 ROW_GROUP_BYTES = 8 * 2**20
 # A list's offsets are 32 bits wide.
@@ -125,7 +123,7 @@ def export_parquet(selection: Selection, folder: Path) -> Iterator[Outcome]:
 
 
 def _write(selection: Selection, folder: Path) -> Iterator[Outcome]:
-    data = folder / DATA_FOLDER
+    data = folder / parquet.DATA_FOLDER
     data.mkdir()
     shards: dict[str, _Shards] = {}
     tally = Tally()
@@ -140,7 +138,7 @@ def _write(selection: Selection, folder: Path) -> Iterator[Outcome]:
     num_files = {split: each.finish() for split, each in shards.items()}
     if num_files:
         text = card(tally, num_files, parquet.SCHEMA, parquet.MEANING, data)
-        (folder / CARD).write_text(text, encoding="utf-8")
+        (folder / parquet.CARD).write_text(text, encoding="utf-8")
         write_json(folder / parquet.CHECKSUMS, {path.name: sha256_of(path) for path in sorted(data.iterdir())})
 
 

@@ -1,4 +1,4 @@
-"""Which sequences go out, and all that is known of them before the first frame is read."""
+"""Which sequences go out, under which names, and all that is known of them before the first frame is read."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""`humanml3d` pose vectors: the published convention, its quirks included, for interchange.
+"""`humanml3d` pose vectors: the published convention and processing, quirks included, for interchange.
 
 T poses give T − 1 rows of 12·J − 1 numbers (263 for 22 joints at 20 fps, 251 for 21 joints at 12.5 fps); velocities are
 per frame, so the numbers mean what they mean at that framerate alone. Two quirks are kept because every published file

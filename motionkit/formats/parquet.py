@@ -30,6 +30,7 @@ from motionkit.formats.source import clock
 from motionkit.formats.source.body_frame import in_metres
 
 DATA_FOLDER = "data"
+CARD = "README.md"
 REQUIRED = frozenset(("sequence_id", "joint_positions", "num_joints"))
 # What a scan reads of every row.
 STATED = ("sequence_id", "source", "subset", "licence")
@@ -99,7 +100,7 @@ def read_parquet(item: SourceItem, options: ReadOptions) -> Motion:
 
 def beside(folder: Path) -> tuple[Path, ...]:
     """What an export writes beside the folder of its rows."""
-    return folder / CHECKSUMS, folder / "README.md"
+    return folder / CHECKSUMS, folder / CARD
 
 
 def _require_intact(path: Path) -> None:

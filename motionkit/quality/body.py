@@ -1,4 +1,4 @@
-"""Bone-length drift: a body's bones do not change their lengths."""
+"""What a body does not do: bones that change their lengths, feet that slide while they stand."""
 
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,4 +1,4 @@
-"""What happens from one frame to the next: the fastest joint, jumps, and poses that do not change."""
+"""What happens from one frame to the next: the fastest joint, jumps, still poses, jitter."""
 
 from dataclasses import dataclass
 

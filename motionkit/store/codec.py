@@ -1,4 +1,4 @@
-"""Motions and skeletons ↔ rows of the store's tables."""
+"""Motions and skeletons ↔ rows of the store's tables, column by column."""
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction

@@ -1,4 +1,4 @@
-"""What the store's files hold: Arrow schemas, sizes, and how Parquet is written.
+"""What the store's files hold: Arrow schemas, sizes, resolution, how Parquet is written, and former versions.
 
 Numbers are measured choices (docs/store.md): zstd with BYTE_STREAM_SPLIT on channel-major float lists is the smallest
 that still decodes at memory speed; dictionaries make float columns larger; the row group is pyarrow's unit of access,

@@ -1,4 +1,4 @@
-"""How a training computes: in which number format it multiplies matrices, and whether torch compiles its layers.
+"""How and where a training computes: the number format of matrix products, compiled layers, the device.
 
 Weights, moments and losses are float32 in any case.
 """

@@ -1,4 +1,4 @@
-"""Learning rates as functions of the step, and averages of weights."""
+"""Learning rates as functions of the step, averages of weights, and seeded randomness of each step."""
 
 import math
 import zlib

@@ -1,4 +1,4 @@
-"""The pose vectors that the codebook is learnt from: heading-relative, per second, functions of joint positions.
+"""The pose vectors that the codebook is learnt from, and the file that holds them while it is trained.
 
 For J joints 6·J + 1 numbers, 133 for 22: yaw rate (rad/s), root velocity to the body's left and front (m/s), root
 height (m), joints 1 … J − 1 relative to the root's ground point and facing Z+ (m, HumanML3D's "RIC" block), velocities

@@ -1,4 +1,4 @@
-"""Sentence encoders: BERT-like networks whose token states are averaged, all-MiniLM-L6-v2 first."""
+"""Sentence encoders: averaged token states (all-MiniLM-L6-v2 first), and CLIP's text tower."""
 
 import hashlib
 from collections.abc import Sequence

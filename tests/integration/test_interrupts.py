@@ -66,13 +66,8 @@ def test_so_does_one_that_is_being_loaded(
     monkeypatch.setattr(app, "build_app", loading)
     monkeypatch.setattr(start.interrupts, "_stopped", [])
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-    handlers = {number: signal.getsignal(number) for number in start.interrupts.STOPPING}
-    try:
-        with pytest.raises(SystemExit) as ended:
-            start.main()
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+    with pytest.raises(SystemExit) as ended:
+        start.main()
     assert ended.value.code == 130 and capsys.readouterr().err == STOPPED
 
 
@@ -81,13 +76,8 @@ def test_other_errors_of_loading_stay_what_they_are(monkeypatch: pytest.MonkeyPa
         raise RuntimeError("a fault of a library")
 
     monkeypatch.setattr(app, "build_app", loading)
-    handlers = {number: signal.getsignal(number) for number in start.interrupts.STOPPING}
-    try:
-        with pytest.raises(RuntimeError, match="a fault of a library"):
-            start.main()
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+    with pytest.raises(RuntimeError, match="a fault of a library"):
+        start.main()
 
 
 def test_the_server_of_workers_never_sees_ctrl_c() -> None:

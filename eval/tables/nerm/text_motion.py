@@ -1,4 +1,4 @@
-"""The evaluators of text and motion that can be had: a run's own, or a published one where its files are named."""
+"""Table 1: the evaluators of text and motion that can be had, and the blocks of their rows."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""The published evaluators of text-to-motion: which networks there are, and which statistics belong to each.
+"""The published evaluators of text-to-motion: networks, statistics, and the files that they lie in.
 
 Guo et al. 2022 trained one on HumanML3D and one on KIT; MARDM (Meng et al. 2024) trained the same networks again on the
 numbers that a model generates. The movement encoder's input size tells the four apart.

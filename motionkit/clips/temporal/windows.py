@@ -1,4 +1,4 @@
-"""What is observed of a training window and what is asked: frame numbers at the table's framerate, drawn per task.
+"""Windows of a corpus for networks that continue motion: what is observed and what is asked, drawn per task.
 
 All are pure functions of a numpy generator. `observed` ascends from 0 on; `asked` is a run of neighbouring frames, so
 that velocities can be compared.

@@ -1,4 +1,4 @@
-"""A take: one motion as a page shows it, at its own framerate, with what is to be said of it."""
+"""A take: one motion as a page shows it, at its own framerate, with what is drawn of it, packed into a string."""
 
 import base64
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Curves through rotations: SLERP, Catmull-Rom, SQUAD, cubic rotation spline.
+"""Curves through rotations (SLERP, Catmull-Rom, SQUAD, cubic) and through plain values.
 
 Beyond both ends all go on at constant angular velocity. Quaternions are (w, x, y, z), float64; rates are rotation
 vectors per second in the joint's own frame.

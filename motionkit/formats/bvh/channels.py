@@ -1,4 +1,4 @@
-"""From a BVH file's channel table to local rotations, a root path and bones, still in file units."""
+"""From a BVH file's channel table to local rotations, a root path and bones, still in file units; Euler angles."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

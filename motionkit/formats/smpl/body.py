@@ -1,4 +1,4 @@
-"""The joint layouts of AMASS's pose arrays: SMPL, SMPL-H, SMPL-X, and the body joints that all of them share.
+"""SMPL's bodies: the joint layouts of AMASS's pose arrays, body models, and a mean body where there is none.
 
 Names are those of the `smplx` package's joint lists without its suffix for eyes; the order of SMPL-X's pose array is
 root, body, jaw, eyes, hands. Source: https://github.com/nghorbani/amass and https://github.com/vchoutas/smplx.

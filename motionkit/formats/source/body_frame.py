@@ -1,4 +1,4 @@
-"""Which unit and which axis a source uses, judged by the body that the numbers describe."""
+"""Which unit and which axis a source uses, judged by the body that the numbers describe; lengths in metres."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache

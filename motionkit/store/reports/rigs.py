@@ -1,4 +1,4 @@
-"""What skeletons a store holds and which of their joints reach the standard layouts."""
+"""What skeletons a store holds, which of their joints reach the standard layouts, and how large the bodies are."""
 
 from collections import Counter
 from collections.abc import Iterable
