@@ -120,7 +120,9 @@ def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
                     )
                 rows[target] = _annotation(row, path, reader.line_num)
             except FormatError as problem:
-                problems.append(problem)
+                # Tracebacks would keep the frames of every bad row.
+                problem.__context__ = None
+                problems.append(problem.with_traceback(None))
     except csv.Error as error:
         raise FormatError(f"not a CSV table ({error})", path=path, reason="annotations", line=reader.line_num) from None
     has_captions = any(row.captions for row in rows.values())
