@@ -52,13 +52,13 @@ def main() -> None:
         start = time.process_time()
         samples = read_sample_folder("mine", Path(folder), SampleOptions(FPS))
         reading, peak = time.process_time() - start, peak_megabytes() - before
-    sequences = samples.sequences[:NUM_UPSAMPLED]
+    sequences = [samples.sequences[index] for index in range(NUM_UPSAMPLED)]
     singly = cpu_seconds(lambda: [upsampled_positions(sequence, FPS, FAST) for sequence in sequences])
     together = cpu_seconds(lambda: list(each_upsampled(sequences, FPS, FAST)))
     figures = {
         "motions": samples.num_motions,
         "reading, s of CPU": reading,
-        "positions, MB": samples.positions.nbytes / 2**20,
+        "positions, MB": samples.sequences.values.nbytes / 2**20,
         "peak of memory above the start, MB": peak,
         "20 to 60 fps one at a time, ms of CPU a motion": 1000 * singly / len(sequences),
         "20 to 60 fps many at a time, ms of CPU a motion": 1000 * together / len(sequences),

@@ -176,7 +176,7 @@ class GruRecogniser:
         features, scores = [], []
         with torch.inference_mode():
             for start in range(0, len(rows), MOTIONS_AT_ONCE):
-                clips = self.kind.joints(samples.positions[rows[start : start + MOTIONS_AT_ONCE]])
+                clips = self.kind.joints(samples.sequences.values[rows[start : start + MOTIONS_AT_ONCE]])
                 clips = clips - clips[:, :1, :1]
                 found = self.network(torch.from_numpy(clips.reshape(*clips.shape[:2], -1)))
                 features.append(found[0].double().numpy())

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.linalg import eigh
 
-from eval.actions.recogniser import Recognition, check_fps, middle
+from eval.actions.recogniser import Recognition, check_fps
 from eval.clip_fid.kinematic import local_poses
-from eval.sets.sets import SampleSet
+from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
 from motionkit.formats.smpl.body import SMPL
@@ -161,22 +161,22 @@ def _directions(
 
 def statistics_of(samples: SampleSet) -> Float64[np.ndarray, "sequences numbers"]:
     """`motion_statistics` of every sequence's middle 3 s. Raises `MotionkitError` for motions it cannot describe."""
-    if samples.positions.shape[1] not in (SMPL22.num_joints, SMPL.num_joints):
+    if samples.sequences.values.shape[1] not in (SMPL22.num_joints, SMPL.num_joints):
         raise MotionkitError(
-            f"{samples.name}: {samples.positions.shape[1]} joints; statistics of motions are defined on the "
+            f"{samples.name}: {samples.sequences.values.shape[1]} joints; statistics of motions are defined on the "
             f"{SMPL22.num_joints} of the standard layout"
         )
-    short = np.flatnonzero(samples.num_frames < MIN_FRAMES)
+    short = np.flatnonzero(samples.sequences.num_frames < MIN_FRAMES)
     if len(short):
         first = int(short[0])
         raise MotionkitError(
             f"{samples.name}: {len(short)} motions have fewer than {MIN_FRAMES} frames at {samples.fps} fps, the first "
-            f"is {samples.sequence_ids[first]!r} with {samples.num_frames[first]}"
+            f"is {samples.sequence_ids[first]!r} with {samples.sequences.num_frames[first]}"
         )
     longest = int(LONGEST_SECONDS * samples.fps)
     return np.stack(
         [
             motion_statistics(middle(sequence[:, : SMPL22.num_joints], longest), float(samples.fps))
-            for sequence in samples.sequences()
+            for sequence in samples.sequences
         ]
     )

@@ -5,7 +5,7 @@ from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float64, Int64
 
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import MotionkitError
@@ -67,17 +67,11 @@ def clip_frames(num_frames: int, clip_length: int) -> Int64[np.ndarray, "clip"]:
     return np.minimum(first + np.arange(clip_length), num_frames - 1)
 
 
-def middle(positions: Float32[np.ndarray, "frames joints 3"], longest: int) -> Float32[np.ndarray, "clip joints 3"]:
-    """The middle `longest` frames of a motion, all of a shorter one."""
-    first = max(0, len(positions) - longest) // 2
-    return positions[first : first + longest]
-
-
 def clip_rows(samples: SampleSet, clip_length: int) -> Int64[np.ndarray, "sequences clip"]:
     """Rows of `samples` that make each sequence's clip; see `clip_frames`."""
     return np.stack(
         [
             int(start) + clip_frames(int(length), clip_length)
-            for start, length in zip(samples.start_row, samples.num_frames, strict=True)
+            for start, length in zip(samples.sequences.start_row, samples.sequences.num_frames, strict=True)
         ]
     )

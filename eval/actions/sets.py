@@ -60,7 +60,7 @@ def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
     index = {plain_name(action): label for label, action in enumerate(actions)}
     found = np.array([index.get(plain_name(action), -1) for action in samples.actions or [""] * samples.num_sequences])
     counts = np.bincount(found[found >= 0], minlength=len(actions))
-    long_enough = samples.num_frames >= LEAST_FRAMES
+    long_enough = samples.sequences.num_frames >= LEAST_FRAMES
     kept = np.flatnonzero((found >= 0) & long_enough & (counts[found] >= LEAST_MOTIONS))
     left_out = _left_out(samples, found, counts, long_enough, actions)
     if not len(kept):
@@ -111,7 +111,7 @@ def with_rotations(store: "Store", samples: SampleSet) -> SampleSet:
             )
         made = motion if motion.fps == samples.fps else resample(motion, samples.fps)
         assert made.local_rotations is not None
-        frames = np.minimum(np.arange(int(samples.num_frames[index])), made.num_frames - 1)
+        frames = np.minimum(np.arange(int(samples.sequences.num_frames[index])), made.num_frames - 1)
         has_hands = motion.skeleton.joint_names == SMPL.joint_names
         rotations.append(made.local_rotations[frames, : SMPL.num_joints if has_hands else SMPL22.num_joints])
     joints = min(each.shape[1] for each in rotations)
@@ -125,7 +125,7 @@ def generated_like(
 
     Draw d has seeds of its own. What the model raises for an action that it does not know goes through.
     """
-    durations = (real.samples.num_frames - 1) / float(fps)
+    durations = (real.samples.sequences.num_frames - 1) / float(fps)
     requests = [
         GenerationRequest(min(float(seconds), model.max_duration_seconds), action=action)
         for seconds, action in zip(durations, real.samples.actions, strict=True)

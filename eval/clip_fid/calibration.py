@@ -149,14 +149,14 @@ def level_name(family: Family, strength: float) -> str:
 
 def _corrupted(real: SampleSet, family: Family, strength: float, seed: int) -> SampleSet:
     rng = np.random.default_rng((seed, 5))
-    sequences = [family.corrupt(take[None], float(real.fps), strength, rng)[0] for take in real.sequences()]
+    sequences = [family.corrupt(take[None], float(real.fps), strength, rng)[0] for take in real.sequences]
     return real.with_positions(level_name(family, strength), real.fps, sequences)
 
 
 def _harmless(real: SampleSet, seed: int) -> dict[str, SampleSet]:
     """Global yaw and translation drawn per take, and sinc interpolation by half a frame."""
     rng = np.random.default_rng((seed, 6))
-    takes = list(real.sequences())
+    takes = list(real.sequences)
     turned = [turn(take, float(yaw)) for take, yaw in zip(takes, rng.uniform(0, 2 * np.pi, len(takes)), strict=True)]
     offsets = rng.uniform(-5.0, 5.0, (len(takes), 2))
     moved = [translate(take, offset) for take, offset in zip(takes, offsets, strict=True)]

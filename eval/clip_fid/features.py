@@ -10,7 +10,7 @@ import numpy as np
 
 from eval.clip_fid.feature_set import FeatureSet
 from eval.clip_fid.kinematic import BLOCKS, VERSION, KinematicDescriptor, fit_kinematic
-from eval.clip_fid.score import REAL, Protocol, draw_clips, gather_clips, place_clips
+from eval.clip_fid.score import REAL, Protocol, draw_clips, place_clips
 from eval.sets.sets import SampleSet
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import MotionkitError, UsageError
@@ -144,5 +144,5 @@ def fit_on(train: SampleSet, seed: int = 0) -> KinematicDescriptor:
     places = place_clips(draw_clips(protocol, train.fps, FIT_REPLICATION, REAL), train)
     sizes = np.unique(places.num_poses).tolist()
     return fit_kinematic(
-        (gather_clips(train, places.first_row[places.num_poses == size], size) for size in sizes), train.fps
+        (train.sequences.clips(places.first_row[places.num_poses == size], size) for size in sizes), train.fps
     )

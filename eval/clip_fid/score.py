@@ -15,7 +15,7 @@ from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float64, Int64
 
 from eval.clip_fid.feature_set import FeatureSet
 from eval.metrics.checks import Estimate, estimate
@@ -100,7 +100,7 @@ class ClipPlaces:
 
 def check_lengths(samples: SampleSet, protocol: Protocol) -> None:
     """Raise `ClipError` where a set has no sequence for the protocol's largest clips."""
-    largest, longest = int(protocol.sizes.sizes(samples.fps).max()), int(samples.num_frames.max())
+    largest, longest = int(protocol.sizes.sizes(samples.fps).max()), int(samples.sequences.num_frames.max())
     if longest < largest:
         raise ClipError(
             f"{samples.name}: no sequence has the {largest} poses that a clip at {samples.fps} fps may need; the "
@@ -130,7 +130,7 @@ def place_clips(clips: ClipList, samples: SampleSet, among: Int64[np.ndarray, "c
     Raises `ClipError` where no sequence is long enough.
     """
     sequences = np.arange(samples.num_sequences) if among is None else among
-    num_frames = samples.num_frames[sequences]
+    num_frames = samples.sequences.num_frames[sequences]
     chosen = np.empty_like(clips.num_poses)
     for size in np.unique(clips.num_poses).tolist():
         wanted = clips.num_poses == size
@@ -141,14 +141,7 @@ def place_clips(clips: ClipList, samples: SampleSet, among: Int64[np.ndarray, "c
     room = num_frames[chosen] - clips.num_poses + 1
     start = np.floor(clips.centre_quantile * room).astype(np.int64)
     sequence = sequences[chosen]
-    return ClipPlaces(sequence, samples.start_row[sequence] + start, clips.num_poses)
-
-
-def gather_clips(
-    samples: SampleSet, first_row: Int64[np.ndarray, "clips"], num_poses: int
-) -> Float32[np.ndarray, "clips poses joints 3"]:
-    """Positions of clips of one size."""
-    return samples.positions[first_row[:, None] + np.arange(num_poses)]
+    return ClipPlaces(sequence, samples.sequences.start_row[sequence] + start, clips.num_poses)
 
 
 def describe_clips(
@@ -158,7 +151,7 @@ def describe_clips(
     order = np.argsort(places.num_poses, kind="stable")
     sizes, starts = np.unique(places.num_poses[order], return_index=True)
     parts = [
-        features.describe(gather_clips(samples, places.first_row[rows], int(size)), samples.fps)
+        features.describe(samples.sequences.clips(places.first_row[rows], int(size)), samples.fps)
         for size, rows in zip(sizes, np.split(order, starts[1:]), strict=True)
     ]
     result = np.empty((len(order), parts[0].shape[1]))
@@ -272,7 +265,7 @@ def _split_takes(samples: SampleSet, rng: np.random.Generator) -> tuple[npt.NDAr
     if samples.num_sequences < 2:
         raise ClipError(f"{samples.name}: {samples.num_sequences} take cannot be split into two halves")
     order = rng.permutation(samples.num_sequences)
-    passed = np.cumsum(samples.num_frames[order])
+    passed = np.cumsum(samples.sequences.num_frames[order])
     middle = int(np.clip(np.searchsorted(passed, passed[-1] / 2) + 1, 1, len(order) - 1))
     return order[:middle], order[middle:]
 

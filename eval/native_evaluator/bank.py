@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float64, Int64
 
+from eval.sets.sets import Ragged
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
 from motionkit.fields.resample import resample_positions
@@ -19,25 +20,19 @@ from motionkit.fields.resample import resample_positions
 
 @dataclass(frozen=True, eq=False)
 class Takes:
-    """Sequences at their native rates, one after another in `positions` [rows, 22, 3] (metres, y up; may be mapped).
+    """Sequences of 22 joints at their native rates.
 
     `captions` holds each sequence's sentences with their seconds from its start, in any number.
     """
 
-    positions: Float32[np.ndarray, "rows 22 3"]
-    start_row: Int64[np.ndarray, "sequences"]
-    num_frames: Int64[np.ndarray, "sequences"]
+    sequences: Ragged
     fps: tuple[Fraction, ...]
     captions: tuple[tuple[Caption, ...], ...]
 
-    def sequence(self, index: int) -> Float32[np.ndarray, "frames 22 3"]:
-        """Joint positions of one sequence."""
-        start = int(self.start_row[index])
-        return self.positions[start : start + int(self.num_frames[index])]
-
     def duration_seconds(self) -> Float64[np.ndarray, "sequences"]:
         """Seconds of each sequence."""
-        return np.array([int(frames) / float(fps) for frames, fps in zip(self.num_frames, self.fps, strict=True)])
+        lengths = self.sequences.num_frames
+        return np.array([int(frames) / float(fps) for frames, fps in zip(lengths, self.fps, strict=True)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +49,7 @@ class ClipBank:
     """Sequences at one framerate; `sequence_index` says where in the takes each comes from."""
 
     fps: Fraction
-    positions: Float32[np.ndarray, "rows 22 3"]
-    start_row: Int64[np.ndarray, "sequences"]
-    num_frames: Int64[np.ndarray, "sequences"]
+    sequences: Ragged
     sequence_index: Int64[np.ndarray, "sequences"]
 
     def draw(self, rng: np.random.Generator, num_clips: int, num_poses: int, margin: int = 0) -> DrawnClips:
@@ -65,7 +58,7 @@ class ClipBank:
         Every position of the clip inside a sequence is equally likely. Margins that reach beyond a sequence continue it
         by point reflection about its end pose. Raises `ValueError` where no sequence is long enough.
         """
-        places = np.maximum(self.num_frames - num_poses + 1, 0)
+        places = np.maximum(self.sequences.num_frames - num_poses + 1, 0)
         total = np.cumsum(places)
         if total[-1] == 0:
             raise ValueError(f"no sequence in this bank has {num_poses} poses at {self.fps} fps")
@@ -79,14 +72,15 @@ class ClipBank:
     def _gather(
         self, sequence: Int64[np.ndarray, "clips"], frame: Int64[np.ndarray, "clips poses"]
     ) -> Float64[np.ndarray, "clips poses 22 3"]:
-        last = (self.num_frames[sequence] - 1)[:, None]
-        first_row = self.start_row[sequence][:, None]
+        positions = self.sequences.values
+        last = (self.sequences.num_frames[sequence] - 1)[:, None]
+        first_row = self.sequences.start_row[sequence][:, None]
         end = np.clip(frame, 0, last)
         mirrored = np.clip(2 * end - frame, 0, last)
-        ends = self.positions[first_row + end].astype(np.float64)
+        ends = positions[first_row + end].astype(np.float64)
         inside = (frame == end)[..., None, None]
         clips: Float64[np.ndarray, "clips poses 22 3"] = np.where(
-            inside, ends, 2 * ends - self.positions[first_row + mirrored]
+            inside, ends, 2 * ends - positions[first_row + mirrored]
         )
         return clips
 
@@ -107,9 +101,8 @@ def build_bank(takes: Takes, fps: Fraction, max_seconds: float, min_poses: int, 
     order = rng.permutation(np.array(chosen))
     within = np.cumsum(seconds[order]) - seconds[order] < max_seconds
     kept = np.sort(order[within])
-    parts = [resample_positions(np.asarray(takes.sequence(int(i))), takes.fps[int(i)], fps) for i in kept]
-    num_frames = np.array([len(part) for part in parts], dtype=np.int64)
-    return ClipBank(fps, np.concatenate(parts), np.cumsum(num_frames) - num_frames, num_frames, kept.astype(np.int64))
+    parts = [resample_positions(np.asarray(takes.sequences[i]), takes.fps[int(i)], fps) for i in kept]
+    return ClipBank(fps, Ragged.of(parts), kept.astype(np.int64))
 
 
 def build_banks(

@@ -70,14 +70,13 @@ def takes_of_cache(store: "Store", cache: "PositionCache") -> "Takes":
     import numpy as np
 
     from eval.native_evaluator.bank import Takes
+    from eval.sets.sets import Ragged
     from motionkit.core.motion import Caption
 
     captions = store.sequences_table["captions"].take(store.rows_of(cache.sequence_index)).to_pylist()
     rates = zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)
     return Takes(
-        positions=cache.positions,
-        start_row=cache.start_row,
-        num_frames=cache.num_frames.astype(np.int64),
+        sequences=Ragged(cache.positions, cache.start_row, cache.num_frames.astype(np.int64)),
         fps=tuple(Fraction(*rate) for rate in rates),
         captions=tuple(tuple(Caption(**caption) for caption in some) for some in captions),
     )

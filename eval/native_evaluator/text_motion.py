@@ -54,17 +54,17 @@ class NativeTextMotion:
 
         Raises `MotionkitError` where one has fewer than 8 poses.
         """
-        shortest = int(samples.num_frames.min())
+        shortest = int(samples.sequences.num_frames.min())
         if shortest < MIN_POSES:
-            name = samples.sequence_ids[int(samples.num_frames.argmin())]
+            name = samples.sequence_ids[int(samples.sequences.num_frames.argmin())]
             raise MotionkitError(
                 f"{samples.name}: {name!r} has {shortest} poses at {samples.fps} fps, the native evaluator needs at "
                 f"least {MIN_POSES}; leave such motions out"
             )
         rows: dict[int, npt.NDArray[np.float64]] = {}
-        for length in np.unique(samples.num_frames).tolist():
-            members = np.flatnonzero(samples.num_frames == length).tolist()
-            clips = np.stack([samples.sequence(index) for index in members])
+        for length in np.unique(samples.sequences.num_frames).tolist():
+            members = np.flatnonzero(samples.sequences.num_frames == length).tolist()
+            clips = np.stack([samples.sequences[index] for index in members])
             rows.update(zip(members, self.evaluator.embed_motions(clips, samples.fps), strict=True))
         return np.stack([rows[index] for index in range(samples.num_sequences)])
 

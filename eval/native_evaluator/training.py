@@ -200,7 +200,7 @@ class NativeTraining:
     def _draw_length(self, bank: ClipBank, rng: np.random.Generator) -> int:
         """Poses of a batch's clips: a multiple of 4 that some sequence of the bank holds."""
         training = self.config.training
-        longest = min(training.max_poses, int(bank.num_frames.max()) // 4 * 4)
+        longest = min(training.max_poses, int(bank.sequences.num_frames.max()) // 4 * 4)
         return 4 * int(rng.integers(training.min_poses // 4, longest // 4 + 1))
 
     def _embed_clean(self, bank: ClipBank, rng: np.random.Generator) -> Float32[np.ndarray, "clips features"]:

@@ -58,8 +58,9 @@ def _factor(metres: float) -> float:
 def some_poses(folder: SampleFolder) -> Float32[np.ndarray, "motions poses joints 3"]:
     """A few poses of each motion, evenly spaced."""
     share = np.linspace(0, 1, POSES_PER_MOTION)
-    rows = folder.start_row[:, None] + np.rint(share * (folder.num_frames[:, None] - 1)).astype(np.int64)
-    poses: Float32[np.ndarray, "motions poses joints 3"] = folder.positions[rows]
+    motions = folder.sequences
+    rows = motions.start_row[:, None] + np.rint(share * (motions.num_frames[:, None] - 1)).astype(np.int64)
+    poses: Float32[np.ndarray, "motions poses joints 3"] = motions.values[rows]
     return poses
 
 

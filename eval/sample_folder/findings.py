@@ -47,9 +47,9 @@ def summarise(folder: SampleFolder) -> Findings:
         num_motions=folder.num_motions,
         duration_seconds=folder.duration_seconds,
         frames=(
-            int(folder.num_frames.min()),
-            int(np.median(folder.num_frames)),
-            int(folder.num_frames.max()),
+            int(folder.sequences.num_frames.min()),
+            int(np.median(folder.sequences.num_frames)),
+            int(folder.sequences.num_frames.max()),
         ),
         framerates={str(fps): count for fps, count in sorted(Counter(folder.fps).items())},
         num_captioned=sum(map(bool, folder.captions)),

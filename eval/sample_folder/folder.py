@@ -9,15 +9,13 @@ from functools import cached_property
 from itertools import groupby
 
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32
 
-from eval.sets.sets import SampleSet
+from eval.sets.sets import GrowingRagged, Ragged, SampleSet
 from eval.sets.upsampled import each_upsampled
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.resample import resample_positions
-
-FIRST_CAPACITY = 1 << 12
 
 
 class SampleFolderError(MotionkitError):
@@ -38,9 +36,8 @@ class SampleText:
 class SampleFolder:
     """Motions of one system in the 22-joint layout (metres, y up), each at the framerate that is stated for it.
 
-    Sequence i holds rows start_row[i] … start_row[i] + num_frames[i] of `positions`. Motions of one group answer the
-    same prompt (MultiModality); where nothing says so, each is its own group. `left_out` are the motions that could not
-    be read or hold NaN, `remarks` what was found and done, for people.
+    Motions of one group answer the same prompt (MultiModality); where nothing says so, each is its own group.
+    `left_out` are the motions that could not be read or hold NaN, `remarks` what was found and done, for people.
 
     `vectors` are the pose vectors of every motion, in their own units, as many frames as its positions and up to 3 of
     the padding that was stored after them: where all came as vectors of one size and were to be kept
@@ -49,8 +46,7 @@ class SampleFolder:
     """
 
     name: str
-    positions: Float32[np.ndarray, "rows joints 3"]
-    num_frames: Int64[np.ndarray, "sequences"]
+    sequences: Ragged
     fps: tuple[Fraction, ...]
     sequence_ids: tuple[str, ...]
     captions: tuple[str, ...]
@@ -64,32 +60,20 @@ class SampleFolder:
     @property
     def num_motions(self) -> int:
         """Number of motions."""
-        return len(self.num_frames)
+        return len(self.sequences)
 
     @property
     def duration_seconds(self) -> float:
         """Seconds of motion in all."""
-        return float(sum(int(frames) / fps for frames, fps in zip(self.num_frames, self.fps, strict=True)))
-
-    @cached_property
-    def start_row(self) -> Int64[np.ndarray, "sequences"]:
-        """First row of every motion."""
-        return np.asarray(np.cumsum(self.num_frames) - self.num_frames, dtype=np.int64)
-
-    @property
-    def sequences(self) -> list[Float32[np.ndarray, "_frames joints 3"]]:
-        """Joint positions, motion by motion: views of `positions`."""
-        return [
-            self.positions[start : start + length]
-            for start, length in zip(self.start_row.tolist(), self.num_frames.tolist(), strict=True)
-        ]
+        lengths = self.sequences.num_frames
+        return float(sum(int(frames) / fps for frames, fps in zip(lengths, self.fps, strict=True)))
 
     @cached_property
     def fingerprint(self) -> str:
         """First 16 hex digits of the sha256 over framerates, lengths and positions."""
         digest = hashlib.sha256(repr([str(fps) for fps in self.fps]).encode())
-        digest.update(self.num_frames.astype("<i8").tobytes())
-        digest.update(np.ascontiguousarray(self.positions, dtype="<f4").data)
+        digest.update(self.sequences.num_frames.astype("<i8").tobytes())
+        digest.update(np.ascontiguousarray(self.sequences.values, dtype="<f4").data)
         return digest.hexdigest()[:16]
 
     def at(self, fps: Fraction, on_motion: Callable[[], None] = lambda: None) -> SampleSet:
@@ -97,21 +81,19 @@ class SampleFolder:
 
         Motions that are all at that framerate are handed on as they lie in memory. `on_motion` is called after each.
         """
-        positions, num_frames = self.positions, self.num_frames
+        sequences = self.sequences
         if any(own != fps for own in self.fps):
-            rows, lengths = Rows(), []
+            made = GrowingRagged(SMPL22.num_joints)
             for sequence in self._resampled(fps):
-                rows.add(sequence)
-                lengths.append(len(sequence))
+                made.add(sequence)
                 on_motion()
-            positions, num_frames = rows.finish(), np.array(lengths, dtype=np.int64)
+            sequences = made.finish()
         texts = (self.sequence_ids, self.captions, self.actions)
-        return SampleSet(self.name, fps, positions, num_frames, *texts, groups=self.groups)
+        return SampleSet(self.name, fps, sequences, *texts, groups=self.groups)
 
     def _resampled(self, fps: Fraction) -> Iterator[Float32[np.ndarray, "_frames joints 3"]]:
-        sequences = self.sequences
         for own, places in groupby(range(self.num_motions), key=self.fps.__getitem__):
-            run = [sequences[place] for place in places]
+            run = [self.sequences[place] for place in places]
             if own < fps:
                 yield from each_upsampled(run, own, fps)
             else:
@@ -156,43 +138,18 @@ def left_out_line(left_out: Sequence[FormatError], num_kept: int) -> str:
     return f"{len(left_out):,} of {len(left_out) + num_kept:,} motions left out ({reasons}); first: {left_out[0]}"
 
 
-class Rows:
-    """Poses of any number of motions in one array that grows in place, so that nothing is held twice."""
-
-    def __init__(self) -> None:
-        self._rows = np.empty((FIRST_CAPACITY, SMPL22.num_joints, 3), dtype=np.float32)
-        self._used = 0
-
-    def add(self, positions: Float32[np.ndarray, "_frames joints 3"]) -> None:
-        """Copy one motion to the end."""
-        needed = self._used + len(positions)
-        if needed > len(self._rows):
-            # `resize` moves memory pages instead of copying them.
-            self._rows.resize((max(needed, 2 * len(self._rows)), *self._rows.shape[1:]), refcheck=False)
-        self._rows[self._used : needed] = positions
-        self._used = needed
-
-    def finish(self) -> Float32[np.ndarray, "rows joints 3"]:
-        """All of them, and nothing is left here."""
-        rows, used = self._rows, self._used
-        self._rows, self._used = np.empty((0, SMPL22.num_joints, 3), dtype=np.float32), 0
-        rows.resize((used, *rows.shape[1:]), refcheck=False)
-        return rows
-
-
 class Packer:
     """Collects motions with their framerates and texts."""
 
     def __init__(self) -> None:
-        self._rows = Rows()
-        self._lengths: list[int] = []
+        self._sequences = GrowingRagged(SMPL22.num_joints)
         self._fps: list[Fraction] = []
         self._texts: list[SampleText] = []
         self._vectors: list[Float32[np.ndarray, "_frames numbers"]] = []
         self._kit_joints: list[Float32[np.ndarray, "_frames 21 3"]] = []
 
     def __len__(self) -> int:
-        return len(self._lengths)
+        return len(self._fps)
 
     def add(
         self,
@@ -203,8 +160,7 @@ class Packer:
         kit_joints: Float32[np.ndarray, "_frames 21 3"] | None = None,
     ) -> None:
         """Copy one motion to the end; its pose vectors and KIT joints, where there are any, are kept as they are."""
-        self._rows.add(positions)
-        self._lengths.append(len(positions))
+        self._sequences.add(positions)
         self._fps.append(fps)
         self._texts.append(text)
         if vectors is not None:
@@ -213,11 +169,10 @@ class Packer:
             self._kit_joints.append(kit_joints)
 
     def finish(self, name: str, left_out: Sequence[FormatError], remarks: Sequence[str]) -> SampleFolder:
-        """Everything that was added; the packer is empty afterwards."""
+        """Everything that was added; nothing can be added afterwards."""
         return SampleFolder(
             name,
-            self._rows.finish(),
-            np.array(self._lengths, dtype=np.int64),
+            self._sequences.finish(),
             tuple(self._fps),
             tuple(text.sequence_id for text in self._texts),
             tuple(text.caption for text in self._texts),

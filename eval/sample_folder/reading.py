@@ -70,9 +70,9 @@ def read_sample_folder(
 
 def _checked(folder: SampleFolder, num_of_arrays: int, listing: Listing) -> SampleFolder:
     """The folder turned upright; raises `SampleFolderError` where bodies are none."""
-    end = int(folder.num_frames[:num_of_arrays].sum())
-    starts = folder.start_row[:num_of_arrays]
-    turned = turn_upright(folder.positions[:end], starts, listing.manifest.up)
+    end = int(folder.sequences.num_frames[:num_of_arrays].sum())
+    starts = folder.sequences.start_row[:num_of_arrays]
+    turned = turn_upright(folder.sequences.values[:end], starts, listing.manifest.up)
     remarks = (*folder.remarks, *([turned] if turned else []), *check_bodies(folder), *padding_remark(folder))
     if turned:
         # Vectors stand along y by definition: of bodies that had to be turned they mean something else.

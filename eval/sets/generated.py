@@ -29,7 +29,7 @@ def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
     """
     windows: list[Window] = []
     for index in range(real.num_sequences):
-        duration = float((int(real.num_frames[index]) - 1) / real.fps)
+        duration = float((int(real.sequences.num_frames[index]) - 1) / real.fps)
         count = max(1, ceil(duration / max_duration_seconds - 1e-9))
         text = real.captions[index] if real.captions else ""
         action = real.actions[index] if real.actions else ""

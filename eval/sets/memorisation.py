@@ -35,7 +35,7 @@ def distances_to_training(samples: SampleSet, training: SampleSet) -> Float64[np
     for each in (samples, training):
         if each.fps != SAMPLED_FPS:
             raise ValueError(f"{each.name} is at {each.fps} fps, not at {SAMPLED_FPS}")
-    middles = [_middle(poses) for poses in map(_body_poses, samples.sequences()) if len(poses) >= STRETCH_POSES]
+    middles = [_middle(poses) for poses in map(_body_poses, samples.sequences) if len(poses) >= STRETCH_POSES]
     if not middles:
         return np.zeros(0)
     queries = np.stack(middles)
@@ -57,7 +57,7 @@ def _middle(poses: Float32[np.ndarray, "poses numbers"]) -> Float32[np.ndarray, 
 
 def _stretches(training: SampleSet) -> Iterator[Float32[np.ndarray, "_ stretch"]]:
     """All stretches of all sequences, a block at a time."""
-    for poses in map(_body_poses, training.sequences()):
+    for poses in map(_body_poses, training.sequences):
         last = len(poses) - STRETCH_POSES
         for start in range(0, last + 1, BLOCK_STRETCHES):
             part = poses[start : min(start + BLOCK_STRETCHES, last + 1) + STRETCH_POSES - 1]

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float32, Int64
 
-from eval.sets.sets import SampleSet, sample_set
+from eval.sets.sets import Ragged, SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.resample import resample_positions
@@ -27,31 +26,24 @@ class NoRealMotionError(MotionkitError):
 class RealMotion:
     """Sequences at their native framerates; `at` resamples them once per framerate and keeps the result.
 
-    `positions` [rows, joints, 3] metres, 22 joints or KIT-ML's 21; sequence i is rows start_row[i] … + num_frames[i],
-    at fps[i].
+    They have 22 joints or KIT-ML's 21; sequence i is at fps[i].
     """
 
     name: str
-    positions: Float32[np.ndarray, "rows joints 3"]
-    start_row: Int64[np.ndarray, "sequences"]
-    num_frames: Int64[np.ndarray, "sequences"]
+    sequences: Ragged
     fps: tuple[Fraction, ...]
     sequence_ids: tuple[str, ...]
     captions: tuple[str, ...]
     actions: tuple[str, ...]
     _made: dict[tuple[Fraction, int], SampleSet] = field(default_factory=dict)
 
-    def sequence(self, index: int) -> Float32[np.ndarray, "frames joints 3"]:
-        """Native frames of one sequence."""
-        start = int(self.start_row[index])
-        return self.positions[start : start + int(self.num_frames[index])]
-
     def indices_at(self, fps: Fraction, first_frame: int = 0) -> npt.NDArray[np.int64]:
         """Sequences whose native framerate is at least `fps`, with two frames or more after the first ones.
 
         Raises `NoRealMotionError` where fewer than two are.
         """
-        chosen = [i for i, native in enumerate(self.fps) if native >= fps and self.num_frames[i] > first_frame + 1]
+        lengths = self.sequences.num_frames
+        chosen = [i for i, native in enumerate(self.fps) if native >= fps and lengths[i] > first_frame + 1]
         if len(chosen) < 2:
             fastest = f"; the fastest has {float(max(self.fps)):.6g} fps" if self.fps else ""
             raise NoRealMotionError(
@@ -72,7 +64,7 @@ class RealMotion:
             self._made[key] = sample_set(
                 self.name,
                 fps,
-                [resample_positions(self.sequence(index)[first_frame:], self.fps[index], fps) for index in chosen],
+                [resample_positions(self.sequences[index][first_frame:], self.fps[index], fps) for index in chosen],
                 [self.sequence_ids[index] for index in chosen],
                 [self.captions[index] for index in chosen],
                 [self.actions[index] for index in chosen],
@@ -113,9 +105,7 @@ def _from_cache(store: "Store", cache: "PositionCache", split: str) -> RealMotio
     rates = zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)
     return RealMotion(
         name=f"real ({split})",
-        positions=cache.positions,
-        start_row=cache.start_row.astype(np.int64),
-        num_frames=cache.num_frames.astype(np.int64),
+        sequences=Ragged(cache.positions, cache.start_row.astype(np.int64), cache.num_frames.astype(np.int64)),
         fps=tuple(Fraction(numerator, denominator) for numerator, denominator in rates),
         sequence_ids=tuple(table["sequence_id"].astype(str)),
         captions=captions,

@@ -32,11 +32,11 @@ def set_remarks(real: SampleSet, rows: Mapping[str, SampleSet]) -> list[str]:
 def _num_copies(real: SampleSet, samples: SampleSet) -> int:
     """How many sequences are some sequence of the real set, to rounding."""
     known: dict[int, list[Float32[np.ndarray, "_ joints 3"]]] = {}
-    for sequence in real.sequences():
+    for sequence in real.sequences:
         known.setdefault(len(sequence), []).append(sequence)
     return sum(
         any(_same(sequence[0], other[0]) and _same(sequence, other) for other in known.get(len(sequence), ()))
-        for sequence in samples.sequences()
+        for sequence in samples.sequences
     )
 
 
@@ -46,7 +46,8 @@ def _same(a: Float32[np.ndarray, "*shape"], b: Float32[np.ndarray, "*shape"]) ->
 
 def _is_still(samples: SampleSet) -> bool:
     """Whether no joint moves from any frame to the next of the same sequence."""
-    steps = np.abs(np.diff(samples.positions, axis=0)).reshape(max(len(samples.positions) - 1, 0), -1)
+    positions = samples.sequences.values
+    steps = np.abs(np.diff(positions, axis=0)).reshape(max(len(positions) - 1, 0), -1)
     inside = np.ones(len(steps), dtype=bool)
-    inside[samples.start_row[1:] - 1] = False
+    inside[samples.sequences.start_row[1:] - 1] = False
     return bool((steps[inside] < STILL_METRES).all())

@@ -1,30 +1,101 @@
-"""Sample sets: motions of one framerate, real, upsampled or generated, that a table compares."""
+"""Sequences of different lengths in one array, and sets of them at one framerate that a table compares."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float32, Int64
 
+FIRST_CAPACITY = 1 << 12
+Frames = Float32[np.ndarray, "_frames *_frame"]
+
+
+@dataclass(frozen=True, eq=False)
+class Ragged:
+    """Sequences of different lengths end to end: sequence i is `num_frames[i]` rows of `values` from `start_row[i]` on.
+
+    `values` [rows, …] are joint positions [rows, joints, 3] in metres, y up, wherever nothing else is said; they may be
+    a memory map, and hold rows of no sequence.
+    """
+
+    values: Float32[np.ndarray, "rows *frame"]
+    start_row: Int64[np.ndarray, "sequences"]
+    num_frames: Int64[np.ndarray, "sequences"]
+
+    @classmethod
+    def laid_out(
+        cls, values: Float32[np.ndarray, "rows *frame"], num_frames: Sequence[int] | npt.NDArray[np.int64]
+    ) -> "Ragged":
+        """Sequences of these lengths that fill the values. Raises `ValueError` where they do not."""
+        lengths = np.asarray(num_frames, dtype=np.int64)
+        if int(lengths.sum()) != len(values):
+            raise ValueError(f"{len(values)} rows for sequences of {int(lengths.sum())} frames in all")
+        return cls(values, np.cumsum(lengths) - lengths, lengths)
+
+    @classmethod
+    def of(cls, sequences: Sequence[Frames]) -> "Ragged":
+        """A copy of the sequences, one after another; raises `ValueError` for none."""
+        return cls.laid_out(np.concatenate(sequences).astype(np.float32, copy=False), [len(each) for each in sequences])
+
+    def __len__(self) -> int:
+        return len(self.num_frames)
+
+    def __getitem__(self, index: int | np.integer) -> Frames:
+        start = int(self.start_row[index])
+        return self.values[start : start + int(self.num_frames[index])]
+
+    def __iter__(self) -> Iterator[Frames]:
+        return (self[index] for index in range(len(self)))
+
+    def clips(self, first_row: Int64[np.ndarray, "clips"], num_rows: int) -> Float32[np.ndarray, "clips rows *frame"]:
+        """Stretches of one length, each from a row of `values` on."""
+        return self.values[first_row[:, None] + np.arange(num_rows)]
+
+
+class GrowingRagged:
+    """Collects sequences of joint positions in one array that grows in place, so that nothing is held twice."""
+
+    def __init__(self, num_joints: int) -> None:
+        self._rows = np.empty((FIRST_CAPACITY, num_joints, 3), dtype=np.float32)
+        self._lengths: list[int] = []
+        self._used = 0
+
+    def add(self, sequence: Float32[np.ndarray, "_frames joints 3"]) -> None:
+        """Copy one sequence to the end."""
+        needed = self._used + len(sequence)
+        if needed > len(self._rows):
+            # `resize` moves memory pages instead of copying them.
+            self._rows.resize((max(needed, 2 * len(self._rows)), *self._rows.shape[1:]), refcheck=False)
+        self._rows[self._used : needed] = sequence
+        self._lengths.append(len(sequence))
+        self._used = needed
+
+    def finish(self) -> Ragged:
+        """All of them; nothing can be added afterwards."""
+        self._rows.resize((self._used, *self._rows.shape[1:]), refcheck=False)
+        return Ragged.laid_out(self._rows, self._lengths)
+
+
+def middle(frames: Frames, longest: int) -> Frames:
+    """The `longest` frames in the middle; all of them where there are no more."""
+    first = max(0, (len(frames) - longest) // 2)
+    return frames[first : first + longest]
+
 
 @dataclass(frozen=True, eq=False)
 class SampleSet:
-    """Sequences of joint positions at one framerate, one after another in `positions` [rows, joints, 3] (metres, y up).
+    """Sequences of joint positions at one framerate: 22 joints, or KIT-ML's 21 where its evaluator is to read them.
 
-    There are 22 joints, or KIT-ML's 21 where its evaluator is to read them.
-    Sequence i holds rows start_row[i] … start_row[i] + num_frames[i]; `sequence_ids`, `captions` and `actions` have one
-    entry each ("" where there is none), and so have `groups`: motions of one group answer the same prompt.
-    `local_rotations`, where motions have true ones, are unit quaternions (w, x, y, z) of the same rows, relative to the
-    parent; SMPL's own skeleton may give 24 joints, the hands last.
+    `sequence_ids`, `captions` and `actions` have one entry for each ("" where there is none), and so have `groups`:
+    motions of one group answer the same prompt. `local_rotations`, where motions have true ones, are unit quaternions
+    (w, x, y, z) of the same rows, relative to the parent; SMPL's own skeleton may give 24 joints, the hands last.
     """
 
     name: str
     fps: Fraction
-    positions: Float32[np.ndarray, "rows joints 3"]
-    num_frames: Int64[np.ndarray, "sequences"]
+    sequences: Ragged
     sequence_ids: tuple[str, ...]
     captions: tuple[str, ...] = ()
     actions: tuple[str, ...] = ()
@@ -32,38 +103,23 @@ class SampleSet:
     groups: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if int(self.num_frames.sum()) != len(self.positions):
-            raise ValueError(f"{len(self.positions)} rows for sequences of {int(self.num_frames.sum())} frames in all")
         texts = {"captions": self.captions, "actions": self.actions, "groups": self.groups}
         for name, values in {"ids": self.sequence_ids, **texts}.items():
-            if len(values) not in ((len(self.num_frames),) if name == "ids" else (0, len(self.num_frames))):
-                raise ValueError(f"{len(values)} {name} for {len(self.num_frames)} sequences")
-        if self.local_rotations is not None and len(self.local_rotations) != len(self.positions):
-            raise ValueError(f"{len(self.local_rotations)} rows of rotations for {len(self.positions)} of positions")
+            if len(values) not in ((len(self.sequences),) if name == "ids" else (0, len(self.sequences))):
+                raise ValueError(f"{len(values)} {name} for {len(self.sequences)} sequences")
+        rows = len(self.sequences.values)
+        if self.local_rotations is not None and len(self.local_rotations) != rows:
+            raise ValueError(f"{len(self.local_rotations)} rows of rotations for {rows} of positions")
 
     @property
     def num_sequences(self) -> int:
         """Number of sequences."""
-        return len(self.num_frames)
-
-    @cached_property
-    def start_row(self) -> Int64[np.ndarray, "sequences"]:
-        """First row of every sequence."""
-        return np.asarray(np.cumsum(self.num_frames) - self.num_frames, dtype=np.int64)
+        return len(self.sequences)
 
     @property
     def duration_seconds(self) -> float:
         """Seconds of motion in all."""
-        return float(len(self.positions) / self.fps)
-
-    def sequence(self, index: int) -> Float32[np.ndarray, "frames joints 3"]:
-        """Joint positions of one sequence."""
-        start = int(self.start_row[index])
-        return self.positions[start : start + int(self.num_frames[index])]
-
-    def sequences(self) -> Iterator[Float32[np.ndarray, "_frames joints 3"]]:
-        """Joint positions, sequence by sequence."""
-        return (self.sequence(index) for index in range(self.num_sequences))
+        return float(len(self.sequences.values) / self.fps)
 
     def select(self, indices: Sequence[int] | npt.NDArray[np.int64], name: str | None = None) -> "SampleSet":
         """The sequences at `indices`, in that order, under another name where one is given."""
@@ -71,7 +127,7 @@ class SampleSet:
         made = sample_set(
             name or self.name,
             self.fps,
-            [self.sequence(index) for index in chosen],
+            [self.sequences[index] for index in chosen],
             [self.sequence_ids[index] for index in chosen],
             [self.captions[index] for index in chosen] if self.captions else (),
             [self.actions[index] for index in chosen] if self.actions else (),
@@ -79,8 +135,8 @@ class SampleSet:
         )
         if self.local_rotations is None:
             return made
-        rows = np.concatenate([self.start_row[index] + np.arange(self.num_frames[index]) for index in chosen])
-        return replace(made, local_rotations=self.local_rotations[rows])
+        rotations = replace(self.sequences, values=self.local_rotations)
+        return replace(made, local_rotations=np.concatenate([rotations[index] for index in chosen]))
 
     def rows_by_group(self) -> dict[str, list[int]]:
         """Which sequences answer each prompt, prompts in order of appearance; without groups each its own."""
@@ -114,10 +170,9 @@ def sample_set(
     """Lay sequences one after another. Raises `ValueError` where there is none or one holds NaN."""
     if not len(sequences):
         raise ValueError(f"sample set {name!r} would hold no sequence")
-    positions = np.concatenate(sequences).astype(np.float32, copy=False)
-    if not np.isfinite(positions).all():
+    laid_out = Ragged.of(sequences)
+    if not np.isfinite(laid_out.values).all():
         bad = next(i for i, sequence in enumerate(sequences) if not np.isfinite(sequence).all())
         raise ValueError(f"sample set {name!r}: sequence {sequence_ids[bad]!r} holds NaN or infinity")
-    num_frames = np.array([len(sequence) for sequence in sequences], dtype=np.int64)
     texts = (tuple(sequence_ids), tuple(captions), tuple(actions))
-    return SampleSet(name, fps, positions, num_frames, *texts, groups=tuple(groups))
+    return SampleSet(name, fps, laid_out, *texts, groups=tuple(groups))

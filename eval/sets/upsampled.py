@@ -28,7 +28,7 @@ def upsampled(samples: SampleSet, fps: Fraction, name: str, encoder: MotionEncod
     SLERP: joint rotations (from inverse kinematics) on great arcs, the root on straight lines, positions by forward
     kinematics. Raises `ValueError` where `fps` is below the set's.
     """
-    sequences = list(samples.sequences())
+    sequences = list(samples.sequences)
     if encoder is SLERP:
         return samples.with_positions(name, fps, list(each_upsampled(sequences, samples.fps, fps)))
     made = [upsampled_positions(sequence, samples.fps, fps, encoder) for sequence in sequences]
@@ -83,7 +83,7 @@ def upsample_as_vectors(samples: SampleSet, fps: Fraction, name: str) -> SampleS
     """
     if fps < samples.fps:
         raise ValueError(f"{samples.name} is at {samples.fps} fps, which is more than {fps}")
-    made = [_through_vectors(sequence, samples.fps, fps) for sequence in samples.sequences()]
+    made = [_through_vectors(sequence, samples.fps, fps) for sequence in samples.sequences]
     return samples.with_positions(name, fps, made)
 
 
@@ -109,5 +109,5 @@ def low_passed(samples: SampleSet, cutoff_hz: float) -> SampleSet:
     """
     if cutoff_hz >= float(samples.fps) / 2:
         return samples
-    smooth = [low_pass(sequence, float(samples.fps), cutoff_hz) for sequence in samples.sequences()]
+    smooth = [low_pass(sequence, float(samples.fps), cutoff_hz) for sequence in samples.sequences]
     return samples.with_positions(samples.name, samples.fps, smooth)

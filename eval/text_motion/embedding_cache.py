@@ -76,9 +76,9 @@ class Embedder:
 
 def fingerprint_of(samples: SampleSet) -> str:
     """Hex sha256 over framerate, lengths and positions; ids and captions are no part of it."""
-    digest = hashlib.sha256(f"{samples.fps} {samples.positions.shape[1]} ".encode())
-    digest.update(samples.num_frames.astype("<i8").tobytes())
-    digest.update(np.ascontiguousarray(samples.positions, dtype="<f4").data.cast("B"))
+    digest = hashlib.sha256(f"{samples.fps} {samples.sequences.values.shape[1]} ".encode())
+    digest.update(samples.sequences.num_frames.astype("<i8").tobytes())
+    digest.update(np.ascontiguousarray(samples.sequences.values, dtype="<f4").data.cast("B"))
     return digest.hexdigest()
 
 

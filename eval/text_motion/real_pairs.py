@@ -12,7 +12,7 @@ import numpy.typing as npt
 from jaxtyping import Float32
 
 from eval.sets.real import NoRealMotionError, real_motion
-from eval.sets.sets import SampleSet, sample_set
+from eval.sets.sets import SampleSet, middle, sample_set
 from eval.text_motion.protocol import LengthRule
 from motionkit.core.motion import Caption
 from motionkit.core.skeleton import KIT21, SMPL22
@@ -39,7 +39,7 @@ class CaptionedMotions:
     @property
     def durations_seconds(self) -> list[float]:
         """From the first pose to the last of each motion."""
-        return [float((frames - 1) / self.samples.fps) for frames in self.samples.num_frames.tolist()]
+        return [float((frames - 1) / self.samples.fps) for frames in self.samples.sequences.num_frames.tolist()]
 
     def select(self, rows: npt.NDArray[np.int64]) -> "CaptionedMotions":
         """Some of them, in the order of `rows`."""
@@ -73,7 +73,7 @@ def captioned_motions(
             left_out["without a caption"] += 1
             continue
         caption = captions_of[name][0]
-        positions = _stretch(at_rate.sequence(index), caption, fps)
+        positions = _stretch(at_rate.sequences[index], caption, fps)
         seconds = (len(positions) - 1) / float(fps)
         if seconds < rule.shortest_seconds - 1e-9:
             left_out[f"shorter than {rule.shortest_seconds:g} s"] += 1
@@ -96,12 +96,6 @@ def captioned_motions(
     known = {caption.text: caption for some in captions_of.values() for caption in some}
     samples = sample_set(everything.name, fps, sequences, names, texts)
     return CaptionedMotions(samples, tuple(captions), known, {k: v for k, v in left_out.items() if v}, num_cropped)
-
-
-def middle(poses: npt.NDArray[np.float32], most_frames: int) -> npt.NDArray[np.float32]:
-    """The poses in the middle, at most so many; all of them where there are no more."""
-    first = max(0, (len(poses) - most_frames) // 2)
-    return poses[first : first + most_frames]
 
 
 def _stretch(positions: npt.NDArray[np.float32], caption: Caption, fps: Fraction) -> npt.NDArray[np.float32]:
@@ -127,9 +121,9 @@ def kit_bone_lengths(real: SampleSet) -> Float32[np.ndarray, "21"] | None:
 
     None for a set of 22 joints.
     """
-    if real.positions.shape[1] != KIT21.num_joints:
+    if real.sequences.values.shape[1] != KIT21.num_joints:
         return None
-    lengths = [bone_lengths(sequence[0], KIT21.name) for sequence in real.sequences()]
+    lengths = [bone_lengths(sequence[0], KIT21.name) for sequence in real.sequences]
     return np.asarray(np.median(np.stack(lengths), axis=0), dtype=np.float32)
 
 
@@ -138,6 +132,6 @@ def as_kit_joints(samples: SampleSet, lengths: Float32[np.ndarray, "21"]) -> Sam
     weights = joint_map(SMPL22, KIT21.name).weights
     made = [
         uniform_skeleton(np.matmul(weights, sequence), KIT21.name, lengths).astype(np.float32)
-        for sequence in samples.sequences()
+        for sequence in samples.sequences
     ]
     return samples.with_positions(samples.name, samples.fps, made)

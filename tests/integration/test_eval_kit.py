@@ -173,8 +173,8 @@ class Lengths:
         return ""
 
     def embed_motions(self, samples: Any) -> np.ndarray:
-        assert samples.positions.shape[1] == 22
-        return np.array([[len(one), float(one[-1, 0, 2]), float(one[:, 20, 1].std())] for one in samples.sequences()])
+        assert samples.sequences.values.shape[1] == 22
+        return np.array([[len(one), float(one[-1, 0, 2]), float(one[:, 20, 1].std())] for one in samples.sequences])
 
     def embed_texts(self, captions: Any) -> np.ndarray:
         return np.zeros((len(captions), 3))

@@ -177,7 +177,7 @@ def nearest_training_block(
 
 
 def _mirrored(samples: SampleSet) -> SampleSet:
-    images = [mirror_positions(sequence, SMPL22.left_right_pairs) for sequence in samples.sequences()]
+    images = [mirror_positions(sequence, SMPL22.left_right_pairs) for sequence in samples.sequences]
     return samples.with_positions(samples.name, samples.fps, images)
 
 

@@ -9,11 +9,11 @@ import numpy.typing as npt
 from jaxtyping import Float64
 
 from eval.sample_folder import SampleFolder
-from eval.sets.sets import SampleSet
+from eval.sets.sets import SampleSet, middle
 from eval.text_motion.embedding_cache import Embedder, fingerprint_of_vectors
 from eval.text_motion.evaluator import PoseVectorEvaluator
 from eval.text_motion.protocol import TextMotionProtocol
-from eval.text_motion.real_pairs import MADE_OF_22, CaptionedMotions, as_kit_joints, kit_bone_lengths, middle
+from eval.text_motion.real_pairs import MADE_OF_22, CaptionedMotions, as_kit_joints, kit_bone_lengths
 from eval.text_motion.scores import TextMotionPairs
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
@@ -87,11 +87,11 @@ def _embedded(
         joints, of_what = _in_layout_of(real, folder, samples, most_frames)
         return embedder.motions(joints), f"{BY_JOINTS}{of_what} ({reason})"
     # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
-    lengths = np.minimum(folder.num_frames, most_frames - 1).tolist()
+    lengths = np.minimum(folder.sequences.num_frames, most_frames - 1).tolist()
     vectors = [
         # Of a crop, what follows is the motion itself; the padding that was stored follows whole motions alone.
         motion if length == frames else middle(motion[:frames], length)
-        for motion, length, frames in zip(folder.vectors, lengths, folder.num_frames.tolist(), strict=True)
+        for motion, length, frames in zip(folder.vectors, lengths, folder.sequences.num_frames.tolist(), strict=True)
     ]
     key = {"vectors": fingerprint_of_vectors(vectors), "lengths": lengths}
     return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors, lengths)), AS_VECTORS
@@ -142,7 +142,7 @@ def _real_rows(samples: SampleSet, real: CaptionedMotions) -> list[int | None]:
 
 
 def _cropped(samples: SampleSet, most_frames: int) -> SampleSet:
-    if int(samples.num_frames.max()) <= most_frames:
+    if int(samples.sequences.num_frames.max()) <= most_frames:
         return samples
-    kept = [middle(sequence, most_frames) for sequence in samples.sequences()]
+    kept = [middle(sequence, most_frames) for sequence in samples.sequences]
     return samples.with_positions(samples.name, samples.fps, kept)

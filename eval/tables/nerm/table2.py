@@ -16,7 +16,6 @@ from eval.clip_fid.score import (
     ClipFid,
     Protocol,
     check_lengths,
-    gather_clips,
     score_disjoint_halves,
     score_rows,
 )
@@ -255,7 +254,8 @@ def _block(sheet: _Sheet, columns: Sequence[ColumnSize], notes: Mapping[str, str
 
 def _too_few(column: Column, features: FeatureSet, protocol: Protocol) -> list[str]:
     """What must be said where there are no more samples than features: covariances are then singular."""
-    poses = gather_clips(column.real, np.zeros(1, dtype=np.int64), int(protocol.sizes.sizes(column.fps).min()))
+    smallest = int(protocol.sizes.sizes(column.fps).min())
+    poses = column.real.sequences.clips(np.zeros(1, dtype=np.int64), smallest)
     num_features = features.describe(poses, column.fps).shape[1]
     advice = "quote KID, precision and recall (in the JSON's details), and give more"
     found = []

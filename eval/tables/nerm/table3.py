@@ -142,7 +142,7 @@ def _has_training(store: "Store") -> bool:
 def _long_enough(samples: SampleSet) -> SampleSet:
     from eval.actions.linear import MIN_FRAMES
 
-    return samples.select(np.flatnonzero(samples.num_frames >= MIN_FRAMES))
+    return samples.select(np.flatnonzero(samples.sequences.num_frames >= MIN_FRAMES))
 
 
 def _real(

@@ -97,7 +97,7 @@ class GuoEvaluator:
         """
         self.check_fps(samples.fps, samples.name)
         return self._embed(
-            [self.pose_vectors(sequence) for sequence in samples.sequences()], samples.sequence_ids.__getitem__, None
+            [self.pose_vectors(sequence) for sequence in samples.sequences], samples.sequence_ids.__getitem__, None
         )
 
     def embed_vectors(

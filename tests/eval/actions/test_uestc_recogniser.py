@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from eval.actions.recogniser import ActionRecogniser
 from eval.actions.uestc import StgcnNetwork, load_uestc, rotation_rows, spatial_graph
-from eval.sets.sets import SampleSet
+from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import MotionkitError
 from motionkit.formats.smpl.body import SMPL
 from motionkit.training.tensors import CheckpointError
@@ -105,7 +105,7 @@ def samples_of(*rotations: np.ndarray, fps: int = 30) -> SampleSet:
     positions = np.zeros((int(lengths.sum()), 22, 3), np.float32)
     together = np.concatenate(rotations).astype(np.float32)
     ids = tuple(str(i) for i in range(len(rotations)))
-    return SampleSet("some", Fraction(fps), positions, lengths, ids, local_rotations=together)
+    return SampleSet("some", Fraction(fps), Ragged.laid_out(positions, lengths), ids, local_rotations=together)
 
 
 def test_the_graph_is_the_bodys() -> None:
@@ -140,7 +140,7 @@ def test_other_motions_and_other_files_are_refused(tmp_path: Path) -> None:
     random_weights(path)
     recogniser = load_uestc(path)
     bare = samples_of(turning(60))
-    positions_only = SampleSet("plain", bare.fps, bare.positions, bare.num_frames, bare.sequence_ids)
+    positions_only = SampleSet("plain", bare.fps, bare.sequences, bare.sequence_ids)
     with pytest.raises(MotionkitError, match="plain: positions only, but UESTC's recogniser sees the local rotations"):
         recogniser.recognise(positions_only)
     with pytest.raises(MotionkitError, match="rotations of 21 joints"):

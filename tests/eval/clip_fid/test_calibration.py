@@ -60,7 +60,7 @@ class MeanHeight:
 
 def test_the_descriptor_sees_jitter_and_a_blind_feature_set_is_found_out() -> None:
     real = takes()
-    clips = np.stack([sequence[start : start + 24] for sequence in real.sequences() for start in range(0, 170, 10)])
+    clips = np.stack([sequence[start : start + 24] for sequence in real.sequences for start in range(0, 170, 10)])
     seen = calibrate(real, None, fit_kinematic([clips], FPS), PROTOCOL)
     families = {family.family: family for family in seen.graded}
     assert families["jitter"].passes

@@ -62,9 +62,9 @@ def test_clips_lie_inside_their_sequence_and_reach_both_ends() -> None:
     samples = ramps("ramps", [64, 100, 3, 300])
     protocol = Protocol(num_clips=60_000)
     places = place_clips(draw_clips(protocol, FPS, 0, REAL), samples)
-    start = places.first_row - samples.start_row[places.sequence]
+    start = places.first_row - samples.sequences.start_row[places.sequence]
     assert (start >= 0).all()
-    assert (start + places.num_poses <= samples.num_frames[places.sequence]).all()
+    assert (start + places.num_poses <= samples.sequences.num_frames[places.sequence]).all()
     assert 2 not in places.sequence
     short = (places.sequence == 1) & (places.num_poses == 16)
     assert (start[short].min(), start[short].max()) == (0, 84)
@@ -82,7 +82,7 @@ def test_features_come_in_the_order_of_the_places() -> None:
     samples = ramps("ramps", [80, 90])
     places = place_clips(draw_clips(SMALL, FPS, 0, REAL), samples)
     described = describe_clips(samples, places, FirstAndLastHeight())
-    np.testing.assert_array_equal(described[:, 0], samples.positions[places.first_row, 0, 1])
+    np.testing.assert_array_equal(described[:, 0], samples.sequences.values[places.first_row, 0, 1])
     np.testing.assert_array_equal(described[:, 1] - described[:, 0], places.num_poses - 1)
 
 

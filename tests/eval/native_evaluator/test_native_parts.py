@@ -12,6 +12,7 @@ from eval.native_evaluator.bank import Takes, build_bank, build_banks
 from eval.native_evaluator.network import NUM_CHANNELS, prepare, rich_input, standardised
 from eval.native_evaluator.training import collect_sentences, matching_loss, spoil
 from eval.sets.corruptions import families, jitter, slide, translate, turn
+from eval.sets.sets import Ragged
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
 
@@ -27,11 +28,8 @@ def walking(num_frames: int, fps: float, seed: int = 0) -> np.ndarray:
 
 
 def takes_of(*sequences: tuple[np.ndarray, int], captions: tuple[tuple[Caption, ...], ...] | None = None) -> Takes:
-    num_frames = np.array([len(positions) for positions, _ in sequences], dtype=np.int64)
     return Takes(
-        positions=np.concatenate([positions for positions, _ in sequences]),
-        start_row=np.cumsum(num_frames) - num_frames,
-        num_frames=num_frames,
+        sequences=Ragged.of([positions for positions, _ in sequences]),
         fps=tuple(Fraction(fps) for _, fps in sequences),
         captions=captions or ((),) * len(sequences),
     )
@@ -88,7 +86,7 @@ def test_a_bank_holds_only_sequences_that_reach_the_framerate() -> None:
     takes = takes_of((walking(300, 120), 120), (walking(100, 30), 30), (walking(90, 60), 60))
     bank = build_bank(takes, Fraction(60), 1e9, 16, np.random.default_rng(0))
     assert bank.sequence_index.tolist() == [0, 2]
-    assert bank.num_frames.tolist() == [150, 90]
+    assert bank.sequences.num_frames.tolist() == [150, 90]
     assert [bank.fps for bank in build_banks(takes, [Fraction(30), Fraction(60), Fraction(240)], 1e9, 16, 0)] == [
         30,
         60,
@@ -100,7 +98,7 @@ def test_a_bank_holds_only_sequences_that_reach_the_framerate() -> None:
 def test_a_bank_is_bounded_in_seconds() -> None:
     takes = takes_of(*((walking(120, 60, seed), 60) for seed in range(20)))
     bank = build_bank(takes, Fraction(60), 10.0, 16, np.random.default_rng(0))
-    assert len(bank.num_frames) == 5
+    assert len(bank.sequences.num_frames) == 5
 
 
 def test_drawn_clips_lie_in_their_sequences_and_margins_continue_them() -> None:

@@ -107,8 +107,8 @@ def test_kit_joints_want_their_unit(tmp_path: Path) -> None:
         read(published.write_kit_joints(tmp_path, None))
     samples = read(published.write_kit_joints(tmp_path, 0.0017))
     assert set(samples.fps) == {Fraction(25, 2)}
-    assert samples.positions.shape[1:] == (22, 3)
-    assert 1.4 < samples.positions[:, 15, 1].max() < 2.0
+    assert samples.sequences.values.shape[1:] == (22, 3)
+    assert 1.4 < samples.sequences.values[:, 15, 1].max() < 2.0
 
 
 def test_kit_vectors_are_in_its_unit_by_definition(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_kit_vectors_are_in_its_unit_by_definition(tmp_path: Path) -> None:
     (tmp_path / "samples.toml").write_text('statistics = "raw"')
     samples = read_sample_folder("mine", tmp_path)
     assert set(samples.fps) == {Fraction(25, 2)}
-    assert 1.4 < samples.positions[:, 15, 1].max() < 2.0
+    assert 1.4 < samples.sequences.values[:, 15, 1].max() < 2.0
 
 
 def test_a_folder_of_this_project_says_everything_itself(tmp_path: Path) -> None:
@@ -131,8 +131,8 @@ def test_a_folder_of_this_project_says_everything_itself(tmp_path: Path) -> None
     assert samples.captions == ("walks",) * 6
     assert "20 fps (3), 30 fps (3)" in samples.describe()
     at_30 = samples.at(Fraction(30))
-    np.testing.assert_array_equal(at_30.sequence(1), published.motions()[1])
-    assert len(at_30.sequence(0)) == 79
+    np.testing.assert_array_equal(at_30.sequences[1], published.motions()[1])
+    assert len(at_30.sequences[0]) == 79
 
 
 def test_a_pickle_that_would_run_code_is_named(tmp_path: Path) -> None:

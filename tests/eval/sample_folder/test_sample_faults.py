@@ -67,7 +67,7 @@ def test_the_framerate_is_asked_for_with_the_line_to_write(tmp_path: Path) -> No
 )
 def test_axes_are_told_apart_by_where_the_3_stands(tmp_path: Path, array: np.ndarray, expected: np.ndarray) -> None:
     samples = read(folder_of(tmp_path, a=array))
-    np.testing.assert_array_equal(samples.positions, expected)
+    np.testing.assert_array_equal(samples.sequences.values, expected)
     assert samples.sequence_ids == ("a",)
 
 
@@ -89,7 +89,7 @@ def test_metres_are_checked(tmp_path: Path) -> None:
     told = fault(folder_of(tmp_path, a=JOINTS * 100))
     assert "from ankle to head, people 1.45 m; write unit_metres = 0.01 into samples.toml if they are in cm" in told
     samples = read(folder_of(tmp_path, "fps = 20\nunit_metres = 0.01"))
-    np.testing.assert_allclose(samples.positions, JOINTS, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(samples.sequences.values, JOINTS, rtol=1e-5, atol=1e-6)
     assert "no usual unit mends it" in fault(folder_of(tmp_path, "fps = 20\nunit_metres = 1e-4"))
 
 
@@ -151,7 +151,7 @@ def test_nothing_readable_and_nothing_at_all(tmp_path: Path) -> None:
 
 def test_zeros_at_the_end_are_padding(tmp_path: Path) -> None:
     samples = read(folder_of(tmp_path, a=np.concatenate((JOINTS, np.zeros((9, 22, 3), np.float32)))))
-    np.testing.assert_array_equal(samples.positions, JOINTS)
+    np.testing.assert_array_equal(samples.sequences.values, JOINTS)
     assert "of 1 motions the last frames, all zeros, were dropped" in samples.describe()
 
 
@@ -277,7 +277,7 @@ def test_a_csv_row_without_its_file_is_told(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, a=JOINTS)
     (folder / "texts.csv").write_text("file,caption,num_frames\na.npy,walks,9\nb.npy,runs,\n../c.npy,x,\nd.npy,,0\n")
     samples = read(folder)
-    assert (samples.captions, samples.positions.shape[0]) == (("walks",), 9)
+    assert (samples.captions, samples.sequences.values.shape[0]) == (("walks",), 9)
     assert "1 rows of the CSV describe files that are not there, first 'b.npy'" in samples.describe()
     assert [problem.reason for problem in samples.left_out] == ["path", "annotations"]
 
@@ -325,7 +325,7 @@ def test_rows_of_files_with_impossible_names_are_left_out(tmp_path: Path) -> Non
     folder = folder_of(tmp_path, a=JOINTS)
     (folder / "lengths.csv").write_text(f"file,num_frames\n{'x' * 300}.npy,10\na.npy,30\n")
     samples = read(folder)
-    assert samples.num_frames.tolist() == [30]
+    assert samples.sequences.num_frames.tolist() == [30]
     assert [problem.reason for problem in samples.left_out] == ["path"]
 
 
@@ -341,4 +341,4 @@ def test_a_motion_of_wild_numbers_costs_only_itself(tmp_path: Path, wild: float)
 
 def test_half_precision_is_read(tmp_path: Path) -> None:
     half = JOINTS.astype(np.float16)
-    np.testing.assert_array_equal(read(folder_of(tmp_path, a=half)).positions, half.astype(np.float32))
+    np.testing.assert_array_equal(read(folder_of(tmp_path, a=half)).sequences.values, half.astype(np.float32))

@@ -4,20 +4,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.sample_folder.folder import FIRST_CAPACITY, Packer, Rows, SampleText
+from eval.sample_folder.folder import Packer, SampleText
 from eval.sets.upsampled import upsampled_positions
 from motionkit.fields.resample import resample_positions
 from tests.helpers import published_layouts as published
-
-
-def test_rows_grow_and_keep_what_they_hold() -> None:
-    rng = np.random.default_rng(0)
-    parts = [rng.normal(size=(n, 22, 3)).astype(np.float32) for n in (1, FIRST_CAPACITY, 7, 3 * FIRST_CAPACITY)]
-    rows = Rows()
-    for part in parts:
-        rows.add(part)
-    np.testing.assert_array_equal(rows.finish(), np.concatenate(parts))
-    assert len(rows.finish()) == 0
 
 
 def test_a_folder_of_mixed_framerates_at_one() -> None:
@@ -31,7 +21,7 @@ def test_a_folder_of_mixed_framerates_at_one() -> None:
     assert len(seen) == 6
     assert samples.rows_by_group() == {"g": [0, 1, 2, 3, 4, 5]}
     assert samples.captions == tuple(f"c{index}" for index in range(6))
-    for found, joints, fps in zip(samples.sequences(), published.motions(), rates, strict=True):
+    for found, joints, fps in zip(samples.sequences, published.motions(), rates, strict=True):
         slower = fps < 30
         expected = (upsampled_positions if slower else resample_positions)(joints, fps, Fraction(30))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
@@ -50,5 +40,5 @@ def packer_of_one_rate():
 def test_motions_at_the_framerate_asked_for_are_not_copied() -> None:
     folder = packer_of_one_rate()
     samples = folder.at(Fraction(20))
-    assert samples.positions is folder.positions
+    assert samples.sequences.values is folder.sequences.values
     assert samples.rows_by_group() == {f"m{index}": [index] for index in range(6)}

@@ -31,26 +31,26 @@ def test_slerp_keeps_every_known_pose_and_who_is_who() -> None:
     low = walkers(20)
     high = upsampled(low, Fraction(60), "up")
     assert (high.fps, high.name, high.sequence_ids, high.captions) == (60, "up", low.sequence_ids, low.captions)
-    for before, after in zip(low.sequences(), high.sequences(), strict=True):
+    for before, after in zip(low.sequences, high.sequences, strict=True):
         np.testing.assert_allclose(after[::3], before, atol=1e-5)
 
 
 def test_slerp_to_the_same_framerate_changes_nothing() -> None:
     low = walkers(20)
-    np.testing.assert_array_equal(upsampled(low, Fraction(20), "same").positions, low.positions)
+    np.testing.assert_array_equal(upsampled(low, Fraction(20), "same").sequences.values, low.sequences.values)
 
 
 def test_low_pass_removes_what_is_above_the_cutoff_and_nothing_else() -> None:
     clean = walkers(120)
-    time = np.arange(len(clean.positions))[:, None, None] / 120
+    time = np.arange(len(clean.sequences.values))[:, None, None] / 120
     noisy = clean.with_positions(
         "noisy",
         clean.fps,
-        [part + (0.01 * np.sin(2 * np.pi * 45 * time[: len(part)])).astype(np.float32) for part in clean.sequences()],
+        [part + (0.01 * np.sin(2 * np.pi * 45 * time[: len(part)])).astype(np.float32) for part in clean.sequences],
     )
     smooth = low_passed(noisy, 15.0)
     inside = slice(30, -30)
-    for before, after in zip(clean.sequences(), smooth.sequences(), strict=True):
+    for before, after in zip(clean.sequences, smooth.sequences, strict=True):
         np.testing.assert_allclose(after[inside], before[inside], atol=1e-3)
     assert low_passed(noisy, 60.0) is noisy
 
@@ -59,7 +59,7 @@ def test_low_pass_removes_what_is_above_the_cutoff_and_nothing_else() -> None:
 def test_unscaled_vectors_multiply_the_path(factor: int) -> None:
     low = walkers(20)
     high = upsample_as_vectors(low, Fraction(20 * factor), "handicapped")
-    for before, after in zip(low.sequences(), high.sequences(), strict=True):
+    for before, after in zip(low.sequences, high.sequences, strict=True):
         length = np.linalg.norm(before[-2, 0] - before[0, 0])
         grown = np.linalg.norm(after[-1, 0] - after[0, 0])
         assert grown == pytest.approx(factor * length, rel=0.05)
@@ -69,14 +69,14 @@ def test_unscaled_vectors_multiply_the_path(factor: int) -> None:
 def test_vectors_at_the_same_framerate_restore_the_motion() -> None:
     low = walkers(20)
     same = upsample_as_vectors(low, Fraction(20), "same")
-    before, after = low.sequence(0), same.sequence(0)
+    before, after = low.sequences[0], same.sequences[0]
     np.testing.assert_allclose(after - after[:, :1], before[: len(after)] - before[: len(after), :1], atol=1e-4)
 
 
 @pytest.mark.parametrize(("fps_from", "fps_to"), [("20", "60"), ("20", "50"), ("25/2", "20"), ("20", "30000/1001")])
 def test_upsampling_many_at_a_time_is_upsampling_each(fps_from: str, fps_to: str) -> None:
     rng = np.random.default_rng(0)
-    take = walkers(20, 8.0).sequence(0)
+    take = walkers(20, 8.0).sequences[0]
     cuts = [(int(rng.integers(0, 100)), int(rng.integers(1, 60))) for _ in range(50)]
     sequences = [take[start : start + length] for start, length in cuts]
     slow, fast = Fraction(fps_from), Fraction(fps_to)

@@ -78,7 +78,7 @@ def test_the_block_tells_a_model_that_copies_from_one_that_does_not() -> None:
     assert rows["copying"].note == "3 motions; says so"
     assert rows["copying" + MIRRORED].cells["nearest"].value > 20
     # Who copies mirrored motion is found out by the row of mirror images alone.
-    images = as_set(*(mirror_positions(sequence, SMPL22.left_right_pairs) for sequence in copying.sequences()))
+    images = as_set(*(mirror_positions(sequence, SMPL22.left_right_pairs) for sequence in copying.sequences))
     mirrored = {row.name: row for row in nearest_training_block(held_out, TRAINING, {"it": images}, {}).rows}
     assert mirrored["it"].cells["nearest"].value > 20 > 0.1 > mirrored["it" + MIRRORED].cells["95 %"].value
     values = [rows[HELD_OUT].cells[column].value for column in block.columns]

@@ -9,7 +9,7 @@ import pytest
 
 from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
 from eval.sets.real import NoRealMotionError, RealMotion
-from eval.sets.sets import sample_set
+from eval.sets.sets import FIRST_CAPACITY, GrowingRagged, Ragged, middle, sample_set
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.motion_field import Poses
 from motionkit.generate.models import GenerationRequest
@@ -19,12 +19,9 @@ from tests.helpers.scripted_model import ScriptedModel
 def real_motion(lengths: Sequence[int], rates: Sequence[int]) -> RealMotion:
     """Joint j of every sequence swings at 1 Hz; exact at any framerate."""
     parts = [swing(np.arange(length) / rate) for length, rate in zip(lengths, rates, strict=True)]
-    num_frames = np.array(lengths, dtype=np.int64)
     return RealMotion(
         name="real (test)",
-        positions=np.concatenate(parts),
-        start_row=np.cumsum(num_frames) - num_frames,
-        num_frames=num_frames,
+        sequences=Ragged.of(parts),
         fps=tuple(Fraction(rate) for rate in rates),
         sequence_ids=tuple(f"take{i}" for i in range(len(lengths))),
         captions=tuple(f"caption {i}" for i in range(len(lengths))),
@@ -42,14 +39,43 @@ def swinging() -> ScriptedModel:
     return ScriptedModel(lambda request, chance: swing, max_duration_seconds=2.0)
 
 
+def test_ragged_sequences_are_views_and_clips_are_stretches_of_their_rows() -> None:
+    parts = [np.random.default_rng(n).normal(size=(n, 2, 3)).astype(np.float32) for n in (4, 1, 6)]
+    together = Ragged.of(parts)
+    assert (len(together), together.start_row.tolist(), together.num_frames.tolist()) == (3, [0, 4, 5], [4, 1, 6])
+    assert together[2].base is together.values
+    for found, part in zip(together, parts, strict=True):
+        np.testing.assert_array_equal(found, part)
+    np.testing.assert_array_equal(together.clips(np.array([1, 6]), 3), np.stack([parts[0][1:], parts[2][1:4]]))
+    with pytest.raises(ValueError, match="11 rows for sequences of 12 frames"):
+        Ragged.laid_out(together.values, [4, 1, 7])
+
+
+def test_ragged_sequences_grow_and_keep_what_they_hold() -> None:
+    rng = np.random.default_rng(0)
+    parts = [rng.normal(size=(n, 22, 3)).astype(np.float32) for n in (1, FIRST_CAPACITY, 7, 3 * FIRST_CAPACITY)]
+    growing = GrowingRagged(22)
+    for part in parts:
+        growing.add(part)
+    made = growing.finish()
+    np.testing.assert_array_equal(made.values, np.concatenate(parts))
+    assert made.num_frames.tolist() == [len(part) for part in parts]
+
+
+def test_the_middle_of_a_motion() -> None:
+    assert middle(np.arange(7, dtype=np.float32), 3).tolist() == [2, 3, 4]
+    assert middle(np.arange(7, dtype=np.float32), 4).tolist() == [1, 2, 3, 4]
+    assert middle(np.arange(2, dtype=np.float32), 4).tolist() == [0, 1]
+
+
 def test_sequences_keep_their_own_frames() -> None:
     parts = [np.full((n, 22, 3), n, dtype=np.float32) for n in (3, 5, 2)]
     samples = sample_set("s", Fraction(20), parts, ["a", "b", "c"], ["x", "y", "z"])
-    assert [len(part) for part in samples.sequences()] == [3, 5, 2]
-    np.testing.assert_array_equal(samples.sequence(1), parts[1])
+    assert [len(part) for part in samples.sequences] == [3, 5, 2]
+    np.testing.assert_array_equal(samples.sequences[1], parts[1])
     chosen = samples.select([2, 0])
     assert (chosen.sequence_ids, chosen.captions) == (("c", "a"), ("z", "x"))
-    np.testing.assert_array_equal(chosen.positions[:2], parts[2])
+    np.testing.assert_array_equal(chosen.sequences.values[:2], parts[2])
     assert samples.duration_seconds == 0.5
 
 
@@ -74,11 +100,11 @@ def test_the_real_set_at_s_fps_holds_what_was_captured_at_s_or_faster() -> None:
 def test_the_real_set_is_the_motion_at_those_instants() -> None:
     real = real_motion([121, 241, 241], [30, 120, 120])
     at_twenty = real.at(Fraction(20))
-    for sequence in at_twenty.sequences():
+    for sequence in at_twenty.sequences:
         inside = slice(15, len(sequence) - 15)
         expected = swing(np.arange(len(sequence)) / 20)
         np.testing.assert_allclose(sequence[inside], expected[inside], atol=2e-3)
-    shifted = real.at(Fraction(20), first_frame=1).sequence(1)
+    shifted = real.at(Fraction(20), first_frame=1).sequences[1]
     np.testing.assert_allclose(shifted[15:25], swing(np.arange(len(shifted)) / 20 + 1 / 120)[15:25], atol=2e-3)
 
 
@@ -123,7 +149,7 @@ def test_fields_are_told_the_framerate_they_are_sampled_at() -> None:
     for fps in (Fraction(20), Fraction(120)):
         made = sample_fields(fields, ["take"], fps, "model")
         assert made is not None
-        assert np.all(made.positions == float(fps))
+        assert np.all(made.sequences.values == float(fps))
 
 
 def test_fields_are_asked_for_every_instant_of_the_framerate() -> None:
@@ -133,6 +159,6 @@ def test_fields_are_asked_for_every_instant_of_the_framerate() -> None:
     made = sample_fields(fields, ["take1"], Fraction(120), "model")
     assert made is not None
     assert (made.num_sequences, made.fps) == (5, 120)
-    np.testing.assert_array_equal(made.sequence(0), swing(np.arange(241) / 120))
+    np.testing.assert_array_equal(made.sequences[0], swing(np.arange(241) / 120))
     assert sample_fields(fields, ["unknown"], Fraction(120), "model") is None
     assert len(generate_fields(model, windows_of(real, 2.0), seed=0, limit=3)) == 3

@@ -36,7 +36,7 @@ def frozen(name: str, num_poses: int) -> SampleSet:
 
 def test_sequences_of_the_real_set_are_found_in_any_order() -> None:
     real = moving("real")
-    half = sample_set("half", FPS, [*moving("other", seed=2).sequences(), real.sequence(3), real.sequence(0)], "abcdef")
+    half = sample_set("half", FPS, [*moving("other", seed=2).sequences, real.sequences[3], real.sequences[0]], "abcdef")
     remarks = set_remarks(real, {"half": half, "copy": real.select([2, 0, 1, 3]), "other": moving("other", seed=2)})
     assert [remark.split(" are copies")[0] for remark in remarks] == [
         "half, 30 fps: 2 of 6 sequences",

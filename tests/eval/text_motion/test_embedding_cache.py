@@ -27,7 +27,7 @@ class Counting:
 
     def embed_motions(self, samples: SampleSet) -> np.ndarray:
         self.asked.append(samples.num_sequences)
-        return np.stack([sequence.astype(np.float64).mean(axis=(0, 1)) for sequence in samples.sequences()])
+        return np.stack([sequence.astype(np.float64).mean(axis=(0, 1)) for sequence in samples.sequences])
 
     def embed_texts(self, captions: list[Caption]) -> np.ndarray:
         self.asked.append(len(captions))
@@ -54,15 +54,17 @@ def test_the_second_time_nothing_is_embedded(tmp_path: Path) -> None:
 def test_whatever_changes_is_embedded_anew(tmp_path: Path) -> None:
     evaluator, other = Counting("a"), Counting("b")
     changed = motions()
-    changed.positions[7, 3, 1] += 1e-6
+    changed.sequences.values[7, 3, 1] += 1e-6
     for samples in (motions(), changed, motions(fps=30)):
         Embedder(evaluator, tmp_path).motions(samples)
     assert evaluator.asked == [3, 3, 3]
     Embedder(other, tmp_path).motions(motions())
     assert other.asked == [3]
-    same_rows_cut_otherwise = sample_set("some", Fraction(20), np.split(motions().positions, [5, 10]), ["a", "b", "c"])
+    same_rows_cut_otherwise = sample_set(
+        "some", Fraction(20), np.split(motions().sequences.values, [5, 10]), ["a", "b", "c"]
+    )
     assert fingerprint_of(same_rows_cut_otherwise) != fingerprint_of(motions())
-    renamed = sample_set("another", Fraction(20), list(motions().sequences()), ["x", "y", "z"])
+    renamed = sample_set("another", Fraction(20), list(motions().sequences), ["x", "y", "z"])
     assert fingerprint_of(renamed) == fingerprint_of(motions())
 
 

@@ -43,7 +43,7 @@ def test_each_motion_is_the_stretch_of_its_first_caption(store: Store) -> None:
     found = captioned_motions(store, "test", None, Fraction(20), CROPPED)
     assert found.samples.sequence_ids == ("plain", "long", "part", "rest")
     assert [caption.text for caption in found.captions] == ["walks", "runs", "jumps", "sits"]
-    roots = [sequence[:, 0, 0] for sequence in found.samples.sequences()]
+    roots = [sequence[:, 0, 0] for sequence in found.samples.sequences]
     spans = [(round(float(root[0]), 3), round(float(root[-1]), 3)) for root in roots]
     # [1, 3) s holds the poses at 1.00 … 2.95; the middle 3 s of 7 are 2 … 5.
     assert spans == [(0.0, 2.0), (2.0, 5.0), (1.0, 2.95), (2.0, 4.0)]

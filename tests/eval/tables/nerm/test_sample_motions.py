@@ -9,7 +9,7 @@ import pytest
 
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.folder import SampleFolderError
-from eval.sets.sets import SampleSet, sample_set
+from eval.sets.sets import Ragged, SampleSet, sample_set
 from eval.tables.nerm.sample_motions import AS_VECTORS, BY_JOINTS, sample_embeddings
 from eval.text_motion.embedding_cache import Embedder
 from eval.text_motion.protocol import find_text_motion_protocol
@@ -29,7 +29,7 @@ class First:
         return ""
 
     def embed_motions(self, samples: SampleSet) -> np.ndarray:
-        return np.array([[float(sequence[0, 0, 0]), float(len(sequence))] for sequence in samples.sequences()])
+        return np.array([[float(sequence[0, 0, 0]), float(len(sequence))] for sequence in samples.sequences])
 
     def embed_texts(self, captions: list[Caption]) -> np.ndarray:
         return np.array([[len(caption.text), len(caption.tokens)] for caption in captions], dtype=np.float64)
@@ -50,11 +50,9 @@ def real() -> CaptionedMotions:
 
 
 def folder(names: list[str], captions: list[str], groups: list[str] | None = None, frames: int = 41) -> SampleFolder:
-    positions = np.concatenate([sequence(10 + index, frames) for index in range(len(names))])
     return SampleFolder(
         "mine",
-        positions,
-        np.full(len(names), frames, dtype=np.int64),
+        Ragged.of([sequence(10 + index, frames) for index in range(len(names))]),
         (Fraction(20),) * len(names),
         tuple(names),
         tuple(captions),

@@ -52,7 +52,7 @@ class Shapes:
         return ""
 
     def embed_motions(self, samples: SampleSet) -> np.ndarray:
-        means = [sequence.astype(np.float64).mean(axis=0).ravel() for sequence in samples.sequences()]
+        means = [sequence.astype(np.float64).mean(axis=0).ravel() for sequence in samples.sequences]
         return np.stack(means)[:, 3:7]
 
     def embed_texts(self, captions: Sequence[Caption]) -> np.ndarray:
