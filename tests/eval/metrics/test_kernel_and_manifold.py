@@ -1,49 +1,49 @@
-"""KID and PRDC against brute force over all pairs."""
+"""KID against torchmetrics, PRDC against its authors' package; known answers and refusals."""
+
+import io
+from contextlib import redirect_stdout
+from dataclasses import asdict
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from prdc import compute_prdc
+from torchmetrics.image.kid import KernelInceptionDistance
 
 from eval.metrics import gaussian, neighbours
 from eval.metrics.gaussian import kid
 from eval.metrics.neighbours import prdc
+from tests.helpers.given_features import GivenFeatures
 
 
-def kid_by_pairs(x: np.ndarray, y: np.ndarray) -> float:
-    def k(a: np.ndarray, b: np.ndarray) -> float:
-        return float((a @ b / len(a) + 1) ** 3)
-
-    n, m = len(x), len(y)
-    xx = sum(k(x[i], x[j]) for i in range(n) for j in range(n) if i != j) / (n * (n - 1))
-    yy = sum(k(y[i], y[j]) for i in range(m) for j in range(m) if i != j) / (m * (m - 1))
-    xy = sum(k(a, b) for a in x for b in y) / (n * m)
-    return xx + yy - 2 * xy
-
-
-def prdc_by_pairs(x: np.ndarray, y: np.ndarray, k: int) -> tuple[float, float, float, float]:
-    def radius(points: np.ndarray, i: int) -> float:
-        return sorted(float(np.linalg.norm(points[i] - other)) for j, other in enumerate(points) if j != i)[k - 1]
-
-    real_radii = [radius(x, i) for i in range(len(x))]
-    fake_radii = [radius(y, i) for i in range(len(y))]
-    inside = [[np.linalg.norm(a - b) < r for a, r in zip(x, real_radii, strict=True)] for b in y]
-    precision = np.mean([any(row) for row in inside])
-    density = np.mean([sum(row) for row in inside]) / k
-    recall = np.mean([any(np.linalg.norm(a - b) < r for b, r in zip(y, fake_radii, strict=True)) for a in x])
-    coverage = np.mean([min(np.linalg.norm(a - b) for b in y) < r for a, r in zip(x, real_radii, strict=True)])
-    return float(precision), float(recall), float(density), float(coverage)
+def kid_of_torchmetrics(x: np.ndarray, y: np.ndarray) -> float:
+    """One subset of all samples; torchmetrics' subsets have one size on both sides."""
+    with pytest.warns(UserWarning, match="large memory footprint"):
+        metric = KernelInceptionDistance(feature=GivenFeatures(x.shape[1]), subsets=1, subset_size=len(x))
+    metric.set_dtype(torch.float64)
+    metric.update(torch.from_numpy(x), real=True)
+    metric.update(torch.from_numpy(y), real=False)
+    return float(metric.compute()[0])
 
 
 @settings(max_examples=15)
-@given(seed=st.integers(0, 2**32), n=st.integers(7, 15), m=st.integers(7, 15), shift=st.floats(0, 2))
-def test_agree_with_brute_force(seed: int, n: int, m: int, shift: float) -> None:
+@given(seed=st.integers(0, 2**32), n=st.integers(7, 40), m=st.integers(7, 40), shift=st.floats(0, 2))
+def test_prdc_agrees_with_its_authors(seed: int, n: int, m: int, shift: float) -> None:
     rng = np.random.default_rng(seed)
     x, y = rng.normal(size=(n, 3)), rng.normal(size=(m, 3)) + shift
-    assert kid(x, y) == pytest.approx(kid_by_pairs(x, y), rel=1e-9, abs=1e-12)
-    result = prdc(x, y, 3)
-    expected = prdc_by_pairs(x, y, 3)
-    assert (result.precision, result.recall, result.density, result.coverage) == pytest.approx(expected, rel=1e-12)
+    with redirect_stdout(io.StringIO()):
+        expected = compute_prdc(x, y, nearest_k=3)
+    assert asdict(prdc(x, y, 3)) == pytest.approx(expected, rel=1e-12)
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 2**32), n=st.integers(7, 40), shift=st.floats(0, 2))
+def test_kid_agrees_with_torchmetrics(seed: int, n: int, shift: float) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(n, 3)), rng.normal(size=(n, 3)) + shift
+    assert kid(x, y) == pytest.approx(kid_of_torchmetrics(x, y), rel=1e-9, abs=1e-12)
 
 
 def test_blocks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
