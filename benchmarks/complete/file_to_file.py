@@ -42,7 +42,7 @@ COMPLETE = "from motionkit.cli.app import main; main()"
 def write_clip(path: Path, minutes: float) -> None:
     """A BVH file at 30 fps: a minute's motion there and back, over and over."""
     from motionkit.fields.motion_field import to_motion
-    from motionkit.formats.bvh.motion import write_bvh
+    from motionkit.formats.bvh.writing import write_bvh
     from motionkit.synthetic import make_body, perform
 
     field = perform(np.random.default_rng(0), make_body("benchmark"), ["walk", "squat", "jump", "bow"], PIECE_SECONDS)

@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from motionkit.formats.bvh import text
-from motionkit.formats.bvh.motion import read_bvh
+from motionkit.formats.bvh.document import read_bvh
 
 pa.set_cpu_count(1)
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from motionkit.core.errors import FormatError, UsageError
-from motionkit.core.motion import Caption, Motion
+from motionkit.core.motion import Motion
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.completion import Completion
@@ -23,9 +23,11 @@ from motionkit.fields.long_observation import LongObservation
 from motionkit.fields.motion_field import Observation, Observed, Poses
 from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.arrays.npz import write_npz
-from motionkit.formats.bvh.document import BvhDocument, ChannelLines, read_document
+from motionkit.formats.bvh.document import BvhDocument
+from motionkit.formats.bvh.writing import ChannelLines, check_writable
 from motionkit.formats.pose_folders.humanml3d import VECTORS_FOLDER
 from motionkit.formats.scan.items import ReadOptions, SourceItem
+from motionkit.formats.scan.reading import read_document
 from motionkit.formats.writing import WRITERS
 from motionkit.store.named_motions import vectors_npy
 from motionkit.store.named_motions.found import Found, Readers, find_motions
@@ -90,19 +92,13 @@ def _is_made(path: Path, named: Set[Path]) -> bool:
 
 
 def _read(item: SourceItem, options: ReadOptions) -> Clip:
-    if options.fps is None and item.fps is not None:
-        options = replace(options, fps=item.fps)
-    if item.path.suffix.lower() == ".bvh" or item.format == "bvh":
-        clip = clip_of_document(read_document(item.path, options), item.captions)
-        return replace(clip, label=lambda made: _labelled(clip.label(made), item))
+    document = read_document(item, options)
+    if document is not None:
+        return clip_of_document(document)
     read = read_with_holes(item, options)
     if item.path.parent.name == VECTORS_FOLDER:
         return _in_memory(read, ".npy", vectors_npy.write_vectors)
     return _as_it_came(read, item.path.suffix.lower(), f"{item.format} cannot be written")
-
-
-def _labelled(motion: Motion, item: SourceItem) -> Motion:
-    return replace(motion, sequence_id=item.sequence_id, action=item.action, style=item.style, split=item.split)
 
 
 def _as_it_came(read: ReadClip, suffix: str, why_not: str) -> Clip:
@@ -115,8 +111,9 @@ def _as_it_came(read: ReadClip, suffix: str, why_not: str) -> Clip:
     return _in_memory(read, other, WRITERS[other], f"{why_not}: its result is a {other[1:]} file")
 
 
-def clip_of_document(document: BvhDocument, captions: tuple[Caption, ...] = ()) -> Clip:
-    """A BVH file as a clip: its frames are read when they are asked for."""
+def clip_of_document(document: BvhDocument) -> Clip:
+    """A BVH file as a clip: its frames are read when they are asked for. Raises `FormatError` as `check_writable`."""
+    check_writable(document)
 
     def observe(observed: Bool[np.ndarray, "frames"]) -> Observed:
         frames = np.flatnonzero(observed)
@@ -125,7 +122,15 @@ def clip_of_document(document: BvhDocument, captions: tuple[Caption, ...] = ()) 
         )
 
     def label(made: Motion) -> Motion:
-        return replace(made, sequence_id=document.path.stem, captions=captions, provenance=document.provenance)
+        return replace(
+            made,
+            sequence_id=document.sequence_id,
+            captions=document.captions,
+            action=document.action,
+            style=document.style,
+            split=document.split,
+            provenance=document.provenance,
+        )
 
     return Clip(
         document.timegrid,

@@ -12,7 +12,7 @@ from motionkit.export.files import write_files
 from motionkit.export.selection import Outcome, Selection, flat_names, nested_names
 from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.arrays.npz import write_npz
-from motionkit.formats.bvh.motion import write_bvh
+from motionkit.formats.bvh.writing import write_bvh
 from motionkit.formats.gltf import write_gltf
 from motionkit.formats.joints_csv import write_joints_csv
 

@@ -8,8 +8,9 @@ from motionkit.core.motion import Motion
 from motionkit.formats import deepmimic, humanact12, joints_csv, parquet
 from motionkit.formats.acclaim import asfamc
 from motionkit.formats.arrays import joints_npy, npy, npz
+from motionkit.formats.bvh import document as bvh
 from motionkit.formats.bvh import lafan1, style100
-from motionkit.formats.bvh import motion as bvh
+from motionkit.formats.bvh.document import BvhDocument
 from motionkit.formats.c3d import motion as c3d
 from motionkit.formats.pose_folders import humanml3d, kit
 from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem
@@ -24,7 +25,8 @@ class Format:
     known by a word that it `begins` with, comments aside. A folder format has `claims`,
     which says whether a folder is one, and `find`, which lists its sequences; a claimed folder is not searched further.
     `beside` lists the files of a folder, there or not, that belong to its sequences without being one: what is read
-    with them, and what a data set is known to put there.
+    with them, and what a data set is known to put there. A text file that can be written again with its own lines has
+    `document`, which reads the same skeleton, frames and clock as `read`, but frames where they are needed.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Format:
     claims: Callable[[Path], bool] | None = None
     find: Callable[[Path, Path], ScanResult] | None = None
     beside: Callable[[Path], Iterable[Path]] = lambda folder: ()
+    document: Callable[[Path, ReadOptions], BvhDocument] | None = None
     writes: bool = False
 
 
@@ -55,6 +58,7 @@ FORMATS: Mapping[str, Format] = {
             framerate="Frame Time",
             rotations=True,
             read=_of_path(lafan1.read_lafan1),
+            document=lafan1.read_lafan1_document,
             suffixes=(".bvh",),
             accepts=lafan1.accepts,
         ),
@@ -64,6 +68,7 @@ FORMATS: Mapping[str, Format] = {
             framerate="Frame Time",
             rotations=True,
             read=_of_path(style100.read_100style),
+            document=style100.read_100style_document,
             suffixes=(".bvh",),
             accepts=style100.accepts,
             beside=style100.tables_of_cuts,
@@ -74,6 +79,7 @@ FORMATS: Mapping[str, Format] = {
             framerate="Frame Time",
             rotations=True,
             read=_of_path(bvh.read_bvh),
+            document=bvh.read_document,
             suffixes=(".bvh",),
             begins=b"HIERARCHY",
             writes=True,

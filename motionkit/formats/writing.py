@@ -10,7 +10,7 @@ from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.arrays.npz import write_npz
-from motionkit.formats.bvh.motion import write_bvh
+from motionkit.formats.bvh.writing import write_bvh
 from motionkit.formats.gltf import write_gltf
 from motionkit.formats.joints_csv import write_joints_csv
 

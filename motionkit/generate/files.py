@@ -13,7 +13,7 @@ from motionkit.core.files import whole_file
 from motionkit.export.pose_folder import HUMANML3D_KIND, pose_entry, write_folder_manifest
 from motionkit.export.selection import Outcome
 from motionkit.formats.arrays import joints_npy, npz
-from motionkit.formats.bvh.motion import write_bvh
+from motionkit.formats.bvh.writing import write_bvh
 from motionkit.formats.gltf import write_gltf
 from motionkit.formats.pose_folders.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER, FolderWriter
 from motionkit.generate.samples import GeneratedSample

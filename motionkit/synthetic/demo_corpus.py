@@ -15,7 +15,7 @@ import numpy as np
 
 from motionkit.features import humanml3d
 from motionkit.fields.motion_field import to_motion
-from motionkit.formats.bvh.motion import write_bvh
+from motionkit.formats.bvh.writing import write_bvh
 from motionkit.formats.pose_folders.humanml3d import HUMANML3D, Entry, write_humanml3d
 from motionkit.synthetic import ACTIONS, Body, SyntheticMotion, draw_body, perform
 from motionkit.synthetic.curves import band_noise

@@ -13,14 +13,11 @@ from motionkit.core.plain_text import printable
 from motionkit.core.timegrid import format_fps
 from motionkit.export.player.page import check_places, write_page
 from motionkit.export.player.takes import Take, take_of
-from motionkit.formats.bvh.document import read_document
 from motionkit.formats.scan.items import ReadOptions, SourceItem
+from motionkit.formats.scan.reading import read_document
 from motionkit.store.named_motions.found import Found, Readers, find_motions, find_stored
-from motionkit.store.named_motions.holes import NAN, ReadClip, read_with_holes
+from motionkit.store.named_motions.holes import ReadClip, read_with_holes
 from motionkit.store.named_motions.vectors_npy import read_vectors
-
-# Of .bvh files: frames that a tracker lost, and a skeleton that is no human body.
-READABLE_ALL_THE_SAME = frozenset({NAN, "unit"})
 
 ViewSource = Found[ReadClip]
 
@@ -37,13 +34,9 @@ def stored_where(store: Path, where: str) -> list[ViewSource]:
 
 
 def _read(item: SourceItem, options: ReadOptions) -> ReadClip:
-    try:
-        return read_with_holes(item, options)
-    except FormatError as error:
-        if error.reason not in READABLE_ALL_THE_SAME or item.path.suffix.lower() != ".bvh":
-            raise
-    document = read_document(item.path, options)
-    return ReadClip(replace(document.motion(), captions=item.captions), document.seen)
+    # As `complete` has it: frames that a tracker lost and skeletons that are no human body are shown too.
+    document = read_document(item, options)
+    return ReadClip(document.motion(), document.seen) if document is not None else read_with_holes(item, options)
 
 
 SUFFIX = ".view.html"

@@ -8,14 +8,14 @@ from motionkit.formats.bvh.document import BvhDocument
 
 def lines_of(document: BvhDocument) -> list[bytes]:
     """All frames as written."""
-    return [document.frames.line(frame) for frame in range(len(document.frames))]
+    return [document.lines.line(frame) for frame in range(len(document.lines))]
 
 
 def table_of(document: BvhDocument) -> np.ndarray:
     """All numbers, one row a frame."""
-    return document.frames.table(np.arange(len(document.frames)))
+    return document.lines.table(np.arange(len(document.lines)))
 
 
 def poses_of(document: BvhDocument) -> Poses:
     """All poses."""
-    return document.poses(np.arange(len(document.frames)))
+    return document.poses(np.arange(len(document.lines)))

@@ -25,8 +25,8 @@ from motionkit.fields.motion_field import Observation, to_motion
 from motionkit.formats.arrays.joints_npy import read_joints_npy
 from motionkit.formats.arrays.npz import motion_arrays, read_npz, write_npz
 from motionkit.formats.bvh import frame_lines
-from motionkit.formats.bvh.document import read_document
-from motionkit.formats.bvh.motion import read_bvh, write_bvh
+from motionkit.formats.bvh.document import read_bvh, read_document
+from motionkit.formats.bvh.writing import write_bvh
 from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform

@@ -19,7 +19,7 @@ from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.export.catalogue import EXPORTS
-from motionkit.formats.bvh.motion import write_bvh
+from motionkit.formats.bvh.writing import write_bvh
 from motionkit.store import Store, StoreWriter
 
 

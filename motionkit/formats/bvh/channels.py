@@ -1,6 +1,6 @@
 """From a BVH file's channel table to local rotations, a root path and bones, still in file units; Euler angles."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -11,6 +11,10 @@ from motionkit.core import kinematics
 from motionkit.core.kinematics import euler_to_quaternion, quaternion_conjugate, quaternion_multiply
 from motionkit.core.skeleton import Skeleton
 from motionkit.formats.bvh.text import BvhHierarchy
+
+PART_FRAMES = 4096
+# So much of all frames at once is enough to find where joints rest.
+MEDIAN_BYTES = 16 << 20
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,18 @@ class ChannelPose:
     placed_joints: tuple[int, ...]
     places: Float64[np.ndarray, "frames placed 3"]
     operations: tuple[str, ...] = ()
+
+    def parts(self) -> Iterator["ChannelPose"]:
+        """The same, some thousand frames at a time."""
+        for start in range(0, len(self.root), PART_FRAMES):
+            part = slice(start, start + PART_FRAMES)
+            yield replace(self, rotations=self.rotations[part], root=self.root[part], places=self.places[part])
+
+    def places_of(self, joints: tuple[int, ...]) -> Float64[np.ndarray, "frames joints 3"]:
+        """The offsets of some of the placed joints."""
+        if joints == self.placed_joints:
+            return self.places
+        return self.places[:, [self.placed_joints.index(joint) for joint in joints]]
 
 
 def read_channels(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy, name: str) -> ChannelPose:
@@ -138,29 +154,34 @@ def first_skeleton(pose: ChannelPose) -> Skeleton:
     return replace(pose.skeleton, offsets=offsets)
 
 
-def settle_offsets(pose: ChannelPose, tolerance: float) -> ChannelPose:
-    """Where position channels stay within `tolerance` file units, make them plain offsets; keep the rest moving.
+def settle_offsets(
+    pose: ChannelPose, pieces: Callable[[], Iterator[ChannelPose]], tolerance: float
+) -> tuple[Skeleton, tuple[int, ...]]:
+    """The bones of all frames, still in file units, and the joints whose place no bone holds.
 
-    A constant that agrees with the file's OFFSET leaves the OFFSET as it is, so that takes share their skeleton.
+    Where position channels stay within `tolerance` file units, they are a plain offset. A constant that agrees with the
+    file's OFFSET leaves the OFFSET as it is, so that takes share their skeleton. `pieces` gives all frames as often as
+    it is called.
     """
     if not pose.placed_joints:
-        return pose
-    joints = np.array(pose.placed_joints)
-    offsets = pose.skeleton.offsets.copy()
-    lowest, highest = pose.places.min(axis=0), pose.places.max(axis=0)
+        return pose.skeleton, ()
+    joints, offsets = np.array(pose.placed_joints), pose.skeleton.offsets.copy()
+    ranges = [(piece.places.min(axis=0), piece.places.max(axis=0), len(piece.root)) for piece in pieces()]
+    lowest = np.min([low for low, _, _ in ranges], axis=0)
+    highest = np.max([high for _, high, _ in ranges], axis=0)
     astray = np.flatnonzero(np.maximum(offsets[joints] - lowest, highest - offsets[joints]).max(axis=1) > tolerance)
     if not astray.size:
-        return replace(pose, placed_joints=(), places=pose.places[:, :0])
-    # One joint after the other: of a long take copies of all would be as large as all else.
-    middle = np.stack([np.median(pose.places[:, joint], axis=0) for joint in astray.tolist()])
+        return pose.skeleton, ()
+    at_once = max(1, MEDIAN_BYTES // (24 * sum(length for _, _, length in ranges)))
+    middle = np.concatenate(
+        [
+            np.median(np.concatenate([piece.places[:, some] for piece in pieces()]), axis=0, overwrite_input=True)
+            for some in np.split(astray, range(at_once, len(astray), at_once))
+        ]
+    )
     offsets[joints[astray]] = middle
     moving = astray[np.maximum(middle - lowest[astray], highest[astray] - middle).max(axis=1, initial=0.0) > tolerance]
-    return replace(
-        pose,
-        skeleton=replace(pose.skeleton, offsets=offsets),
-        placed_joints=tuple(joints[moving].tolist()),
-        places=pose.places if len(moving) == len(joints) else pose.places[:, moving],
-    )
+    return replace(pose.skeleton, offsets=offsets), tuple(joints[moving].tolist())
 
 
 def unique_names(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -177,17 +198,22 @@ def unique_names(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(unique), (f"repeated joint names made unique: {', '.join(changed)}",) if changed else ()
 
 
+def joints_by_order(hierarchy: BvhHierarchy) -> dict[str, list[int]]:
+    """The joints that turn, by the order of their axes."""
+    orders: dict[str, list[int]] = {}
+    for index, joint in enumerate(hierarchy.joints):
+        if joint.order:
+            orders.setdefault(joint.order, []).append(index)
+    return orders
+
+
 def _rotations(
     table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy
 ) -> Float32[np.ndarray, "frames joints 4"]:
     # Component-major in memory, as forward kinematics wants it. Joints with one order of axes are done together.
     components = np.zeros((4, len(hierarchy.joints), len(table)), np.float32)
     components[0] = 1.0
-    orders: dict[str, list[int]] = {}
-    for index, joint in enumerate(hierarchy.joints):
-        if joint.order:
-            orders.setdefault(joint.order, []).append(index)
-    for order, members in orders.items():
+    for order, members in joints_by_order(hierarchy).items():
         columns = [hierarchy.joints[index].rotation_columns[axis] for axis in range(len(order)) for index in members]
         degrees = np.ascontiguousarray(table.take(columns, axis=1).T)
         angles = np.radians(degrees).astype(np.float32).reshape(len(order), len(members), len(table))

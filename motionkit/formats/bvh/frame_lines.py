@@ -1,6 +1,8 @@
-"""The lines of numbers of a BVH file: all found and checked once, then read again where they are needed.
+"""The lines of numbers of a BVH file, whose text is never in memory as a whole.
 
-Memory holds eight bytes a frame, the place of its line, and the few blocks of lines that were asked for last.
+`read_tables` reads their numbers once, in order. `find_frame_lines` finds and checks all of them, to be read again
+where they are needed: memory holds eight bytes a frame, the place of its line, and the few blocks of lines that were
+asked for last.
 """
 
 import re
@@ -18,8 +20,9 @@ from motionkit.core.errors import FormatError
 from motionkit.formats.bvh.text import BvhText
 from motionkit.formats.source import number_table
 from motionkit.formats.source.number_table import TablePart
-from motionkit.formats.source.source_file import FileParts
+from motionkit.formats.source.source_file import FileParts, check_size
 
+TABLE_FRAMES = 4096
 FRAMES_AT_ONCE = 512
 BLOCKS_KEPT = 6
 _NAN = re.compile(rb"(?i)(?<![^\s])[-+]?nan(?![^\s])")
@@ -40,9 +43,9 @@ class FrameLines:
     def __len__(self) -> int:
         return len(self.seen)
 
-    def without_first(self) -> "FrameLines":
-        """All frames but the first."""
-        return replace(self, starts=self.starts[1:], seen=self.seen[1:])
+    def frames(self, start: int, stop: int) -> "FrameLines":
+        """Frames [start, stop)."""
+        return replace(self, starts=self.starts[start : stop + 1], seen=self.seen[start:stop])
 
     def line(self, frame: int) -> bytes:
         """The line of a frame as written, without the white space around it."""
@@ -95,6 +98,37 @@ class FrameLines:
 class _Block:
     lines: tuple[bytes, ...]
     table: Float64[np.ndarray, "rows channels"]
+
+
+def read_tables(file: FileParts, head: BvhText) -> Iterator[Float64[np.ndarray, "some channels"]]:
+    """All frames' numbers (file units, degrees) in order, in tables of at least 4,096 frames but for the last.
+
+    Nothing is yielded of a file too small for the frames that it declares. Raises `FormatError`: `too-large` before the
+    first table, for frames that are missing after the last, and else as `number_table.parse_table` does.
+    """
+    path, columns = file.path, head.hierarchy.num_channels
+    end, line, found = file.end_of_text(), head.body_line, 0
+    # A number takes at least a digit and a separator.
+    believed = 2 * head.num_frames * columns - 1 <= end - head.body_start
+    if believed:
+        check_size(head.num_frames, len(head.hierarchy.joints), path)
+    waiting: list[Float64[np.ndarray, "some channels"]] = []
+    num_waiting = 0
+    for place, block in file.line_blocks(head.body_start, end, number_table.BLOCK_BYTES):
+        part = TablePart(line, found, head.num_frames, is_end=place + len(block) == end)
+        table = number_table.find_rows(block, columns, path, part).table
+        found += len(table)
+        line += block.count(b"\n")
+        if believed:
+            waiting.append(table)
+            num_waiting += len(table)
+        if num_waiting >= TABLE_FRAMES:
+            yield np.concatenate(waiting)
+            waiting, num_waiting = [], 0
+    if found < head.num_frames:
+        raise number_table.too_few_rows(found, head.num_frames, path, line)
+    if waiting:
+        yield np.concatenate(waiting)
 
 
 def find_frame_lines(file: FileParts, head: BvhText) -> FrameLines:

@@ -8,13 +8,14 @@ https://github.com/orangeduck/lafan1-resolved, which is read alike.
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
-from motionkit.formats.bvh import motion as bvh
+from motionkit.formats.bvh.document import BvhDocument, read_bvh, read_document
 from motionkit.formats.scan.items import ReadOptions
 
 THEMES = (
@@ -28,6 +29,8 @@ TEST_SUBJECTS = ("subject5",)
 TRAIN_WINDOW_FRAMES, TRAIN_STEP_FRAMES = 50, 20
 TEST_WINDOW_FRAMES, TEST_STEP_FRAMES = 65, 40
 NUM_PAST_FRAMES = 10
+
+Read = TypeVar("Read", Motion, BvhDocument)
 
 
 @dataclass(frozen=True)
@@ -52,19 +55,27 @@ def read_lafan1(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one take with its theme as the action, its subject, and the benchmark's split: subject 5 is the test set.
 
     The root's OFFSET, which is where a take starts, is set to zero, so that takes of one subject share their skeleton;
-    position channels replace it anyway. Raises `FormatError` as `bvh.read_bvh` does.
+    position channels replace it anyway. Raises `FormatError` as `read_bvh` does.
     """
-    motion = bvh.read_bvh(path, options)
-    offsets = motion.skeleton.offsets.copy()
+    return _labelled(read_bvh(path, options), path)
+
+
+def read_lafan1_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
+    """The same, its frames where they are needed; raises `FormatError` as `read_document` does."""
+    return _labelled(read_document(path, options), path)
+
+
+def _labelled(take: Read, path: Path) -> Read:
+    offsets = take.skeleton.offsets.copy()
     offsets[0] = 0.0
     name = NAME.fullmatch(path.stem)
     subject = name["subject"].lower() if name else ""
     return replace(
-        motion,
-        skeleton=replace(motion.skeleton, name="lafan1", offsets=offsets),
+        take,
+        skeleton=replace(take.skeleton, name="lafan1", offsets=offsets),
         action=name["theme"] if name else "",
         split=_split(subject),
-        provenance=replace(motion.provenance, source_format="lafan1", subject=subject),
+        provenance=replace(take.provenance, source_format="lafan1", subject=subject),
     )
 
 

@@ -12,12 +12,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TypeVar
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import shown
 from motionkit.core.timegrid import TimeGrid
-from motionkit.formats.bvh import motion as bvh
+from motionkit.formats.bvh.document import T_POSE_DROPPED, BvhDocument, read_bvh, read_document
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import source_file
 
@@ -38,6 +39,7 @@ ACTIONS = {
 NAME = re.compile(rf"(?P<style>[A-Za-z0-9]+)_(?P<kind>{'|'.join(ACTIONS)})", re.IGNORECASE)
 ABSENT = ("", "n/a", "nan", "none")
 
+Read = TypeVar("Read", Motion, BvhDocument)
 Cuts = Mapping[tuple[str, str], tuple[int, int]]
 
 
@@ -59,10 +61,18 @@ def tables_of_cuts(folder: Path) -> tuple[Path, ...]:
 def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read frames START up to, not including, STOP of one take, counted from 0, with its style and movement.
 
-    Times count from the first frame kept. Raises `FormatError` as `bvh.read_bvh` does, and with the reason
-    `frame-cuts` where the table has no cut for the take or one that does not lie in it.
+    Times count from the first frame kept. Raises `FormatError` as `read_bvh` does, and with the reason `frame-cuts`
+    where the table has no cut for the take or one that does not lie in it.
     """
-    motion = bvh.read_bvh(path, options)
+    return _kept(read_bvh(path, options), path)
+
+
+def read_100style_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
+    """The same, its frames where they are needed; raises `FormatError` as `read_document` does."""
+    return _kept(read_document(path, options), path)
+
+
+def _kept(take: Read, path: Path) -> Read:
     name, table = NAME.fullmatch(path.stem), find_cuts(path)
     if name is None or table is None:
         raise FormatError(
@@ -70,8 +80,8 @@ def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:
             path=path,
             reason="frame-cuts",
         )
-    dropped = int(bvh.T_POSE_DROPPED in motion.provenance.operations)
-    total = motion.num_frames + dropped
+    dropped = int(T_POSE_DROPPED in take.provenance.operations)
+    total = take.num_frames + dropped
     start, stop = _cut(table, name["style"], name["kind"].upper(), path)
     if not dropped <= start < stop <= total:
         raise FormatError(
@@ -79,17 +89,17 @@ def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:
             path=path,
             reason="frame-cuts",
         )
-    kept = motion.frames(start - dropped, stop - dropped)
+    kept = take.frames(start - dropped, stop - dropped)
     operation = f"frames [{start}, {stop}) of {total} kept, as {table.name} says"
     return replace(
         kept,
-        timegrid=TimeGrid(motion.fps, kept.num_frames),
+        timegrid=TimeGrid(take.fps, kept.num_frames),
         action=ACTIONS[name["kind"].upper()],
         style=name["style"],
         provenance=replace(
-            motion.provenance,
+            take.provenance,
             source_format="100style",
-            operations=(*motion.provenance.operations, operation),
+            operations=(*take.provenance.operations, operation),
         ),
     )
 

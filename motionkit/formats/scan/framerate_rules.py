@@ -5,7 +5,7 @@ one, and where that is known from. The user's rules come first and the first tha
 (--fps, or the column fps of an annotation CSV) goes before all rules. The shipped ones are framerate_rules.toml.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from importlib import resources
@@ -14,7 +14,6 @@ from typing import Any
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import read_at_most
-from motionkit.core.motion import Motion
 from motionkit.core.plain_text import LONGEST_TOML, parse_toml, shown
 from motionkit.core.timegrid import parse_fps
 from motionkit.formats.scan.globs import parse_glob
@@ -71,14 +70,13 @@ def matching_rules(path: Path, root: Path, rules: tuple[FramerateRule, ...]) -> 
     return tuple(rule for rule in rules if any(parse_glob(glob).fits(place) for glob in rule.files))
 
 
-def corrected(motion: Motion, rules: tuple[FramerateRule, ...]) -> Motion:
-    """The motion on the clock of the first rule that its framerate fits, and a log line that names the rule."""
-    rule = next((rule for rule in rules if rule.stated in (None, motion.fps)), None)
-    if rule is None or rule.fps == motion.fps:
-        return motion
+def corrected_fps(fps: Fraction, rules: tuple[FramerateRule, ...]) -> tuple[Fraction, list[str]]:
+    """The framerate by the first rule that a file's own fits, and a log line that names the rule where it changes."""
+    rule = next((rule for rule in rules if rule.stated in (None, fps)), None)
+    if rule is None:
+        return fps, []
     by = f" by rule ({rule.where}{f', {rule.source}' if rule.source else ''})"
-    (line,) = clock.replaced_fps(rule.fps, motion.fps, by=by)
-    return replace(motion, timegrid=replace(motion.timegrid, fps=rule.fps)).logged(line)
+    return rule.fps, clock.replaced_fps(rule.fps, fps, by=by)
 
 
 def _rule(table: Any, name: str, number: int) -> FramerateRule:

@@ -1,67 +1,98 @@
 """Reading one sequence that a scan found: its file, its framerate corrected, its stretch, its mirror image."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TypeVar
 
 from motionkit.core.errors import FormatError
 from motionkit.core.mirror import mirror
 from motionkit.core.motion import Motion
 from motionkit.core.skeletons.families import with_layout_map
+from motionkit.formats.bvh.document import BvhDocument
 from motionkit.formats.catalogue import FORMATS
 from motionkit.formats.scan import cuts, framerate_rules
 from motionkit.formats.scan.items import ReadOptions, SourceItem
-from motionkit.formats.source.sizes import check_size
+from motionkit.formats.source.source_file import check_size
 
 # Reasons for which a file is refused where only its framerate is missing or unusable.
 NO_FRAMERATE = frozenset({"no-framerate", "framerate", "frame-time"})
 
 
+Read = TypeVar("Read", Motion, BvhDocument)
+
+
 def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
     """Read one sequence with its annotations; raises `FormatError`, `too-large` for more than a store takes."""
-    options = options or ReadOptions()
-    if options.fps is None and item.fps is not None:
-        options = replace(options, fps=item.fps)
+    options = _with_clock(item, options)
     if item.cut is None and not item.mirrored:
         motion = _read_file(item, options)
         motion = replace(motion, captions=item.captions or motion.captions)
     else:
         motion = _read_stretch(item, options)
     check_size(motion.num_frames, motion.skeleton.num_joints, item.path)
+    return _annotated(motion, item, options)
+
+
+def read_document(item: SourceItem, options: ReadOptions | None = None) -> BvhDocument | None:
+    """The document of a whole file with its annotations, None where its format has none.
+
+    Its skeleton, frames and clock are those that `read` finds. Raises `FormatError`.
+    """
+    options, document = _with_clock(item, options), FORMATS[item.format].document
+    if document is None:
+        return None
+    found = _on_clock(item, options, lambda wanted: document(item.path, wanted))
+    return _annotated(replace(found, captions=item.captions), item, options)
+
+
+def _with_clock(item: SourceItem, options: ReadOptions | None) -> ReadOptions:
+    options = options or ReadOptions()
+    return replace(options, fps=item.fps) if options.fps is None else options
+
+
+def _annotated(made: Read, item: SourceItem, options: ReadOptions) -> Read:
     provenance = replace(
-        motion.provenance,
+        made.provenance,
         source=item.source,
         subset=item.subset,
         source_path=item.path.relative_to(item.root).as_posix(),
-        licence=item.licence or motion.provenance.licence,
-        subject=item.subject or motion.provenance.subject,
-        stated_fps=item.stated_fps or motion.provenance.stated_fps,
+        licence=item.licence or made.provenance.licence,
+        subject=item.subject or made.provenance.subject,
+        stated_fps=item.stated_fps or made.provenance.stated_fps,
     )
     return replace(
-        motion,
-        skeleton=with_layout_map(motion.skeleton, options.skeleton_maps),
+        made,
+        skeleton=with_layout_map(made.skeleton, options.skeleton_maps),
         sequence_id=item.sequence_id,
-        action=item.action or motion.action,
-        style=item.style or motion.style,
-        split=item.split or motion.split,
+        action=item.action or made.action,
+        style=item.style or made.style,
+        split=item.split or made.split,
         provenance=provenance,
     )
 
 
 def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
+    return _on_clock(item, options, lambda wanted: FORMATS[item.format].read(item, wanted))
+
+
+def _on_clock(item: SourceItem, options: ReadOptions, read: Callable[[ReadOptions], Read]) -> Read:
     # All of a file, its framerate corrected by a rule unless the user has given one.
     if options.fps is not None:
-        return FORMATS[item.format].read(item, options)
+        return read(options)
     rules = framerate_rules.matching_rules(item.path, item.root, (*options.fps_rules, *framerate_rules.shipped_rules()))
     try:
-        motion = FORMATS[item.format].read(item, options)
+        made = read(options)
     except FormatError as problem:
         rule = next((rule for rule in rules if rule.stated is None), None)
         if rule is None or problem.reason not in NO_FRAMERATE:
             raise
-        motion = FORMATS[item.format].read(item, replace(options, fps=rule.fps))
-        return motion.logged(f"framerate by rule ({rule.where})")
-    return framerate_rules.corrected(motion, rules)
+        return read(replace(options, fps=rule.fps)).logged(f"framerate by rule ({rule.where})")
+    fps, lines = framerate_rules.corrected_fps(made.fps, rules)
+    for line in lines:
+        made = replace(made, timegrid=replace(made.timegrid, fps=fps)).logged(line)
+    return made
 
 
 def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
@@ -53,11 +53,6 @@ def infer_unit(skeleton: Skeleton) -> Unit | None:
     if _factor(size * metres, typical) > PLAUSIBLE_FACTOR:
         return None
     return Unit(metres, f"inferred: in {name} {what} is {size * metres:.2f} m")
-
-
-def is_z_up(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> bool:
-    """Whether both the rest skeleton and the poses, on average, stand along +z rather than along +y."""
-    return rests_along_z(skeleton) and stands_along_z(skeleton, joint_positions.mean(axis=0))
 
 
 def rests_along_z(skeleton: Skeleton) -> bool:
@@ -138,6 +133,11 @@ def skeleton_to_y_up(skeleton: Skeleton) -> Skeleton:
 def turn_to_y_up(vectors: Float32[np.ndarray, "*shape 3"]) -> Float32[np.ndarray, "*shape 3"]:
     """Vectors from z up to y up, left staying left: (x, y, z) → (x, z, −y)."""
     return vectors[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0], np.float32)
+
+
+def y_up_to_z_up(vectors: Float64[np.ndarray, "*shape 3"]) -> Float64[np.ndarray, "*shape 3"]:
+    """The inverse of `turn_to_y_up`: (x, y, z) → (x, −z, y)."""
+    return np.asarray(vectors[..., [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
 
 
 def _factor(size: float, typical: float) -> float:

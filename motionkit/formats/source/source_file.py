@@ -15,6 +15,9 @@ MAX_BYTES = 4 << 30
 HEADER_BYTES = 1 << 20
 BLANK = b" \t\r\n\0"
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+# 9.7 hours at 120 fps; and frames × joints, of each of which reading takes at most 60 bytes: 4 GB.
+MAX_FRAMES = 1 << 22
+MAX_POSES = 1 << 26
 
 
 def read_bytes(path: Path) -> bytes:
@@ -40,6 +43,18 @@ def check_file(path: Path) -> os.stat_result:
     if not stat.S_ISREG(status.st_mode):
         raise FormatError("a folder, a pipe or a device, expected a file", path=path, reason="unreadable")
     return status
+
+
+def check_size(num_frames: int, num_joints: int, path: Path) -> None:
+    """Raise `FormatError` (`too-large`) beyond 4,194,304 frames, and beyond 67,108,864 frames × joints."""
+    most = min(MAX_FRAMES, MAX_POSES // max(1, num_joints))
+    if num_frames > most:
+        raise FormatError(
+            f"{num_frames:,} frames of {num_joints} joints, expected at most {most:,} frames of so many joints; cut it "
+            "into several files (docs/formats.md, Long takes)",
+            path=path,
+            reason="too-large",
+        )
 
 
 def unreadable(path: Path, error: OSError) -> FormatError:

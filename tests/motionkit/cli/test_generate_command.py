@@ -20,7 +20,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.features.humanml3d import positions
 from motionkit.fields.motion_field import Poses, check_times
 from motionkit.formats.arrays.npz import read_npz
-from motionkit.formats.bvh.motion import read_bvh
+from motionkit.formats.bvh.document import read_bvh
 from motionkit.generate import models
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.samples import motion_name

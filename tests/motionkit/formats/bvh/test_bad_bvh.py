@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError
-from motionkit.formats.bvh.motion import read_bvh
+from motionkit.formats.bvh.document import read_bvh
 from motionkit.formats.scan.items import ReadOptions
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text
 

@@ -9,7 +9,8 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.formats.bvh.motion import read_bvh, write_bvh
+from motionkit.formats.bvh.document import read_bvh
+from motionkit.formats.bvh.writing import write_bvh
 from tests.helpers.format_samples import bvh_text
 
 

@@ -18,8 +18,7 @@ from motionkit.fields.completion import begin_observed
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.transfer import Transferred
-from motionkit.formats.bvh.document import BvhDocument, read_document
-from motionkit.formats.bvh.motion import read_bvh
+from motionkit.formats.bvh.document import BvhDocument, read_bvh, read_document
 from tests.helpers.damage import damaged
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 from tests.helpers.repository import REPOSITORY

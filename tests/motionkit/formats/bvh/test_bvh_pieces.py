@@ -11,7 +11,7 @@ import pytest
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.formats.bvh.motion import read_bvh
+from motionkit.formats.bvh.document import read_bvh
 from motionkit.formats.scan.reading import read
 from motionkit.formats.scan.scanner import scan
 from tests.helpers.every_format import bodies
@@ -24,8 +24,8 @@ ROOT = REPOSITORY
 
 def in_pieces(patched: pytest.MonkeyPatch, frames: int, num_bytes: int) -> None:
     """No file is held, and short ones have many pieces."""
-    patched.setattr("motionkit.formats.bvh.motion.HELD_BYTES", 0)
-    patched.setattr("motionkit.formats.bvh.tables.FRAMES_AT_ONCE", frames)
+    patched.setattr("motionkit.formats.bvh.document.HELD_BYTES", 0)
+    patched.setattr("motionkit.formats.bvh.frame_lines.TABLE_FRAMES", frames)
     patched.setattr("motionkit.formats.source.number_table.BLOCK_BYTES", num_bytes)
     patched.setattr("motionkit.formats.source.source_file.PART_BYTES", num_bytes)
     patched.setattr("motionkit.formats.bvh.text.PART_BYTES", num_bytes)
@@ -149,12 +149,12 @@ def test_a_longer_take_than_a_store_takes_is_refused_before_it_is_read(
     path.write_text(bvh_text(rows(50).tolist())[:-1] + "x\n")
     for name, limit in (("MAX_FRAMES", 49), ("MAX_POSES", 49 * 16)):
         with monkeypatch.context() as patched:
-            patched.setattr(f"motionkit.formats.source.sizes.{name}", limit)
+            patched.setattr(f"motionkit.formats.source.source_file.{name}", limit)
             with pytest.raises(FormatError, match="50 frames of 16 joints, expected at most 49 frames") as caught:
                 read_bvh(path)
         assert caught.value.reason == "too-large"
     np.savez(tmp_path / "take.npz", joint_positions=bodies(8, 22), fps=30)
-    monkeypatch.setattr("motionkit.formats.source.sizes.MAX_FRAMES", 7)
+    monkeypatch.setattr("motionkit.formats.source.source_file.MAX_FRAMES", 7)
     (item,) = scan([tmp_path / "take.npz"]).items
     with pytest.raises(FormatError, match="8 frames of 22 joints") as caught:
         read(item)

@@ -9,7 +9,7 @@ import pytest
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import joint_map, map_joints
-from motionkit.formats.bvh.motion import T_POSE_DROPPED, read_bvh
+from motionkit.formats.bvh.document import T_POSE_DROPPED, read_bvh
 from motionkit.formats.scan.items import ReadOptions
 from tests.motionkit.core.skeletons.test_skeleton_mapping import check_body
 

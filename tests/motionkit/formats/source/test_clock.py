@@ -8,7 +8,7 @@ import pytest
 
 from motionkit.core.errors import FormatError
 from motionkit.formats.arrays.npz import read_npz
-from motionkit.formats.bvh.motion import read_bvh
+from motionkit.formats.bvh.document import read_bvh
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source.clock import fps_in_use, replaced_fps
 
