@@ -131,7 +131,9 @@ class Drill:
         with nullcontext() if disk is None else disk.suffering(fault):
             hit = self.run(scenario, place, fault)
             found = self.look(scenario, place)
-            problem = ending_fault(hit, fault, expected) or state_fault(scenario, expected, place, found)
+            problem = ending_fault(hit, expected, endings(scenario, fault)) or state_fault(
+                scenario, expected, place, found
+            )
         return problem or self.repetition_fault(scenario, expected, place, found)
 
     def run(self, scenario: Scenario, place: Path, fault: Fault = UNDISTURBED, *, repeating: bool = False) -> Outcome:
@@ -180,7 +182,13 @@ def refuses(outcome: Outcome, scenario: Scenario) -> bool:
     return bool(scenario.refusal) and outcome.code in (1, 2) and bool(re.search(scenario.refusal, outcome.err))
 
 
-def ending_fault(hit: Outcome, fault: Fault, expected: Expected) -> str:
+def endings(scenario: Scenario, fault: Fault) -> tuple[int, ...]:
+    """Exit codes that a fault may end a command with; SIGTERM kills a program that merely calls a function."""
+    called = fault.kind == "terminate" and scenario.command[0].startswith(CALL)
+    return (*CODES[fault.kind], -signal.SIGTERM) if called else CODES[fault.kind]
+
+
+def ending_fault(hit: Outcome, expected: Expected, codes: tuple[int, ...]) -> str:
     """What is wrong with how a disturbed command ended."""
     if hit.code is None:
         return f"it hung: after {hit.seconds:.0f} s it was still running"
@@ -188,7 +196,7 @@ def ending_fault(hit: Outcome, fault: Fault, expected: Expected) -> str:
         return f"{hit.left} of its processes were still there ten seconds later"
     if shows_traceback(hit):
         return f"a traceback: {hit.last_line}"
-    if hit.code not in CODES[fault.kind]:
+    if hit.code not in codes:
         return f"it ended with exit code {hit.code}: {hit.last_line}"
     if hit.code == 1 and not (hit.last_line.startswith("motionkit: ") and names_a_file(hit.last_line, expected)):
         return f"it failed without saying what with: {hit.last_line}"
