@@ -9,8 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.clip_fid.feature_set import FeatureSet
-from eval.clip_fid.score import Protocol, score_disjoint_halves, score_rows
+from eval.clip_fid.features import Comparison
 from eval.metrics.checks import Estimate
 from eval.sets.corruptions import Family, families, shift_between_frames, translate, turn
 from eval.sets.sets import SampleSet
@@ -90,11 +89,7 @@ class Calibration:
 
 
 def calibrate(
-    real: SampleSet,
-    shifted: SampleSet | None,
-    features: FeatureSet,
-    protocol: Protocol,
-    on_replication: Callable[[], None] = lambda: None,
+    comparison: Comparison, shifted: SampleSet | None, on_replication: Callable[[], None] = lambda: None
 ) -> Calibration:
     """Score every corruption of the real set, and every harmless transform, against the real set itself.
 
@@ -103,9 +98,10 @@ def calibrate(
     called after each replication of the rows and of the disjoint halves. Raises `ClipError` where the takes are too few
     or too short.
     """
-    protocol = replace(protocol, detailed_replications=0)
+    real, seed = comparison.real, comparison.protocol.seed
+    plain = replace(comparison, protocol=replace(comparison.protocol, detailed_replications=0), parts={})
     rows: dict[str, SampleSet] = {"clean": real}
-    rows |= _harmless(real, protocol.seed)
+    rows |= _harmless(real, seed)
     if shifted is not None:
         rows["native grid shifted by one frame"] = shifted
     flat_names = [name for name in rows if name != "clean"]
@@ -114,8 +110,8 @@ def calibrate(
         strengths = family.levels_at(float(real.fps))
         levels.append((family, strengths))
         for strength in strengths:
-            rows[level_name(family, strength)] = _corrupted(real, family, strength, protocol.seed)
-    scores = score_rows(real, rows, features, protocol, on_replication=on_replication)
+            rows[level_name(family, strength)] = _corrupted(real, family, strength, seed)
+    scores = plain.scores(rows, on_replication)
     floor = scores["clean"].clip_fid
     graded = [
         Graded(
@@ -128,11 +124,11 @@ def calibrate(
         if strengths
     ]
     flat = {name: scores[name].clip_fid for name in flat_names}
-    disjoint_floor = score_disjoint_halves(real, features, protocol, on_replication=on_replication).clip_fid
+    disjoint_floor = plain.disjoint_halves(on_replication).clip_fid
     return Calibration(
         fps=real.fps,
-        features=features.name,
-        fingerprint=features.fingerprint,
+        features=comparison.features.name,
+        fingerprint=comparison.features.fingerprint,
         num_sequences=real.num_sequences,
         duration_seconds=real.duration_seconds,
         floor=floor,

@@ -8,9 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.clip_fid.feature_set import FeatureSet
 from eval.clip_fid.kinematic import BLOCKS, VERSION, KinematicDescriptor, fit_kinematic
-from eval.clip_fid.score import REAL, Protocol, draw_clips, place_clips
+from eval.clip_fid.score import (
+    REAL,
+    ClipFid,
+    FeatureSet,
+    Protocol,
+    check_lengths,
+    draw_clips,
+    place_clips,
+    score_disjoint_halves,
+    score_rows,
+)
+from eval.sets.found import Found, each_found
 from eval.sets.sets import SampleSet
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import MotionkitError, UsageError
@@ -19,6 +29,29 @@ FIT_CLIPS = 8192
 NATIVE_REPLICATIONS = 5
 FIT_REPLICATION = 1_000_000
 """The descriptor's fit draws from a stream that no replication of an evaluation uses."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What every set of one framerate is compared with, and how: the one way from motions to clip-FID.
+
+    `parts` names slices of the features whose own FID is wanted too.
+    """
+
+    real: SampleSet
+    features: FeatureSet
+    protocol: Protocol
+    parts: Mapping[str, slice] = field(default_factory=dict)
+
+    def scores(
+        self, rows: Mapping[str, SampleSet], on_replication: Callable[[], None] = lambda: None
+    ) -> dict[str, ClipFid]:
+        """clip-FID of every row; raises what `score_rows` raises."""
+        return score_rows(self.real, rows, self.features, self.protocol, self.parts, on_replication)
+
+    def disjoint_halves(self, on_replication: Callable[[], None] = lambda: None) -> ClipFid:
+        """clip-FID between halves of the real takes; raises `ClipError` where there are too few."""
+        return score_disjoint_halves(self.real, self.features, self.protocol, self.parts, on_replication)
 
 
 @dataclass(frozen=True)
@@ -43,14 +76,23 @@ class FeatureSource:
             return asked
         return replace(asked, replications=self.max_replications)
 
+    def comparison(self, real: SampleSet, train: SampleSet, asked: Protocol) -> Comparison:
+        """A comparison with the real set, on features fitted on the training set at its framerate.
+
+        Raises `ClipError` where a set has no sequence for the largest clips, and what fitting raises.
+        """
+        protocol = self.protocol(asked)
+        check_lengths(real, protocol)
+        return Comparison(real, self.fit(train), protocol, self.parts)
+
 
 def feature_sources(
-    run: Path | None, wanted: Sequence[str] | None, missing: list[str], guo: GuoFiles | None = None
-) -> list[FeatureSource]:
-    """All feature sets there are, or the `wanted` ones; what is not there is named in `missing`.
+    run: Path | None, wanted: Sequence[str] | None, guo: GuoFiles | None = None
+) -> Found[list[FeatureSource]]:
+    """All feature sets there are, or the `wanted` ones.
 
     Guo's evaluator is there where its files are named. Raises `UsageError` for a name that is unknown, and for `guo`
-    without files, and what the last refused one raised where none of the `wanted` is there.
+    without files, and what the last of the `wanted` raised where none is there.
     """
     known: dict[str, Callable[[], FeatureSource]] = {
         "kinematic": kinematic_source,
@@ -63,19 +105,11 @@ def feature_sources(
     unknown = [name for name in wanted or () if name not in known]
     if unknown:
         raise UsageError(f"there is no feature set {unknown[0]!r}: {', '.join(known)}")
-    sources: list[FeatureSource] = []
-    refused: MotionkitError | None = None
-    for name, make in known.items():
-        if wanted is not None and name not in wanted:
-            continue
-        try:
-            sources.append(make())
-        except MotionkitError as error:
-            missing.append(f"features {name!r}: {error}")
-            refused = error
-    if wanted and not sources and refused is not None:
-        raise refused
-    return sources
+    chosen = [name for name in known if wanted is None or name in wanted]
+    found = each_found(chosen, lambda name: known[name](), "features {!r}".format)
+    if wanted and not found.value:
+        known[chosen[-1]]()
+    return Found(list(found.value.values()), found.missing)
 
 
 def kinematic_source() -> FeatureSource:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eval.clip_fid.features import kinematic_source, native_source
-from eval.clip_fid.score import ClipError, Protocol, score_rows
+from eval.clip_fid.score import ClipError, Protocol
 from eval.metrics.checks import Estimate
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import UsageError
@@ -62,9 +62,8 @@ def clip_fid(
     samples = {name: _samples(name, motions, rate) for name, motions in sets.items()}
     source = kinematic_source() if features == "kinematic" else native_source(Path(features))
     protocol = Protocol(num_clips=clips, replications=replications, detailed_replications=0, seed=seed)
-    fitted = source.fit(samples["train"])
-    scores = score_rows(samples["real"], {"generated": samples["generated"]}, fitted, source.protocol(protocol))
-    return scores["generated"].clip_fid
+    comparison = source.comparison(samples["real"], samples["train"], protocol)
+    return comparison.scores({"generated": samples["generated"]})["generated"].clip_fid
 
 
 def _framerates(motions: Motions, given: Fraction | None) -> set[Fraction]:

@@ -7,6 +7,7 @@ other tools call clip-FID.
 """
 
 import os
+import typing
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -15,9 +16,8 @@ from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float64, Int64
+from jaxtyping import Float, Float64, Int64
 
-from eval.clip_fid.feature_set import FeatureSet
 from eval.metrics.checks import Estimate, estimate
 from eval.metrics.gaussian import fid_infinity, fit_gaussian, frechet_distance, kid
 from eval.metrics.neighbours import prdc
@@ -28,6 +28,30 @@ VERSION = "clip-fid/1"
 PART = "part "
 REAL, OTHER = 0, 1
 """The two sides of a comparison: each draws its own sequences."""
+
+
+@typing.runtime_checkable
+class FeatureSet(typing.Protocol):
+    """What is needed of a feature extractor, learned or not: it turns clips of one framerate into feature vectors.
+
+    The same clips give the same numbers in any batch.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of everything that the numbers depend on: definition, weights, statistics."""
+        ...
+
+    def describe(
+        self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
+    ) -> Float64[np.ndarray, "clips features"]:
+        """One row per clip, in order; positions in metres, y up, the 22 joints of `SMPL22`."""
+        ...
 
 
 class ClipError(MotionkitError):

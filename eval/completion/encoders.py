@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from eval.sets.found import Found
 from eval.sets.row_curves import CUBIC, LINEAR
 from motionkit.complete.encoders import (
     EncoderLoader,
@@ -55,16 +56,15 @@ INTERPOLATION = (
 )
 
 
-def trained_completers(
-    task: Task, run: Path | None, more: Sequence[tuple[str, Path]], missing: list[str]
-) -> list[Completer]:
+def trained_completers(task: Task, run: Path | None, more: Sequence[tuple[str, Path]]) -> Found[list[Completer]]:
     """The installed encoders for a task that `run` holds, then (name, run) pairs asked for, which must be there.
 
-    What a table would show and `run` lacks is told in `missing`, with the runs that have it. Raises `UsageError` for a
-    name that no installed package has, `DamagedFileError`, and what loading an encoder that was asked for raises.
+    What is missing in `run` is named with the runs that have it. Raises `UsageError` for a name that no installed
+    package has, `DamagedFileError`, and what loading an encoder that was asked for raises.
     """
     known = installed_encoders()
     found: list[Completer] = []
+    missing: list[str] = []
     asked = {name for name, _ in more}
     for name, loader in installed_encoders(task).items():
         if run is not None and loader.complete_in(run):
@@ -81,7 +81,7 @@ def trained_completers(
             names = ", ".join(trained_encoder_names()) or "none"
             raise UsageError(f"--encoder {name}={folder.name}: trained encoders are {names}")
         found.append(completer_of(name, folder, f"{known[name].title} ({folder.name})"))
-    return found
+    return Found(found, tuple(missing))
 
 
 def completer_of(name: str, run: Path, title: str) -> Completer:

@@ -1,6 +1,6 @@
 """Data sets of a store as PA-HiRes' tables see them: real frames at the table's framerate, nothing interpolated."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -27,12 +27,10 @@ class NoTakesError(MotionkitError):
     """A data set without what a table needs of it."""
 
 
-def nothing_at_all(absent: Mapping[str, str]) -> NoTakesError:
-    """The error of a table without any data set: why each is absent, a reason that all share told once."""
-    shared = dict.fromkeys(absent.values())
-    if len(shared) == 1:
-        return NoTakesError(next(iter(shared)))
-    return NoTakesError("; ".join(f"{label}: {reason}" for label, reason in absent.items()))
+def shared_reason(missing: Sequence[str]) -> str:
+    """Why no data set can be had, from "data set: reason" of each; a reason that all share is said once."""
+    reasons = dict.fromkeys(line.partition(": ")[2] for line in missing)
+    return next(iter(reasons)) if len(reasons) == 1 else "; ".join(missing)
 
 
 @dataclass(frozen=True)

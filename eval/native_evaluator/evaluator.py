@@ -1,6 +1,6 @@
 """The native-rate evaluator: a trained network that describes clips of any framerate and matches them with sentences.
 
-It implements `eval.clip_fid.feature_set.FeatureSet`. Weights, input statistics, and the fingerprint of the store that
+It implements `eval.clip_fid.score.FeatureSet`. Weights, input statistics, and the fingerprint of the store that
 it was trained on are one file; its own fingerprint is part of every result that it is used for.
 """
 

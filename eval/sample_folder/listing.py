@@ -24,6 +24,8 @@ REFERENCE_ENDINGS, CORRECTED_ENDINGS = ("_gt", "_ref"), ("_ik",)
 GENERATED_ENDING = "_pred"
 PROGRAMS = frozenset({".pkl", ".pickle", ".pt", ".pth", ".joblib"})
 SHOWN_KINDS = 3
+# Problems of a scan that are said here in other words, or are none.
+HANDLED_HERE = ("caption-without-motion", "empty-folder", "unknown-format")
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,14 @@ def list_samples(name: str, source: Path) -> Listing:
     # What cannot be listed is one of the problems that `scan` finds below.
     folders = list(walk(root, _is_claimed, lambda error: None)) if only is None else [(root, [only])]
     rows, problems, warnings = _rows(folders)
-    damaged = _damaged(folders, only, problems)
-    items = [item for item in _known_items(source, root, problems) if item.path not in damaged]
+    broken = _damaged(folders, only)
+    problems += [problem for problem, _ in broken]
+    damaged = frozenset(path for _, paths in broken for path in paths)
+    found = scan([source])
+    known = {problem.path for problem in problems}
+    problems += [each for each in found.problems if each.reason not in HANDLED_HERE and each.path not in known]
+    # Formats that say everything themselves; plain arrays are none.
+    items = [item for item in found.items if item.format != "joints-npy" and item.path not in damaged]
     taken = {item.path for item in items}
     arrays = [
         path
@@ -125,27 +133,21 @@ def _rows(
     return rows, problems, warnings
 
 
-def _damaged(
-    folders: Sequence[tuple[Path, list[Path]]], only: Path | None, problems: list[FormatError]
-) -> frozenset[Path]:
-    """The files in generated folders that are not what was written, each motion's told in `problems`."""
-    damaged: frozenset[Path] = frozenset()
-    for folder, _ in folders:
-        for motion in damaged_motions(folder):
-            if only is None or only in motion.paths:
-                message = f"{motion.fault}: delete it, and motionkit generate --resume makes it again"
-                problems.append(FormatError(message, path=motion.paths[0], reason="damaged"))
-                damaged |= frozenset(motion.paths)
-    return damaged
-
-
-def _known_items(source: Path, root: Path, problems: list[FormatError]) -> list[SourceItem]:
-    """The motions of formats that say everything themselves; plain arrays are none."""
-    found = scan([source])
-    told_here = ("caption-without-motion", "empty-folder", "unknown-format")
-    known = {problem.path for problem in problems}
-    problems += [problem for problem in found.problems if problem.reason not in told_here and problem.path not in known]
-    return [item for item in found.items if item.format != "joints-npy"]
+def _damaged(folders: Sequence[tuple[Path, list[Path]]], only: Path | None) -> list[tuple[FormatError, Sequence[Path]]]:
+    """Motions in generated folders that are not what was written: what is wrong, and the files of each."""
+    return [
+        (
+            FormatError(
+                f"{motion.fault}: delete it, and motionkit generate --resume makes it again",
+                path=motion.paths[0],
+                reason="damaged",
+            ),
+            motion.paths,
+        )
+        for folder, _ in folders
+        for motion in damaged_motions(folder)
+        if only is None or only in motion.paths
+    ]
 
 
 def _may_be_motion(path: Path, manifest: Manifest) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.fields.motion_field import MotionField, to_motion
-from motionkit.generate.models import GenerationRequest, GenerativeModel
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 
 
 @dataclass(frozen=True)
@@ -38,20 +38,19 @@ def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
     return windows
 
 
-def chosen_windows(windows: Sequence[Window], seed: int, limit: int) -> list[Window]:
-    """All windows, or a random choice of `limit` where there are more, in their order."""
-    if len(windows) <= limit:
-        return list(windows)
-    picked = np.random.default_rng((seed, 7)).choice(len(windows), size=limit, replace=False)
-    return [windows[index] for index in np.sort(picked).tolist()]
-
-
 def generate_fields(
-    model: GenerativeModel, windows: Sequence[Window], seed: int, limit: int
+    model: GenerativeModel,
+    windows: Sequence[Window],
+    seed: int,
+    limit: int,
+    sampling: SamplingOptions = SamplingOptions(),
 ) -> dict[Window, MotionField]:
     """One motion field per window, or for a random choice of `limit` windows where there are more."""
-    chosen = chosen_windows(windows, seed, limit)
-    fields = model.generate([window.request for window in chosen], seed=seed)
+    chosen = list(windows)
+    if len(windows) > limit:
+        picked = np.random.default_rng((seed, 7)).choice(len(windows), size=limit, replace=False)
+        chosen = [windows[index] for index in np.sort(picked).tolist()]
+    fields = model.generate([window.request for window in chosen], seed=seed, sampling=sampling)
     return dict(zip(chosen, fields, strict=True))
 
 

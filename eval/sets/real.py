@@ -99,6 +99,16 @@ def real_motion(store: "Store", split: str, where: str | None = None, layout: st
     return _from_cache(store, cache, split)
 
 
+def has_training(store: "Store") -> bool:
+    """Whether a store has a training split."""
+    return bool((store.columns("split")["split"] == "train").any())
+
+
+def training_motion(store: "Store", compared: RealMotion) -> RealMotion:
+    """What features are fitted on: the training split, or the compared sequences where there is none."""
+    return real_motion(store, "train") if has_training(store) else compared
+
+
 def _from_cache(store: "Store", cache: "PositionCache", split: str) -> RealMotion:
     table = store.columns("sequence_id", "captions", "action").loc[cache.sequence_index]
     captions = tuple(str(found[0]["text"]) if len(found) else "" for found in table["captions"])

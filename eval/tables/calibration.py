@@ -19,9 +19,9 @@ from eval.clip_fid.calibration import (
 from eval.clip_fid.features import FeatureSource, feature_sources
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.sets.corruptions import families
+from eval.sets.found import Found, each_found
 from eval.sets.real import RealMotion, real_motion
 from eval.tables.registry import TableRequest
-from motionkit.core.errors import MotionkitError
 from motionkit.core.progress import task
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
@@ -36,12 +36,10 @@ def build_calibration(request: TableRequest) -> Result:
     store = request.open_store()
     held_out = real_motion(store, request.split, request.where)
     train = real_motion(store, "train") if request.split != "all" else held_out
-    missing: list[str] = []
-    sources = feature_sources(request.run, request.features, missing, request.guo)
-    calibrations = {source.name: _calibrate(source, request, held_out, train, missing) for source in sources}
-    blocks: list[Block] = []
-    for source in sources:
-        blocks += _blocks(source, request, calibrations[source.name])
+    sources = feature_sources(request.run, request.features, request.guo)
+    found = {source.name: _calibrate(source, request, held_out, train) for source in sources.value}
+    calibrations = {name: list(each.value.values()) for name, each in found.items()}
+    blocks = [block for source in sources.value for block in _blocks(source, request, calibrations[source.name])]
     return Result(
         task=TASK,
         version=VERSION,
@@ -61,7 +59,7 @@ def build_calibration(request: TableRequest) -> Result:
             "max_flat_ratio": MAX_FLAT_RATIO,
         },
         notes=_notes(calibrations),
-        missing=tuple(missing),
+        missing=(*sources.missing, *(line for each in found.values() for line in each.missing)),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "seed": request.seed,
@@ -72,19 +70,15 @@ def build_calibration(request: TableRequest) -> Result:
 
 
 def _calibrate(
-    source: FeatureSource, request: TableRequest, held_out: RealMotion, train: RealMotion, missing: list[str]
-) -> list[Calibration]:
-    results = []
-    protocol = source.protocol(request.protocol)
-    for fps in request.fps or COLUMNS:
-        with task(request.on_progress, f"{source.name}, {fps} fps", 2 * protocol.replications) as work:
-            try:
-                real, shifted = held_out.at(fps), held_out.at(fps, first_frame=1)
-                features = source.fit(train.at(fps))
-                results.append(calibrate(real, shifted, features, protocol, work.advance))
-            except MotionkitError as error:
-                missing.append(f"{source.name}, {fps} fps: {error}")
-    return results
+    source: FeatureSource, request: TableRequest, held_out: RealMotion, train: RealMotion
+) -> Found[dict[Fraction, Calibration]]:
+    def calibration(fps: Fraction) -> Calibration:
+        replications = source.protocol(request.protocol).replications
+        with task(request.on_progress, f"{source.name}, {fps} fps", 2 * replications) as work:
+            comparison = source.comparison(held_out.at(fps), train.at(fps), request.protocol)
+            return calibrate(comparison, held_out.at(fps, first_frame=1), work.advance)
+
+    return each_found(request.fps or COLUMNS, calibration, lambda fps: f"{source.name}, {fps} fps")
 
 
 def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Calibration]) -> list[Block]:

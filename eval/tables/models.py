@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from eval.sets.found import Found
 from motionkit.clips.reconstruction import ReconstructsWindows
 from motionkit.complete.encoders import installed_encoders
 from motionkit.core.checksums import sha256_of
@@ -49,17 +50,17 @@ class Trained(Generic[T]):
 TrainedModel = Trained[GenerativeModel]
 
 
-def trained_models(run: Path | None, missing: list[str]) -> dict[str, TrainedModel]:
+def trained_models(run: Path | None) -> Found[dict[str, TrainedModel]]:
     """The installed models that a run holds, by the names of their rows, loaded.
 
-    Why a model cannot be had is told in `missing`; one that the run knows nothing of only where it holds no other.
+    One that the run knows nothing of is missing only where it holds no other.
     """
     loaders = list(installed_models().values())
     if run is None or not run.is_dir():
         where = "no run was given" if run is None else f"there is no run {str(run)!r}"
-        missing += [f"{loader.title}: {where} (motionkit train makes one)" for loader in loaders]
-        return {}
+        return Found({}, tuple(f"{loader.title}: {where} (motionkit train makes one)" for loader in loaders))
     begun = [loader for loader in loaders if loader.begun_in(run)]
+    missing: list[str] = []
     if not begun:
         missing += [f"{each.title}: run {run.name!r} has none ({each.train_command(run)})" for each in loaders]
     found: dict[str, TrainedModel] = {}
@@ -76,16 +77,15 @@ def trained_models(run: Path | None, missing: list[str]) -> dict[str, TrainedMod
             missing.append(f"{loader.title}: another model of the run is called {name!r} too")
         else:
             found[name] = model
-    return found
+    return Found(found, tuple(missing))
 
 
 def require_models(run: Path) -> dict[str, TrainedModel]:
     """As `trained_models`; raises `RunError` where there is none."""
-    missing: list[str] = []
-    found = trained_models(run, missing)
-    if not found:
-        raise RunError("; ".join(missing) or "no model is installed")
-    return found
+    found = trained_models(run)
+    if not found.value:
+        raise RunError("; ".join(found.missing) or "no model is installed")
+    return found.value
 
 
 def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:

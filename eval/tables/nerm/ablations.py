@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.report.results import Block, Cell, Result, Row, environment
+from eval.sets.found import Found
 from eval.tables.models import Trained
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
@@ -61,11 +62,13 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
             f"--run {request.run.name} trains {', '.join(run_name(request.run.name, v, 0) for v in ablation.variants)}"
         )
     yardstick = Yardstick(request.open_store(), request, request.fps or COLUMNS)
-    missing: list[str] = []
-    blocks = _reconstruction_blocks(ablation, rows, yardstick, missing)
+    reconstruction = _reconstruction_blocks(ablation, rows, yardstick)
+    blocks, missing = list(reconstruction.value), list(reconstruction.missing)
     generating = _model().stages[-1]
     if generating in ablation.stages:
-        blocks.append(_synthesis_block(ablation, rows, yardstick, missing))
+        synthesis = _synthesis_block(ablation, rows, yardstick)
+        blocks.append(synthesis.value)
+        missing += synthesis.missing
         if not any(row.cells for row in blocks[-1].rows):
             missing.append(
                 f"clip-FID: no {generating} is trained (motionkit ablate {ablation.table} --run {request.run.name})"
@@ -109,16 +112,14 @@ def _runs(prefix: Path, entry: Entry) -> tuple[Path, ...]:
     return tuple(run for run in named if _encoder().complete_in(run))
 
 
-def _reconstruction_blocks(
-    ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick, missing: list[str]
-) -> list[Block]:
+def _reconstruction_blocks(ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick) -> Found[list[Block]]:
     encoder = _encoder()
-    measured = _measure(rows, encoder, yardstick.reconstruction, yardstick.request.on_progress, missing)
+    measured = _measure(rows, encoder, yardstick.reconstruction, yardstick.request.on_progress)
     blocks = []
     for windows, error in WANTED_ERRORS:
         name = error_of(windows, error)
         found = {
-            row.entry.label: _mean([part.rows[name] for part in measured[row.entry.label] if name in part.rows])
+            row.entry.label: _mean([part.rows[name] for part in measured.value[row.entry.label] if name in part.rows])
             for row in rows
         }
         blocks.append(
@@ -128,20 +129,21 @@ def _reconstruction_blocks(
                 tuple(_row(ablation, row, found[row.entry.label], encoder, yardstick.request) for row in rows),
             )
         )
-    return blocks
+    return Found(blocks, measured.missing)
 
 
-def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick, missing: list[str]) -> Block:
+def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick) -> Found[Block]:
     model = _model()
-    measured = _measure(rows, model, yardstick.synthesis, yardstick.request.on_progress, missing)
-    found = {row.entry.label: _mean([part.rows[SYNTHESIS] for part in measured[row.entry.label]]) for row in rows}
+    measured = _measure(rows, model, yardstick.synthesis, yardstick.request.on_progress)
+    missing = measured.missing
+    found = {row.entry.label: _mean([part.rows[SYNTHESIS] for part in measured.value[row.entry.label]]) for row in rows}
     references: tuple[Row, ...] = ()
     if any(found.values()):
         floors = yardstick.floors()
-        missing.extend(floors.missing)
+        missing = (*missing, *floors.missing)
         references = tuple(Row(name, "reference", floors.rows[name], ROW_NOTES[name]) for name in (P1, P2))
     protocol = yardstick.request.protocol
-    return Block(
+    block = Block(
         "Motion synthesis: clip-FID on the kinematic descriptor",
         tuple(label(fps) for fps in yardstick.rates),
         (
@@ -153,6 +155,7 @@ def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Ya
             "clips on each side: how exactly one run is measured, not how much another seed would differ."
         ),
     )
+    return Found(block, missing)
 
 
 def _measure(
@@ -160,10 +163,10 @@ def _measure(
     loader: Loader[Any],
     figure: Callable[[Trained[Any]], Part],
     on_progress: OnProgress,
-    missing: list[str],
-) -> dict[str, list[Part]]:
-    """A figure of what a loader finds in every run, each run once; a run that can't be measured is told."""
+) -> Found[dict[str, list[Part]]]:
+    """A figure of what a loader finds in every run, each run once, by the row's label."""
     parts: dict[Path, Part] = {}
+    missing: list[str] = []
     stage = loader.stages[-1]
     runs = list(dict.fromkeys(run for row in rows for run in row.runs if RunFolder(run).stage(stage).is_complete))
     with task(on_progress, f"measuring {stage}", len(runs)) as work:
@@ -176,7 +179,8 @@ def _measure(
             else:
                 missing.extend(parts[run].missing)
             work.advance()
-    return {row.entry.label: [parts[run] for run in row.runs if run in parts] for row in rows}
+    by_row = {row.entry.label: [parts[run] for run in row.runs if run in parts] for row in rows}
+    return Found(by_row, tuple(missing))
 
 
 def _mean(of_seeds: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:

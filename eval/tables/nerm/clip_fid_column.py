@@ -1,13 +1,16 @@
-"""One framerate of Table 2: the real set, what is made of it, what a model and other systems have for it."""
+"""One framerate of clip-FID: the real set, what is made of it, what models and other systems have for it; its cells."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
 
+from eval.clip_fid.features import Comparison, FeatureSource
+from eval.clip_fid.score import ClipError, ClipFid, Protocol, check_lengths
 from eval.report.results import Block, Cell, Origin, Row
 from eval.sample_folder import SampleFolder
+from eval.sets.found import Found
 from eval.sets.generated import Window, sample_fields
 from eval.sets.memorisation import STRETCH_SECONDS, distances_to_training
 from eval.sets.real import NoRealMotionError, RealMotion
@@ -27,6 +30,16 @@ REFERENCES = (P1, P2, SLERP, VECTORS)
 GENERATED_LOW = "{} generated at 20 fps, SLERP"
 """The row of a model's motions that were asked for at 20 fps, then upsampled like the real ones."""
 
+NOT_SO_FAST = "no generated motion is for a sequence this fast"
+DETAIL_NAMES = {
+    "fid_infinity": "FID_∞",
+    "kid": "KID",
+    "precision": "precision",
+    "recall": "recall",
+    "density": "density",
+    "coverage": "coverage",
+}
+
 # A model's motions for stretches of real sequences, by the model's name.
 ModelFields = Mapping[str, Mapping[Window, MotionField]]
 
@@ -44,6 +57,12 @@ class Column:
     train: SampleSet | None
     models: tuple[str, ...] = ()
     samples: tuple[str, ...] = ()
+
+    def comparison(self, source: FeatureSource, protocol: Protocol) -> Comparison:
+        """What its rows are scored by; raises `MotionkitError` where that cannot be had."""
+        if self.train is None:
+            raise NoRealMotionError("the training split has no motion at this framerate")
+        return source.comparison(self.real, self.train, protocol)
 
     @property
     def others(self) -> dict[str, SampleSet]:
@@ -88,29 +107,37 @@ class ColumnSize:
         return framerate_label(self.fps)
 
 
-def make_column(
-    fps: Fraction,
-    real: RealMotion,
-    train: RealMotion,
-    fields: ModelFields,
-    samples: Mapping[str, SampleSet],
-    missing: list[str],
-) -> Column:
-    """Everything for one framerate; a model that has no motion for it is named in `missing`.
+def real_column(fps: Fraction, real: RealMotion, train: RealMotion) -> Column:
+    """The real set of one framerate with no row but independent draws of itself.
 
     Raises `NoRealMotionError` where too few sequences are as fast.
     """
     reference = real.at(fps)
-    rows = {P1: reference}
+    try:
+        training = train.at(fps)
+    except NoRealMotionError:
+        training = None
+    return Column(fps, reference, {P1: reference}, training)
+
+
+def make_column(
+    fps: Fraction, real: RealMotion, train: RealMotion, fields: ModelFields, samples: Mapping[str, SampleSet]
+) -> Found[Column]:
+    """Everything for one framerate, as far as models have motion for it.
+
+    Raises `NoRealMotionError` where too few sequences are as fast.
+    """
+    column = real_column(fps, real, train)
+    reference, rows = column.real, dict(column.rows)
     if fps >= LOW_FPS:
         low = _same_sequences(real.at(LOW_FPS), reference)
         rows[SLERP] = upsampled(low, fps, SLERP)
         rows[VECTORS] = upsample_as_vectors(low, fps, VECTORS)
-    models = []
+    models, missing = [], []
     for name, own in fields.items():
         native = sample_fields(own, reference.sequence_ids, fps, name)
         if native is None:
-            missing.append(f"{name}, {framerate_label(fps)}: no generated motion is for a sequence this fast")
+            missing.append(f"{name}, {framerate_label(fps)}: {NOT_SO_FAST}")
             continue
         rows[name] = native
         models.append(name)
@@ -118,12 +145,41 @@ def make_column(
         coarse = sample_fields(own, reference.sequence_ids, LOW_FPS, coarse_name)
         if coarse is not None and fps >= LOW_FPS:
             rows[coarse_name] = upsampled(coarse, fps, coarse_name)
-    rows |= samples
-    try:
-        training = train.at(fps)
-    except NoRealMotionError:
-        training = None
-    return Column(fps, reference, rows, training, tuple(models), tuple(samples))
+    made = replace(column, rows={**rows, **samples}, models=tuple(models), samples=tuple(samples))
+    return Found(made, tuple(missing))
+
+
+def score_column(
+    comparison: Comparison,
+    rows: Mapping[str, SampleSet],
+    on_replication: Callable[[], None] = lambda: None,
+    *,
+    halves: bool = True,
+) -> Found[dict[str, Cell]]:
+    """A cell for each row that holds the largest clips, and with `halves` one for disjoint halves of the takes (P2)."""
+    label = framerate_label(comparison.real.fps)
+    missing: list[str] = []
+    fitting = {}
+    for name, samples in rows.items():
+        try:
+            check_lengths(samples, comparison.protocol)
+            fitting[name] = samples
+        except ClipError as error:
+            missing.append(f"{name}, {label}: {error}")
+    scores = comparison.scores(fitting, on_replication)
+    if halves:
+        try:
+            scores[P2] = comparison.disjoint_halves(on_replication)
+        except ClipError as error:
+            missing.append(f"{P2}, {label}: {error}")
+    return Found({name: clip_fid_cell(score) for name, score in scores.items()}, tuple(missing))
+
+
+def clip_fid_cell(score: ClipFid) -> Cell:
+    """A score as a table shows it, with its parts and further metrics as details."""
+    parts = {f"FID of the {name} block alone": value.mean for name, value in score.parts.items()}
+    details = {DETAIL_NAMES[name]: value.mean for name, value in score.details.items()}
+    return Cell(score.clip_fid.mean, score.clip_fid.ci95, parts | details)
 
 
 def samples_at(folders: Sequence[SampleFolder], fps: Fraction, on_progress: OnProgress) -> dict[str, SampleSet]:

@@ -1,39 +1,29 @@
 """What one trained model scores: how it reconstructs and what it generates, by framerate."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eval.clip_fid.features import fit_on
-from eval.clip_fid.kinematic import BLOCKS, KinematicDescriptor
+from eval.clip_fid.features import Comparison, kinematic_source
 from eval.clip_fid.kinematic import VERSION as KINEMATIC_VERSION
-from eval.clip_fid.score import (
-    REAL,
-    ClipError,
-    check_lengths,
-    describe_clips,
-    draw_clips,
-    place_clips,
-    score_disjoint_halves,
-    score_rows,
-)
+from eval.clip_fid.score import REAL, describe_clips, draw_clips, place_clips
 from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
 from eval.metrics.actions import diversity
 from eval.metrics.checks import estimate
 from eval.reconstruction.errors import mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Cell
-from eval.sets.generated import Window, chosen_windows, sample_fields, windows_of
-from eval.sets.real import NoRealMotionError, RealMotion, real_motion
+from eval.sets.found import Found, each_found
+from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
+from eval.sets.real import RealMotion, real_motion, training_motion
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed
 from eval.tables.models import Trained, TrainedModel, reconstructor
 from eval.tables.nerm import table4
-from eval.tables.nerm.clip_fid_column import P1, P2
-from eval.tables.nerm.table2 import clip_fid_cell
+from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, P1, P2, real_column, score_column
 from eval.tables.nerm.table4 import VERSION as RECONSTRUCTION_VERSION
 from eval.tables.nerm.table4 import described_windows
 from eval.tables.parts import Part, kept
@@ -47,17 +37,8 @@ if TYPE_CHECKING:
 TRAINING, HELD_OUT, SYNTHESIS = "training", "held out", "clip-FID"
 WINDOW_SETS = {table4.TRAINING: TRAINING, table4.HELD_OUT: HELD_OUT}
 DIVERSITY, REAL_DIVERSITY = "diversity", "diversity of real motion"
-PARTS = {"slip": BLOCKS["slip"]}
 MPJPE, MRE = "root-aligned MPJPE (mm)", "MRE"
 ERRORS = {MPJPE: mpjpe_cell, MRE: mre_cell}
-
-
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """The real set and the descriptor of each framerate that has both, and why others have not."""
-
-    found: Mapping[Fraction, tuple[SampleSet, KinematicDescriptor]]
-    missing: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,101 +108,89 @@ class Yardstick:
         protocol = asdict(self.request.protocol)
         return {"versions": versions, "protocol": protocol, "low_pass_hz": self.request.low_pass_hz, **self._terms()}
 
-    def _smoothed(self, samples: SampleSet) -> SampleSet:
-        cutoff = self.request.low_pass_hz
-        return samples if cutoff is None else low_passed(samples, cutoff)
-
     @cached_property
-    def _columns(self) -> _Columns:
-        has_training = bool((self.store.columns("split")["split"] == "train").any())
-        train = real_motion(self.store, "train") if has_training else self.real
-        found, missing = {}, []
-        for fps in self.rates:
-            try:
-                real = self._smoothed(self.real.at(fps))
-                check_lengths(real, self.request.protocol)
-                found[fps] = (real, fit_on(self._smoothed(train.at(fps))))
-            except (NoRealMotionError, ClipError) as error:
-                missing.append(f"clip-FID, {label(fps)}: {error}")
-        return _Columns(found, tuple(missing))
+    def _columns(self) -> Found[dict[Fraction, Comparison]]:
+        """What each framerate's motions are compared with, on the kinematic descriptor."""
+        train, source = training_motion(self.store, self.real), kinematic_source()
+
+        def comparison(fps: Fraction) -> Comparison:
+            column = real_column(fps, self.real, train).low_passed(self.request.low_pass_hz)
+            return column.comparison(source, self.request.protocol)
+
+        return each_found(self.rates, comparison, lambda fps: f"clip-FID, {label(fps)}")
 
     def _floors(self) -> Part:
-        protocol, missing = self.request.protocol, list(self._columns.missing)
+        missing = list(self._columns.missing)
         rows: dict[str, dict[str, Cell]] = {P1: {}, P2: {}}
-        for fps, (real, descriptor) in self._columns.found.items():
-            rows[P1][label(fps)] = clip_fid_cell(score_rows(real, {P1: real}, descriptor, protocol, PARTS)[P1])
-            try:
-                rows[P2][label(fps)] = clip_fid_cell(score_disjoint_halves(real, descriptor, protocol, PARTS))
-            except ClipError as error:
-                missing.append(f"{P2}, {label(fps)}: {error}")
+        for fps, comparison in self._columns.value.items():
+            found = score_column(comparison, {P1: comparison.real})
+            missing += found.missing
+            for name, cell in found.value.items():
+                rows[name][label(fps)] = cell
         return Part(rows, tuple(missing))
 
     def _windows(self, model: GenerativeModel) -> list[Window]:
-        """What is asked of a model: the real sequences' durations and conditions, a random choice of many."""
-        windows = windows_of(self.real.at(min(self._columns.found)), model.max_duration_seconds)
-        return chosen_windows(windows, self.request.seed, self.request.max_motions)
+        """What a model is asked for: the real sequences' durations and conditions."""
+        return windows_of(self.real.at(min(self._columns.value)), model.max_duration_seconds)
 
     def _synthesis(self, trained: TrainedModel, sampling: SamplingOptions) -> Part:
-        model, columns, name = trained.loaded, self._columns, trained.run.name
-        if not columns.found:
-            return Part({SYNTHESIS: {}}, columns.missing)
-        windows = self._windows(model)
-        requests = [window.request for window in windows]
-        fields = dict(zip(windows, model.generate(requests, seed=self.request.seed, sampling=sampling), strict=True))
-        cells, missing = {}, list(columns.missing)
-        for fps in columns.found:
-            score = self._score(name, fields, fps)
-            if score is None:
-                missing.append(f"{name}, {label(fps)}: no generated motion is for a sequence this fast")
-            else:
-                cells[label(fps)] = score
+        if not self._columns.value:
+            return Part({SYNTHESIS: {}}, self._columns.missing)
+        model, request = trained.loaded, self.request
+        fields = generate_fields(model, self._windows(model), request.seed, request.max_motions, sampling)
+        cells: dict[str, Cell] = {}
+        missing = list(self._columns.missing)
+        for fps in self._columns.value:
+            samples = self._sampled(trained.run.name, fields, fps)
+            if samples is None:
+                missing.append(f"{trained.run.name}, {label(fps)}: {NOT_SO_FAST}")
+                continue
+            found = self._scored(samples)
+            missing += found.missing
+            cells |= {label(fps): cell for cell in found.value.values()}
         return Part({SYNTHESIS: cells}, tuple(missing))
 
     def _unconditional(self, trained: TrainedModel) -> Part:
-        model, columns, name = trained.loaded, self._columns, trained.run.name
-        if not columns.found:
-            return Part({}, columns.missing)
-        windows = self._windows(model)
-        requests = [GenerationRequest(window.request.duration_seconds) for window in windows]
-        fields = dict(zip(windows, model.generate(requests, seed=self.request.seed), strict=True))
+        if not self._columns.value:
+            return Part({}, self._columns.missing)
+        model, request = trained.loaded, self.request
+        windows = [
+            replace(window, request=GenerationRequest(window.request.duration_seconds))
+            for window in self._windows(model)
+        ]
+        fields = generate_fields(model, windows, request.seed, request.max_motions)
         rows: dict[str, dict[str, Cell]] = {SYNTHESIS: {}, DIVERSITY: {}, REAL_DIVERSITY: {}}
-        for fps, (real, _) in columns.found.items():
-            score, samples = self._score(name, fields, fps), sample_fields(fields, real.sequence_ids, fps, name)
-            if score is not None and samples is not None:
-                rows[SYNTHESIS][label(fps)] = score
-                rows[DIVERSITY][label(fps)] = self._diversity(self._smoothed(samples), fps)
-            rows[REAL_DIVERSITY][label(fps)] = self._diversity(real, fps)
-        return Part(rows, columns.missing)
+        missing = list(self._columns.missing)
+        for fps, comparison in self._columns.value.items():
+            samples = self._sampled(trained.run.name, fields, fps)
+            if samples is not None:
+                found = self._scored(samples)
+                missing += found.missing
+                for cell in found.value.values():
+                    rows[SYNTHESIS][label(fps)] = cell
+                    rows[DIVERSITY][label(fps)] = _diversity(samples, comparison)
+            rows[REAL_DIVERSITY][label(fps)] = _diversity(comparison.real, comparison)
+        return Part(rows, tuple(missing))
 
-    def _score(self, name: str, fields: Mapping[Window, MotionField], fps: Fraction) -> Cell | None:
-        real, descriptor = self._columns.found[fps]
-        samples = sample_fields(fields, real.sequence_ids, fps, name)
-        if samples is None:
-            return None
-        rows = {name: self._smoothed(samples)}
-        return clip_fid_cell(score_rows(real, rows, descriptor, self.request.protocol, PARTS)[name])
+    def _sampled(self, name: str, fields: Mapping[Window, MotionField], fps: Fraction) -> SampleSet | None:
+        """A model's motions at a framerate, smoothed like the real ones; None where it has none for it."""
+        samples = sample_fields(fields, self._columns.value[fps].real.sequence_ids, fps, name)
+        cutoff = self.request.low_pass_hz
+        return samples if samples is None or cutoff is None else low_passed(samples, cutoff)
 
-    def _diversity(self, samples: SampleSet, fps: Fraction) -> Cell:
-        """Diversity of random clips in the descriptor's space, over the protocol's replications."""
-        protocol, descriptor = self.request.protocol, self._columns.found[fps][1]
-        values = []
-        for replication in range(protocol.replications):
-            places = place_clips(draw_clips(protocol, fps, replication, REAL), samples)
-            rng = np.random.default_rng((protocol.seed, replication, 5))
-            values.append(diversity(describe_clips(samples, places, descriptor), rng))
-        found = estimate(values)
-        return Cell(found.mean, found.ci95)
+    def _scored(self, samples: SampleSet) -> Found[dict[str, Cell]]:
+        return score_column(self._columns.value[samples.fps], {samples.name: samples}, halves=False)
 
     def _reconstruction(self, trained: Trained[MotionEncoder]) -> Part:
-        missing: list[str] = []
-        sets = described_windows(reconstructor(trained, self.store), self.store, self.request, missing)
+        sets = described_windows(reconstructor(trained, self.store), self.store, self.request)
+        missing = list(sets.missing)
         rows: dict[str, dict[str, Cell]] = {}
         for kind, name in WINDOW_SETS.items():
-            if kind not in sets:
+            if kind not in sets.value:
                 continue
-            every = np.arange(len(sets[kind].windows))
+            every = np.arange(len(sets.value[kind].windows))
             for fps in self.rates:
-                errors = [window_errors(window, fps) for window in sets[kind].reconstructed(every, fps)]
+                errors = [window_errors(window, fps) for window in sets.value[kind].reconstructed(every, fps)]
                 if not errors:
                     missing.append(f"{name} windows, {label(fps)}: no take is that fast")
                 for error, cell_of in ERRORS.items():
@@ -229,6 +198,18 @@ class Yardstick:
                     if cell is not None:
                         rows.setdefault(error_of(name, error), {})[label(fps)] = cell
         return Part(rows, tuple(missing))
+
+
+def _diversity(samples: SampleSet, comparison: Comparison) -> Cell:
+    """Diversity of random clips in the features' space, over the protocol's replications."""
+    protocol = comparison.protocol
+    values = []
+    for replication in range(protocol.replications):
+        places = place_clips(draw_clips(protocol, samples.fps, replication, REAL), samples)
+        rng = np.random.default_rng((protocol.seed, replication, 5))
+        values.append(diversity(describe_clips(samples, places, comparison.features), rng))
+    found = estimate(values)
+    return Cell(found.mean, found.ci95)
 
 
 def error_of(windows: str, error: str) -> str:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from eval.metrics.replications import Scores
 from eval.report.results import Block, Result, environment
 from eval.sample_folder import SampleFolder
+from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
 from eval.sets.real import NoRealMotionError
 from eval.tables.models import Trained, TrainedModel, check_names, trained_models
@@ -61,43 +62,42 @@ class _Job:
     protocol: TextMotionProtocol
     models: Mapping[str, TrainedModel]
     folders: tuple[SampleFolder, ...]
-    missing: list[str]
 
 
 def build_table1(request: TableRequest) -> Result:
-    """Compute every row that can be computed; what cannot is named in `missing`.
+    """Compute every row that can be computed, and name what cannot.
 
     Raises `UsageError` for a protocol, evaluator or framerate that there is not, `StoreError` for a store that cannot
     be used, and `NoRealMotionError` where it has no captioned motion.
     """
     protocol = find_text_motion_protocol(request.published)
-    missing: list[str] = []
     store, folders = request.open_store(), request.sample_folders
     with task(request.on_progress, "loading"):
-        evaluators = text_motion_evaluators(request, protocol, missing)
-        models = _models(request, missing)
+        evaluators = text_motion_evaluators(request, protocol)
+        found = _models(request)
+        models = found.value
         check_names(request.samples, models)
         for each in models.values():
             longest = each.loaded.max_duration_seconds
             lengths, kit_lengths = (limited(rule, longest) for rule in (protocol.lengths, protocol.kit_lengths))
             protocol = replace(protocol, lengths=lengths, kit_lengths=kit_lengths)
         real: dict[_Sight, CaptionedMotions] = {}
-        for evaluator in evaluators:
+        for evaluator in evaluators.value:
             sight = _sight(request, evaluator)
             if sight not in real:
                 rule = protocol.lengths_at(sight.fps)
                 real[sight] = captioned_motions(store, request.split, request.where, sight.fps, rule, sight.layout)
                 _check_pool(real[sight], protocol, request)
-    blocks = _all_blocks(_Job(request, protocol, models, folders, missing), evaluators, real)
+    blocks = _all_blocks(_Job(request, protocol, models, folders), evaluators.value, real)
     return Result(
         task="nerm-table1",
         version=VERSION,
         title="Table 1: text-to-motion",
         caption=_caption(request, protocol, real),
-        blocks=(*blocks, *map(paper_block, dict.fromkeys(sight.fps for sight in real))),
+        blocks=(*blocks.value, *map(paper_block, dict.fromkeys(sight.fps for sight in real))),
         definition=_definition(request, protocol, real),
         notes=_notes(protocol, real),
-        missing=tuple(dict.fromkeys(missing)),
+        missing=tuple(dict.fromkeys((*evaluators.missing, *found.missing, *blocks.missing))),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "runs": {each.run.name: dict(each.identity) for each in models.values()},
@@ -111,11 +111,12 @@ def build_table1(request: TableRequest) -> Result:
 TABLE = Table("nerm", "1", "text-to-motion at 20 fps", build_table1)
 
 
-def _models(request: TableRequest, missing: list[str]) -> dict[str, TrainedModel]:
+def _models(request: TableRequest) -> Found[dict[str, TrainedModel]]:
     """The run's models and, where they are trained, those of a single framerate: of the run with `-fixed` behind it."""
-    found = trained_models(request.run, missing)
+    of_run = trained_models(request.run)
     if request.run is None:
-        return found
+        return of_run
+    found, missing = dict(of_run.value), list(of_run.missing)
     run = request.run.with_name(request.run.name + FIXED_SUFFIX)
     for loader in installed_models().values():
         if not loader.fixed_fps_setting:
@@ -132,7 +133,7 @@ def _models(request: TableRequest, missing: list[str]) -> dict[str, TrainedModel
             found[model.loaded.name + FIXED_SUFFIX] = model
         except MotionkitError as error:
             missing.append(f"{title}: {error}")
-    return found
+    return Found(found, tuple(missing))
 
 
 def _sight(request: TableRequest, evaluator: TextMotionEvaluator) -> _Sight:
@@ -162,47 +163,52 @@ def _check_pool(real: CaptionedMotions, protocol: TextMotionProtocol, request: T
 
 def _all_blocks(
     job: _Job, evaluators: list[TextMotionEvaluator], real: Mapping[_Sight, CaptionedMotions]
-) -> list[Block]:
-    """Every evaluator's blocks; one that cannot read the real motions or captions is named in `missing`.
+) -> Found[list[Block]]:
+    """Every evaluator's blocks, as far as it can read the real motions and captions.
 
     Raises its `MotionkitError` where none can.
     """
     blocks: list[Block] = []
+    missing: list[str] = []
     for evaluator in evaluators:
         try:
-            blocks += _blocks(job, evaluator, real[_sight(job.request, evaluator)])
+            found = _blocks(job, evaluator, real[_sight(job.request, evaluator)])
         except MotionkitError as error:
             if len(evaluators) == 1:
                 raise
-            job.missing.append(f"evaluator {evaluator.name!r}: {error}")
+            missing.append(f"evaluator {evaluator.name!r}: {error}")
+        else:
+            blocks += found.value
+            missing += found.missing
     if not blocks:
-        raise UsageError("; ".join(job.missing))
-    return blocks
+        raise UsageError("; ".join(missing))
+    return Found(blocks, tuple(missing))
 
 
-def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -> tuple[Block, ...]:
+def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -> Found[tuple[Block, ...]]:
     """One evaluator's numbers."""
     protocol, request = job.protocol, job.request
     embedder = Embedder(evaluator, request.results / FOLDER)
     with task(request.on_progress, f"{evaluator.name}: embedding real motion"):
         pairs = TextMotionPairs(embedder.texts(real.captions), embedder.motions(real.samples))
     chosen = _chosen(real, protocol, request)
-    rows = [_real_row(job, pairs, chosen)]
-    for name, model in job.models.items():
-        try:
-            rows.append(_model_row(job, name, model, real, pairs, chosen, embedder))
-        except (MotionkitError, ValueError) as error:
-            job.missing.append(f"{name}, {evaluator.name}: {error}")
-    for folder in job.folders:
-        try:
-            rows.append(_sample_row(job, folder, real, pairs, embedder))
-        except (MotionkitError, ValueError) as error:
-            job.missing.append(f"{folder.name}, {evaluator.name}: {error}")
+    folders = {folder.name: folder for folder in job.folders}
+    made = each_found(
+        (*job.models, *folders),
+        lambda name: (
+            _model_row(job, name, job.models[name], real, pairs, chosen, embedder)
+            if name in job.models
+            else _sample_row(job, folders[name], real, pairs, embedder)
+        ),
+        lambda name: f"{name}, {evaluator.name}",
+        (MotionkitError, ValueError),
+    )
+    rows = [_real_row(job, pairs, chosen), *made.value.values()]
     head = f"{evaluator.name} evaluator, protocol {protocol.name}, {float(real.samples.fps):g} fps"
     provenance = {"evaluator": evaluator.name, "fingerprint": evaluator.fingerprint, "protocol": protocol.name}
     main, other_way = scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
     remark = evaluator.remark_at(real.samples.fps)
-    return replace(main, note=" ".join(filter(None, (main.note, remark)))), other_way
+    return Found((replace(main, note=" ".join(filter(None, (main.note, remark)))), other_way), made.missing)
 
 
 def _chosen(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> npt.NDArray[np.int64]:

@@ -1,29 +1,22 @@
 """NeRM's Table 2: clip-FID at 20, 40, 60, 100 and 120 fps."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from itertools import chain
+from typing import Any
 
 import numpy as np
 
-from eval.clip_fid.feature_set import FeatureSet
-from eval.clip_fid.features import FeatureSource, feature_sources
+from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
 from eval.clip_fid.kinematic import KinematicDescriptor
-from eval.clip_fid.score import (
-    VERSION,
-    ClipError,
-    ClipFid,
-    Protocol,
-    check_lengths,
-    score_disjoint_halves,
-    score_rows,
-)
+from eval.clip_fid.score import VERSION
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.sample_folder import SampleFolder
+from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
 from eval.sets.memorisation import SAMPLED_FPS
-from eval.sets.real import NoRealMotionError, RealMotion, real_motion
+from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
 from eval.sets.remarks import set_remarks
 from eval.tables.models import check_names, trained_models
 from eval.tables.nerm.clip_fid_column import (
@@ -41,16 +34,14 @@ from eval.tables.nerm.clip_fid_column import (
     make_column,
     nearest_training_block,
     samples_at,
+    score_column,
 )
 from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import require_no_link
-from motionkit.core.progress import OnProgress, task
+from motionkit.core.progress import task
 from motionkit.fields.motion_field import MotionField
-
-if TYPE_CHECKING:
-    from motionkit.store.reader import Store
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
 ROW_NOTES = {
@@ -64,32 +55,25 @@ GENERATED_LOW_NOTE = (
     "the same motions asked for at 20 fps, then upsampled like the real ones; the kinks that this makes can stand "
     "in for detail that a smooth motion lacks (docs/metrics.md)"
 )
-DETAIL_NAMES = {
-    "fid_infinity": "FID_∞",
-    "kid": "KID",
-    "precision": "precision",
-    "recall": "recall",
-    "density": "density",
-    "coverage": "coverage",
-}
 SMALL_SECONDS = 3600.0
 """Less real motion than this at any framerate makes a table a small-scale one, and its caption says so."""
 
 
 @dataclass(frozen=True)
-class _Sheet:
-    """One feature set's numbers, filled a column at a time: cells by row and column, and what is to be said of them."""
+class _Scored:
+    """One feature set's cells of one column, by row, and what is to be said of them."""
 
-    source: FeatureSource
-    protocol: Protocol
-    cells: dict[str, dict[str, Cell]] = field(default_factory=dict)
-    fingerprints: dict[str, str] = field(default_factory=dict)
-    warnings: dict[str, None] = field(default_factory=dict)
-    missing: list[str] = field(default_factory=list)
+    cells: Mapping[str, Cell]
+    fingerprint: str
+    warnings: tuple[str, ...]
+
+
+# Of one feature set, by the columns' labels.
+_Sheet = Mapping[str, _Scored]
 
 
 def build_table2(request: TableRequest) -> Result:
-    """Compute every row that can be computed; what cannot is named in `missing`.
+    """Compute every row that can be computed, and name what cannot.
 
     Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` where no column has
     real motion.
@@ -97,40 +81,44 @@ def build_table2(request: TableRequest) -> Result:
     store = request.open_store()
     folders = request.sample_folders
     real = real_motion(store, request.split, request.where)
-    train = _training_motion(store, real)
-    missing: list[str] = []
+    train = training_motion(store, real)
     with task(request.on_progress, "real sets"):
-        rates = _usable_rates(request.fps or COLUMNS, real, missing)
+        rates = _usable_rates(request.fps or COLUMNS, real)
     with task(request.on_progress, "generating", 1):
-        fields = _generated_fields(request, real, rates, missing)
+        generated = _generated_fields(request, real, rates.value)
+    fields = generated.value
     check_names(request.samples, _model_notes(fields))
     notes = ROW_NOTES | _model_notes(fields) | {folder.name: folder.describe() for folder in folders}
-    without: list[str] = []
-    sources = feature_sources(request.run, request.features, without, request.guo)
-    sheets = [_Sheet(source, source.protocol(request.protocol)) for source in sources]
+    sources = feature_sources(request.run, request.features, request.guo)
+    sheets: list[dict[str, _Scored]] = [{} for _ in sources.value]
+    absent: list[list[str]] = [[] for _ in sources.value]
     sizes: list[ColumnSize] = []
     remarks: list[str] = []
-    for fps in rates:
+    slow: list[str] = []
+    for fps in rates.value:
         # One column's motions at a time: those of all framerates together are three times as many.
-        samples = samples_at(folders, fps, request.on_progress)
-        column = make_column(fps, real, train, fields, samples, missing).low_passed(request.low_pass_hz)
+        made = make_column(fps, real, train, fields, samples_at(folders, fps, request.on_progress))
+        column = made.value.low_passed(request.low_pass_hz)
+        slow += made.missing
         sizes.append(column.size)
         remarks += set_remarks(column.real, column.others)
-        for sheet in sheets:
-            _fill(sheet, column, request)
-        del samples, column
+        for source, sheet, lines in zip(sources.value, sheets, absent, strict=True):
+            scored = _scored(source, column, request)
+            sheet.update(scored.value)
+            lines += scored.missing
+        del made, column
         for motion in (real, train):
             motion.forget_all_but(LOW_FPS)
-    missing += [*without, *(line for sheet in sheets for line in sheet.missing)]
-    blocks = tuple(_block(sheet, sizes, notes) for sheet in sheets)
+    blocks = [_block(source, sheet, sizes, notes, request) for source, sheet in zip(sources.value, sheets, strict=True)]
     with task(request.on_progress, "nearest training motion"):
-        nearest = _nearest_training(real, train, fields, folders, notes, missing)
+        nearest = _nearest_training(real, train, fields, folders, notes)
+    missing = (*rates.missing, *generated.missing, *slow, *sources.missing, *chain(*absent), *nearest.missing)
     return Result(
         task="nerm-table2",
         version=VERSION,
         title="Table 2: clip-FID by framerate",
         caption=_caption(sizes, request),
-        blocks=(*(block for block in (*blocks, *nearest) if block.rows), _paper_block()),
+        blocks=(*(block for block in (*blocks, *nearest.value) if block.rows), _paper_block()),
         definition=_definition(sizes, request),
         notes=(*_notes(sizes), *_sample_notes(sizes, folders), *dict.fromkeys(remarks)),
         missing=tuple(dict.fromkeys(missing)),
@@ -147,39 +135,26 @@ def build_table2(request: TableRequest) -> Result:
 TABLE = Table("nerm", "2", "clip-FID by framerate", build_table2)
 
 
-def _training_motion(store: "Store", real: RealMotion) -> RealMotion:
-    """What the descriptor is fitted on: the training split, or the compared sequences where there is none."""
-    has_training = bool((store.columns("split")["split"] == "train").any())
-    return real_motion(store, "train") if has_training else real
-
-
-def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion, missing: list[str]) -> list[Fraction]:
-    usable = []
-    for fps in rates:
-        try:
-            real.indices_at(fps)
-        except NoRealMotionError as error:
-            missing.append(f"{fps} fps: {error}")
-        else:
-            usable.append(fps)
-    if not usable:
-        raise NoRealMotionError(missing[-1] if missing else "no framerate was asked for")
-    return usable
+def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion) -> Found[list[Fraction]]:
+    usable = each_found(rates, real.indices_at, "{} fps".format, (NoRealMotionError,))
+    if not usable.value:
+        raise NoRealMotionError(usable.missing[-1] if usable.missing else "no framerate was asked for")
+    return Found(list(usable.value), usable.missing)
 
 
 def _generated_fields(
-    request: TableRequest, real: RealMotion, rates: list[Fraction], missing: list[str]
-) -> dict[str, dict[Window, MotionField]]:
+    request: TableRequest, real: RealMotion, rates: list[Fraction]
+) -> Found[dict[str, dict[Window, MotionField]]]:
     """Motions that each of the run's models generates for the real sequences of the lowest framerate."""
-    found: dict[str, dict[Window, MotionField]] = {}
-    for name, trained in trained_models(request.run, missing).items():
-        model = trained.loaded
-        try:
-            windows = windows_of(real.at(min(rates)), model.max_duration_seconds)
-            found[name] = generate_fields(model, windows, request.seed, request.max_motions)
-        except MotionkitError as error:
-            missing.append(f"{name}: {error}")
-    return found
+    models = trained_models(request.run)
+
+    def generated(name: str) -> dict[Window, MotionField]:
+        model = models.value[name].loaded
+        windows = windows_of(real.at(min(rates)), model.max_duration_seconds)
+        return generate_fields(model, windows, request.seed, request.max_motions)
+
+    found = each_found(models.value, generated)
+    return Found(found.value, (*models.missing, *found.missing))
 
 
 def _model_notes(models: Iterable[str]) -> dict[str, str]:
@@ -195,8 +170,7 @@ def _nearest_training(
     fields: ModelFields,
     folders: Sequence[SampleFolder],
     notes: Mapping[str, str],
-    missing: list[str],
-) -> tuple[Block, ...]:
+) -> Found[tuple[Block, ...]]:
     """The block that tells copies; none where there is no training split or it is too short."""
     try:
         if train.name == real.name:
@@ -205,58 +179,59 @@ def _nearest_training(
         generated = {name: sample_fields(own, held_out.sequence_ids, SAMPLED_FPS, name) for name, own in fields.items()}
         others = {name: samples for name, samples in generated.items() if samples is not None}
         others |= {folder.name: folder.at(SAMPLED_FPS) for folder in folders}
-        return (nearest_training_block(held_out, training, others, notes),)
+        return Found((nearest_training_block(held_out, training, others, notes),))
     except (NoRealMotionError, ValueError) as error:
-        missing.append(f"distance to the nearest training motion: {error}")
-        return ()
+        return Found((), (f"distance to the nearest training motion: {error}",))
 
 
-def _fill(sheet: _Sheet, column: Column, request: TableRequest) -> None:
-    """Score a column's rows; numbers that cannot be had are named in the sheet's `missing`."""
-    label, source = column.label, sheet.source
-    if column.train is None:
-        sheet.missing.append(f"{label}, {source.name}: the training split has no motion at this framerate")
-        return
+def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Found[dict[str, _Scored]]:
+    """A column's rows on one feature set, under the column's label."""
+    label = column.label
     try:
-        check_lengths(column.real, sheet.protocol)
-        features = source.fit(column.train)
-        scores = _scores(column, features, source, sheet.protocol, request.on_progress, sheet.missing)
+        comparison = column.comparison(source, request.protocol)
+        with task(request.on_progress, f"{source.name}, {label}", 2 * comparison.protocol.replications) as work:
+            cells = score_column(comparison, column.rows, work.advance)
     except MotionkitError as error:
-        sheet.missing.append(f"{label}, {source.name}: {error}")
-        return
-    sheet.fingerprints[label] = features.fingerprint
+        return Found({}, (f"{label}, {source.name}: {error}",))
+    features = comparison.features
     if isinstance(features, KinematicDescriptor):
         folder = request.results / "features"
         require_no_link(folder, "delete the link, or name another folder with --results")
         features.save(folder / f"kinematic-{features.fingerprint}.npz")
-    said = [*_too_few(column, features, sheet.protocol), source.remark_at(column.fps)]
-    sheet.warnings.update(dict.fromkeys(filter(None, said)))
-    for name, score in scores.items():
-        sheet.cells.setdefault(name, {})[label] = clip_fid_cell(score)
+    warnings = tuple(filter(None, (*_too_few(column, comparison), source.remark_at(column.fps))))
+    return Found({label: _Scored(cells.value, features.fingerprint, warnings)}, cells.missing)
 
 
-def _block(sheet: _Sheet, columns: Sequence[ColumnSize], notes: Mapping[str, str]) -> Block:
-    cells = sheet.cells
-    order = [*REFERENCES, *(name for name in cells if name not in REFERENCES)]
-    rows = tuple(
-        Row(name, "reference" if name in REFERENCES else "ours", cells[name], notes.get(name, ""))
-        for name in order
-        if name in cells
-    )
+def _block(
+    source: FeatureSource, sheet: _Sheet, columns: Sequence[ColumnSize], notes: Mapping[str, str], request: TableRequest
+) -> Block:
+    names = dict.fromkeys((*REFERENCES, *(name for scored in sheet.values() for name in scored.cells)))
+    cells = {
+        name: {label: scored.cells[name] for label, scored in sheet.items() if name in scored.cells} for name in names
+    }
+    warnings = dict.fromkeys(warning for scored in sheet.values() for warning in scored.warnings)
     return Block(
-        sheet.source.title,
+        source.title,
         tuple(column.label for column in columns),
-        rows,
-        note=" ".join((sheet.source.note, *sheet.warnings)).strip(),
-        provenance={"fingerprints": sheet.fingerprints, "replications": sheet.protocol.replications},
+        tuple(
+            Row(name, "reference" if name in REFERENCES else "ours", found, notes.get(name, ""))
+            for name, found in cells.items()
+            if found
+        ),
+        note=" ".join((source.note, *warnings)).strip(),
+        provenance={
+            "fingerprints": {label: scored.fingerprint for label, scored in sheet.items()},
+            "replications": source.protocol(request.protocol).replications,
+        },
     )
 
 
-def _too_few(column: Column, features: FeatureSet, protocol: Protocol) -> list[str]:
+def _too_few(column: Column, comparison: Comparison) -> list[str]:
     """What must be said where there are no more samples than features: covariances are then singular."""
+    protocol = comparison.protocol
     smallest = int(protocol.sizes.sizes(column.fps).min())
     poses = column.real.sequences.clips(np.zeros(1, dtype=np.int64), smallest)
-    num_features = features.describe(poses, column.fps).shape[1]
+    num_features = comparison.features.describe(poses, column.fps).shape[1]
     advice = "quote KID, precision and recall (in the JSON's details), and give more"
     found = []
     if protocol.num_clips <= num_features:
@@ -272,38 +247,6 @@ def _too_few(column: Column, features: FeatureSet, protocol: Protocol) -> list[s
         for name, count in few.items()
     ]
     return found
-
-
-def _scores(
-    column: Column,
-    features: FeatureSet,
-    source: FeatureSource,
-    protocol: Protocol,
-    on_progress: OnProgress,
-    missing: list[str],
-) -> dict[str, ClipFid]:
-    label = column.label
-    rows = {}
-    for name, samples in column.rows.items():
-        try:
-            check_lengths(samples, protocol)
-            rows[name] = samples
-        except ClipError as error:
-            missing.append(f"{name}, {label}: {error}")
-    with task(on_progress, f"{source.name}, {label}", 2 * protocol.replications) as work:
-        scores = score_rows(column.real, rows, features, protocol, source.parts, work.advance)
-        try:
-            scores[P2] = score_disjoint_halves(column.real, features, protocol, source.parts, work.advance)
-        except ClipError as error:
-            missing.append(f"{P2}, {label}: {error}")
-    return scores
-
-
-def clip_fid_cell(score: ClipFid) -> Cell:
-    """A score as a table shows it, with its parts and further metrics as details."""
-    parts = {f"FID of the {name} block alone": value.mean for name, value in score.parts.items()}
-    details = {DETAIL_NAMES[name]: value.mean for name, value in score.details.items()}
-    return Cell(score.clip_fid.mean, score.clip_fid.ci95, parts | details)
 
 
 def _paper_block() -> Block:

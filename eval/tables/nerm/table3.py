@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +16,9 @@ from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
 from eval.metrics.replications import Score, Scores
 from eval.report.results import Block, Cell, Origin, Result, Row, environment
+from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
-from eval.sets.real import RealMotion, real_motion
+from eval.sets.real import RealMotion, has_training, real_motion
 from eval.sets.sets import SampleSet
 from eval.tables.models import check_names, trained_models
 from eval.tables.parts import SOURCES, reported_figures
@@ -81,20 +83,19 @@ def build_table3(request: TableRequest) -> Result:
     """
     source, protocols = _choices(request)
     store = request.open_store()
-    missing: list[str] = []
     with task(request.on_progress, "recogniser"):
         recogniser = _recogniser(source, store, request)
     with task(request.on_progress, "real motion"):
-        real = _real(source, recogniser, store, request, missing)
+        found = _real(source, recogniser, store, request)
+        real = found.value
         systems = [_real_system(real, recogniser, request)]
     with task(request.on_progress, "generating"):
-        systems += [*_models(real, recogniser, request, missing), *_folders(source, recogniser, request, missing)]
-    references = _references(real, recogniser, request)
-    blocks = [
-        *(_block(protocol, source, references, systems, request, missing) for protocol in protocols),
-        _by_action(recogniser, systems),
-        *_paper_blocks(source),
-    ]
+        models, others = _models(real, recogniser, request), _folders(source, recogniser, request)
+        systems += [*models.value, *others.value]
+    references = _references(real, recogniser)
+    scored = [_block(protocol, source, references, systems, request) for protocol in protocols]
+    absent = (found.missing, models.missing, others.missing, *(each.missing for each in scored))
+    blocks = [*(each.value for each in scored), _by_action(recogniser, systems), *_paper_blocks(source)]
     return Result(
         task="nerm-table3",
         version=VERSION,
@@ -103,7 +104,7 @@ def build_table3(request: TableRequest) -> Result:
         blocks=tuple(blocks),
         definition=_definition(source, recogniser, protocols, real, request),
         notes=_notes(source, real),
-        missing=tuple(dict.fromkeys(missing)),
+        missing=tuple(dict.fromkeys(chain(*absent))),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "run": request.run.name if request.run and any(each.is_model for each in systems) else None,
@@ -125,7 +126,7 @@ def _choices(request: TableRequest) -> tuple[RecogniserSource, list[ActionProtoc
 
 def _recogniser(source: RecogniserSource, store: "Store", request: TableRequest) -> ActionRecogniser:
     def train() -> SampleSet:
-        if not _has_training(store):
+        if not has_training(store):
             raise UsageError(
                 f"{request.store} has no training split, and {source.name!r} is fitted on one: `motionkit split` "
                 "makes it"
@@ -135,10 +136,6 @@ def _recogniser(source: RecogniserSource, store: "Store", request: TableRequest)
     return source.make(train, request.guo.weights if request.guo else None)
 
 
-def _has_training(store: "Store") -> bool:
-    return bool((store.columns("split")["split"] == "train").any())
-
-
 def _long_enough(samples: SampleSet) -> SampleSet:
     from eval.actions.linear import MIN_FRAMES
 
@@ -146,21 +143,20 @@ def _long_enough(samples: SampleSet) -> SampleSet:
 
 
 def _real(
-    source: RecogniserSource, recogniser: ActionRecogniser, store: "Store", request: TableRequest, missing: list[str]
-) -> _Real:
+    source: RecogniserSource, recogniser: ActionRecogniser, store: "Store", request: TableRequest
+) -> Found[_Real]:
     def known(motion: RealMotion) -> ActionSet:
         found = known_actions(motion.at(source.fps), recogniser.actions)
         return replace(found, samples=with_rotations(store, found.samples)) if source.needs_rotations else found
 
     compared = known(real_motion(store, request.split, request.where))
-    missing += [f"real ({request.split}): {line}" for line in compared.left_out]
-    if request.split in ("train", "all") or not _has_training(store):
-        return _Real(compared, None)
+    missing = tuple(f"real ({request.split}): {line}" for line in compared.left_out)
+    if request.split in ("train", "all") or not has_training(store):
+        return Found(_Real(compared, None), missing)
     try:
-        return _Real(compared, known(real_motion(store, "train")))
+        return Found(_Real(compared, known(real_motion(store, "train"))), missing)
     except NoActionsError as error:
-        missing.append(f"FID (train): {error}")
-        return _Real(compared, None)
+        return Found(_Real(compared, None), (*missing, f"FID (train): {error}"))
 
 
 def _real_system(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> _System:
@@ -177,21 +173,21 @@ def _counted(motions: int, draws: int) -> str:
     return f"{motions:,} motions" + (f", generated {draws} times" if draws > 1 else "")
 
 
-def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest, missing: list[str]) -> list[_System]:
+def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> Found[list[_System]]:
     """A row for each model of the run: one motion for every real one, or for a random choice of `max_motions`, --draws
     times over."""
     asked = _at_most(real.compared, request.max_motions, request.seed)
     note = f"{_counted(asked.samples.num_sequences, request.draws)}, with the actions and durations of real ones"
-    systems = []
-    models = trained_models(request.run, missing)
-    check_names(request.samples, models)
-    for name, trained in models.items():
-        try:
-            draws = generated_like(asked, trained.loaded, real.compared.samples.fps, request.draws, request.seed)
-            systems.append(_System(name, tuple(draw.recognised(recogniser) for draw in draws), note, is_model=True))
-        except MotionkitError as error:
-            missing.append(f"{name}: {error}")
-    return systems
+    models = trained_models(request.run)
+    check_names(request.samples, models.value)
+
+    def system(name: str) -> _System:
+        model = models.value[name].loaded
+        draws = generated_like(asked, model, real.compared.samples.fps, request.draws, request.seed)
+        return _System(name, tuple(draw.recognised(recogniser) for draw in draws), note, is_model=True)
+
+    found = each_found(models.value, system)
+    return Found(list(found.value.values()), (*models.missing, *found.missing))
 
 
 def _at_most(real: ActionSet, limit: int, seed: int) -> ActionSet:
@@ -202,10 +198,8 @@ def _at_most(real: ActionSet, limit: int, seed: int) -> ActionSet:
     return ActionSet(real.samples.select(chosen), real.labels[chosen])
 
 
-def _folders(
-    source: RecogniserSource, recogniser: ActionRecogniser, request: TableRequest, missing: list[str]
-) -> list[_System]:
-    systems = []
+def _folders(source: RecogniserSource, recogniser: ActionRecogniser, request: TableRequest) -> Found[list[_System]]:
+    systems, missing = [], []
     for folder in request.sample_folders:
         try:
             folder.require_actions()
@@ -217,10 +211,10 @@ def _folders(
         missing += [f"{folder.name}: {line}" for line in known.left_out]
         note = f"{_counted(known.samples.num_sequences, 1)}; {folder.describe()}"
         systems.append(_System(folder.name, (recognised,), note))
-    return systems
+    return Found(systems, tuple(missing))
 
 
-def _references(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> dict[str, np.ndarray]:
+def _references(real: _Real, recogniser: ActionRecogniser) -> dict[str, np.ndarray]:
     """Features of real motion by the names of `score_actions`: "test" is what is compared, "train" another set."""
     found = {"test": real.compared.recognised(recogniser).recognition.features}
     if real.train is not None:
@@ -234,10 +228,9 @@ def _block(
     references: dict[str, np.ndarray],
     systems: Sequence[_System],
     request: TableRequest,
-    missing: list[str],
-) -> Block:
+) -> Found[Block]:
     fids = {"fid_train": "FID (train)", "fid_test": f"FID ({request.split})"}
-    rows = []
+    rows, missing = [], []
     for system in systems:
         against = {
             name: features for name, features in references.items() if not (system.is_reference and name == "test")
@@ -253,13 +246,14 @@ def _block(
         remarks = [] if system.is_reference else size_remarks(against["test"], against["test"], first, request.seed)
         rows.append(Row(system.name, origin, cells, "; ".join((_note(system, scores, protocol), *remarks))))
     columns = (*fids.values(), ACCURACY, DIVERSITY, MULTIMODALITY)
-    return Block(
+    block = Block(
         f"Protocol {protocol.name!r}: {source.title}",
         tuple(column for column in columns if any(column in row.cells for row in rows)),
         tuple(rows),
         note=" ".join((source.note, BEST_WHERE_REAL, *protocol.remarks)),
         provenance={"protocol": asdict(protocol)},
     )
+    return Found(block, tuple(missing))
 
 
 def _note(system: _System, scores: Scores, protocol: ActionProtocol) -> str:

@@ -10,6 +10,7 @@ from jaxtyping import Int64
 
 from eval.reconstruction.errors import WindowErrors, mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Block, Cell, Result, Row, environment
+from eval.sets.found import Found
 from eval.sets.real import of_split_and
 from eval.tables.models import reconstructor, trained_reconstructors
 from eval.tables.parts import reported_figures
@@ -71,15 +72,17 @@ def build_table4(request: TableRequest) -> Result:
         raise UsageError("table 4 needs a trained model that reconstructs windows of motion: --run NAME")
     store = request.open_store()
     rates = request.fps or COLUMNS
-    missing: list[str] = []
     sets: dict[str, DescribedWindows] = {}
+    missing: list[str] = []
     found = trained_reconstructors(request.run)
     for name, trained in found.items():
-        each = described_windows(reconstructor(trained, store), store, request, missing)
+        each = described_windows(reconstructor(trained, store), store, request)
         whose = f"{name}: " if len(found) > 1 else ""
-        sets |= {f"{whose}{which}, {some.described}": some for which, some in each.items()}
+        sets |= {f"{whose}{which}, {some.described}": some for which, some in each.value.items()}
+        missing += each.missing
     measured = {name: _measure(each, rates) for name, each in sets.items()}
-    _tell_missing(measured, missing)
+    for name, errors in ((name, each.errors) for name, each in measured.items()):
+        missing += [f"{name}, {_label(fps)}: no take is that fast" for fps in errors if not errors[fps]]
     blocks = (
         _block("MPJPE in mm, takes fast enough for every column", measured, rates, mpjpe_cell, same=True),
         _block("MPJPE in mm, all takes at least as fast as the column", measured, rates, mpjpe_cell, same=False),
@@ -125,18 +128,17 @@ TABLE = Table("nerm", "4", "reconstruction MPJPE and MRE by framerate", build_ta
 
 
 def described_windows(
-    encoder: ReconstructsWindows, store: "Store", request: TableRequest, missing: list[str]
-) -> dict[str, DescribedWindows]:
-    """Samples of the windows that an encoder was trained on and of another split's; without the latter where there is
-    none, which `missing` then tells."""
+    encoder: ReconstructsWindows, store: "Store", request: TableRequest
+) -> Found[dict[str, DescribedWindows]]:
+    """Samples of the windows that an encoder was trained on, and of another split's where there are any."""
     found = {TRAINING: _described(encoder.training_windows(store), request)}
     try:
         if request.split in ("all", "train"):
             raise UsageError(f"split {request.split!r} holds training windows; name another (--split test)")
         found[HELD_OUT] = _described(encoder.other_windows(store, of_split_and(request.split, request.where)), request)
     except UsageError as error:
-        missing.append(f"{HELD_OUT}: {error}")
-    return found
+        return Found(found, (f"{HELD_OUT}: {error}",))
+    return Found(found)
 
 
 def _described(windows: ModelWindows, request: TableRequest) -> DescribedWindows:
@@ -159,11 +161,6 @@ def _measure(described: DescribedWindows, rates: Sequence[Fraction]) -> _Measure
         found = described.reconstructed(rows, fps)
         errors[fps] = {int(row): window_errors(window, fps) for row, window in zip(rows, found, strict=True)}
     return _Measured(errors, frozenset(np.flatnonzero(comparable(described.windows, rates)).tolist()))
-
-
-def _tell_missing(measured: dict[str, _Measured], missing: list[str]) -> None:
-    for name, each in measured.items():
-        missing.extend(f"{name}, {_label(fps)}: no take is that fast" for fps in each.errors if not each.errors[fps])
 
 
 def _block(

@@ -14,6 +14,7 @@ from eval.metrics.r_precision import r_precision_both_ways
 from eval.metrics.registry import find_metric
 from eval.metrics.replications import Scores
 from eval.report.results import Block, Cell, Origin, Row
+from eval.sets.found import Found, each_found
 from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import TableRequest
 from eval.text_motion.evaluator import TextMotionEvaluator
@@ -25,10 +26,8 @@ from motionkit.core.errors import MotionkitError, UsageError
 DEFAULT = ("native",)
 
 
-def text_motion_evaluators(
-    request: TableRequest, protocol: TextMotionProtocol, missing: list[str]
-) -> list[TextMotionEvaluator]:
-    """The evaluators that were asked for, `native` where none was; one that cannot be had is named in `missing`.
+def text_motion_evaluators(request: TableRequest, protocol: TextMotionProtocol) -> Found[list[TextMotionEvaluator]]:
+    """The evaluators that were asked for, `native` where none was.
 
     Raises `UsageError` for a name that is no evaluator of text and motion, for a known bug that the protocol or the
     evaluator does not have, and where not one can be had.
@@ -38,18 +37,14 @@ def text_motion_evaluators(
         "native": _native,
         "guo": partial(_guo, leak=protocol.leak),
     }
-    evaluators, reasons = [], []
-    for name in request.features or DEFAULT:
+    wanted = request.features or DEFAULT
+    for name in wanted:
         if name not in known:
             raise UsageError(f"--evaluator {name}: not an evaluator of text and motion; give {', '.join(known)}")
-        try:
-            evaluators.append(known[name](request))
-        except MotionkitError as error:
-            reasons.append(f"evaluator {name!r}: {error}")
-    if not evaluators:
-        raise UsageError("; ".join(reasons))
-    missing.extend(reasons)
-    return evaluators
+    found = each_found(wanted, lambda name: known[name](request), "evaluator {!r}".format)
+    if not found.value:
+        raise UsageError("; ".join(found.missing))
+    return Found(list(found.value.values()), found.missing)
 
 
 def _native(request: TableRequest) -> TextMotionEvaluator:

@@ -12,14 +12,14 @@ from statistics import fmean
 from typing import Any
 
 from eval.completion.blocks import Scope, value, with_pools
-from eval.completion.encoders import INTERPOLATION, Completer, completer_of
+from eval.completion.encoders import INTERPOLATION, completer_of
 from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
-from eval.completion.takes import NoTakesError, data_sets_of, nothing_at_all
+from eval.completion.takes import NoTakesError, data_sets_of
 from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.sets.real import of_split_and
 from eval.tables.pahires.interpolation import caption, definition
-from eval.tables.pahires.measured import Measured, measure_data_set
+from eval.tables.pahires.measured import measure_all
 from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
@@ -46,21 +46,15 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     all_runs = list({run.path: run for runs in trained.values() for run in runs.values()}.values())
     rates = {Fraction(_settings(run)["training"]["fps"]) for run in all_runs}
     completers = [completer_of(PAHIRES.paper, run.path, run.path.name) for run in all_runs]
-    absent: dict[str, str] = {}
-    measured: list[Measured] = []
-    for data_set in (each for each in data_sets_of(store) if each.fps in rates):
-        try:
-            rows: list[Completer] = [*REFERENCES, *completers]
-            measured.append(measure_data_set(store, data_set, (SCALE,), rows, protocol, request))
-        except NoTakesError as error:
-            absent[data_set.label] = str(error)
-    if not measured:
-        rates_told = ", ".join(f"{float(rate):g}" for rate in rates)
-        raise nothing_at_all(absent or {"": f"no data set stands at {rates_told} fps, which the runs were trained for"})
-    missing = [f"{label}: {reason}" for label, reason in absent.items()]
+    data_sets = [each for each in data_sets_of(store) if each.fps in rates]
+    if not data_sets:
+        named = ", ".join(f"{float(rate):g}" for rate in rates)
+        raise NoTakesError(f"no data set stands at {named} fps, which the runs were trained for")
+    found = measure_all(store, data_sets, (SCALE,), [*REFERENCES, *completers], request)
+    measured = found.value
     scopes = with_pools([each.scope for each in measured], "clips")
     untrained = [entry.variant for entry in ablation.entries if entry.name not in trained]
-    missing += [f"{variant.name}: {_command(ablation, request, variant)}" for variant in dict.fromkeys(untrained)]
+    not_trained = [f"{variant.name}: {_command(ablation, request, variant)}" for variant in dict.fromkeys(untrained)]
     return Result(
         task=f"pahires-{_place(ablation).lower().replace(' ', '')}",
         version=VERSION,
@@ -79,7 +73,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
             "variants": {entry.name: list(entry.variant.change) for entry in ablation.entries},
         },
         notes=(*(remark for each in measured for remark in each.remarks), *_notes(ablation, trained)),
-        missing=tuple(dict.fromkeys((*missing, *(line for each in measured for line in each.missing)))),
+        missing=tuple(dict.fromkeys((*found.missing, *not_trained))),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "runs": {run.path.name: run.stage(STAGE).read_summary() for run in all_runs},

@@ -8,10 +8,10 @@ from typing import Any
 from eval.completion.blocks import Shown, blocks_of, with_pools
 from eval.completion.encoders import INTERPOLATION, trained_completers
 from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, VERSION, InterpolationProtocol, scale_label
-from eval.completion.takes import NoTakesError, data_sets_of, nothing_at_all
+from eval.completion.takes import data_sets_of
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.sets.real import of_split_and
-from eval.tables.pahires.measured import Measured, measure_data_set
+from eval.tables.pahires.measured import Measured, measure_all
 from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import Table, TableRequest
 
@@ -32,28 +32,17 @@ SMALL_TAKES = 100
 
 
 def build_interpolation(number: str, scales: Sequence[Fraction], request: TableRequest) -> Result:
-    """All rows of all data sets that the store holds; what cannot be had is named in `missing`.
+    """All rows of all data sets that the store holds, and what cannot be had.
 
     Raises `NoTakesError` where no data set has takes, `UsageError` for an encoder that nothing has, and what opening
     the store raises.
     """
     store, protocol = request.open_store(), InterpolationProtocol()
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
-    missing: list[str] = []
-    completers = [*INTERPOLATION, *trained_completers("interpolation", request.run, request.encoders, missing)]
-    measured: list[Measured] = []
-    absent: dict[str, str] = {}
-    for data_set in data_sets_of(store, request.fps):
-        try:
-            found = measure_data_set(store, data_set, scales, completers, protocol, request)
-        except NoTakesError as error:
-            absent[data_set.label] = str(error)
-            continue
-        missing += found.missing
-        measured.append(found)
-    if not measured:
-        raise nothing_at_all(absent)
-    missing += [f"{label}: {reason}" for label, reason in absent.items()]
+    trained = trained_completers("interpolation", request.run, request.encoders)
+    completers = [*INTERPOLATION, *trained.value]
+    found = measure_all(store, data_sets_of(store, request.fps), scales, completers, request)
+    measured = found.value
     labels = tuple(scale_label(scale) for scale in scales)
     kind = "integer" if all(scale.denominator == 1 for scale in scales) else "non-integer"
     return Result(
@@ -69,7 +58,7 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
         ),
         definition=definition(protocol, request),
         notes=(*(remark for each in measured for remark in each.remarks), *NOTES),
-        missing=tuple(dict.fromkeys(missing)),
+        missing=tuple(dict.fromkeys((*trained.missing, *found.missing))),
         provenance={
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "encoders": {completer.name: completer.fingerprint for completer in completers},

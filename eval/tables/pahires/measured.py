@@ -11,9 +11,10 @@ from eval.completion.encoders import Completer
 from eval.completion.interpolation import METRICS, InterpolationTask, measure_interpolation, num_batches
 from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
 from eval.completion.scores import Scores, measure_scale, told_split
-from eval.completion.takes import DataSet, NoTakesError, TrueClips, open_clips
+from eval.completion.takes import DataSet, NoTakesError, TrueClips, open_clips, shared_reason
 from eval.metrics.checks import MeanSums
 from eval.report.results import Cell
+from eval.sets.found import Found, each_found
 from eval.tables.parts import Part, find_part, keep_part
 from eval.tables.registry import TableRequest
 from motionkit.core.progress import task, warn
@@ -64,7 +65,6 @@ class Measured:
     clips: TrueClips
     rows: dict[str, Scores]
     remarks: tuple[str, ...] = ()
-    missing: tuple[str, ...] = ()
 
     @property
     def scope(self) -> Scope:
@@ -72,18 +72,39 @@ class Measured:
         return Scope(self.data_set.label, self.data_set.fps, self.rows)
 
 
-def measure_data_set(
+def measure_all(
+    store: "Store",
+    data_sets: Sequence[DataSet],
+    scales: Sequence[Fraction],
+    completers: Sequence[Completer],
+    request: TableRequest,
+) -> Found[list[Measured]]:
+    """The figures of every data set that has clips; raises `NoTakesError` where none has."""
+    found = each_found(
+        data_sets,
+        lambda data_set: _measure(store, data_set, scales, completers, request),
+        lambda data_set: data_set.label,
+        (NoTakesError,),
+    )
+    if not found.value:
+        raise NoTakesError(shared_reason(found.missing))
+    measured = list(found.value.values())
+    failed = [line for each in measured for line in each.missing]
+    return Found([each.value for each in measured], (*failed, *found.missing))
+
+
+def _measure(
     store: "Store",
     data_set: DataSet,
     scales: Sequence[Fraction],
     completers: Sequence[Completer],
-    protocol: InterpolationProtocol,
     request: TableRequest,
-) -> Measured:
+) -> Found[Measured]:
     """A data set's figures: those that were measured before for the same terms are read from RESULTS/parts.
 
     Raises `NoTakesError` where the compared split has no clip.
     """
+    protocol = InterpolationProtocol()
     clips = open_clips(store, data_set, request.split, request.where, protocol.clip_frames, protocol.clip_frames)
     remarks, missing = [], []
     try:
@@ -119,7 +140,7 @@ def measure_data_set(
     remarks.append(_told_clips(data_set, clips))
     remarks.append(f"{data_set.label}: {told_split(store, clips, request.split)}")
     ordered = {completer.name: rows[completer.name] for completer in completers if completer.name in rows}
-    return Measured(data_set, clips, ordered, tuple(remarks), tuple(missing))
+    return Found(Measured(data_set, clips, ordered, tuple(remarks)), tuple(missing))
 
 
 def _told_clips(data_set: DataSet, clips: TrueClips) -> str:

@@ -9,9 +9,10 @@ from eval.completion.encoders import Completer, trained_completers
 from eval.completion.inbetweening import METRICS, measure_windows, num_batches
 from eval.completion.protocol import Question
 from eval.completion.scores import Scores
-from eval.completion.takes import NoTakesError, data_sets_of, nothing_at_all
+from eval.completion.takes import DataSet, NoTakesError, data_sets_of, shared_reason
 from eval.completion.windows import FPS, PoseWindows, data_set_windows, lafan1_windows, num_lafan1_takes
 from eval.report.results import Block
+from eval.sets.found import Found, each_found
 from eval.sets.real import of_split_and
 from eval.tables.pahires.measured import find_scores, keep_scores
 from eval.tables.registry import TableRequest
@@ -58,23 +59,19 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     """
     store = request.open_store()
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
-    missing: list[str] = []
-    completers = [*table.rows, *trained_completers(table.task, request.run, request.encoders, missing)]
-    scopes: list[Scope] = []
-    absent: dict[str, str] = {}
-    told: list[str] = []
-    for windows in _all_windows(store, request, absent):
-        rows = _rows(table, windows, completers, store.fingerprint, request, missing)
-        scopes.append(Scope(windows.name, FPS, rows))
-        told.append(f"{windows.name}: {windows.told}")
-    if not scopes:
-        raise nothing_at_all(absent)
-    missing += [f"{label}: {reason}" for label, reason in absent.items()]
+    trained = trained_completers(table.task, request.run, request.encoders)
+    completers = [*table.rows, *trained.value]
+    found = _all_windows(store, request)
+    if not found.value:
+        raise NoTakesError(shared_reason(found.missing))
+    rows = [_rows(table, windows, completers, store.fingerprint, request) for windows in found.value]
+    scopes = [Scope(windows.name, FPS, each.value) for windows, each in zip(found.value, rows, strict=True)]
+    failed = [line for each in rows for line in each.missing]
     shown = Shown(tuple(question.label for question in table.questions), table.metrics, table.details)
     return WindowBlocks(
         tuple(blocks_of(with_pools(scopes, "windows"), completers, shown)),
-        tuple(told),
-        tuple(dict.fromkeys(missing)),
+        tuple(f"{windows.name}: {windows.told}" for windows in found.value),
+        tuple(dict.fromkeys((*trained.missing, *failed, *found.missing))),
         {
             "store": {"path": request.store.name, "fingerprint": store.fingerprint},
             "encoders": {completer.name: completer.fingerprint for completer in completers},
@@ -84,22 +81,19 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     )
 
 
-def _all_windows(store: "Store", request: TableRequest, absent: dict[str, str]) -> "list[PoseWindows]":
-    """The windows of every data set at 30 fps that has any; why the others have none is told in `absent`."""
-    found = []
-    for data_set in data_sets_of(store):
-        if data_set.fps != FPS:
-            continue
+def _all_windows(store: "Store", request: TableRequest) -> Found[list[PoseWindows]]:
+    """The windows of every data set at 30 fps that has any."""
+
+    def windows(data_set: DataSet) -> PoseWindows:
         with task(request.on_progress, f"windows of {data_set.name}") as work:
-            try:
-                if data_set.value == "lafan1":
-                    work.set_total(num_lafan1_takes(store))
-                    found.append(lafan1_windows(store, work.advance))
-                else:
-                    found.append(data_set_windows(store, data_set, request.split, request.where))
-            except NoTakesError as error:
-                absent[data_set.label] = str(error)
-    return found
+            if data_set.value != "lafan1":
+                return data_set_windows(store, data_set, request.split, request.where)
+            work.set_total(num_lafan1_takes(store))
+            return lafan1_windows(store, work.advance)
+
+    at_30 = [data_set for data_set in data_sets_of(store) if data_set.fps == FPS]
+    found = each_found(at_30, windows, lambda data_set: data_set.label, (NoTakesError,))
+    return Found(list(found.value.values()), found.missing)
 
 
 def _rows(
@@ -108,8 +102,7 @@ def _rows(
     completers: Sequence[Completer],
     fingerprint: str,
     request: TableRequest,
-    missing: list[str],
-) -> dict[str, Scores]:
+) -> Found[dict[str, Scores]]:
     terms = {
         "version": table.version,
         "store": fingerprint,
@@ -119,6 +112,7 @@ def _rows(
     }
     columns = [question.label for question in table.questions]
     rows: dict[str, Scores] = {}
+    missing: list[str] = []
     with task(request.on_progress, windows.name, num_batches(windows) * len(completers)) as work:
         for completer in completers:
             work.note(completer.name)
@@ -132,4 +126,4 @@ def _rows(
                     continue
                 keep_scores(request.results, table.name, of_row, scores)
             rows[completer.name] = scores
-    return rows
+    return Found(rows, tuple(missing))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from eval.clip_fid.calibration import Graded, calibrate
+from eval.clip_fid.features import Comparison
 from eval.clip_fid.kinematic import fit_kinematic
 from eval.clip_fid.score import PoseRange, Protocol
 from eval.metrics.checks import Estimate
@@ -61,11 +62,11 @@ class MeanHeight:
 def test_the_descriptor_sees_jitter_and_a_blind_feature_set_is_found_out() -> None:
     real = takes()
     clips = np.stack([sequence[start : start + 24] for sequence in real.sequences for start in range(0, 170, 10)])
-    seen = calibrate(real, None, fit_kinematic([clips], FPS), PROTOCOL)
+    seen = calibrate(Comparison(real, fit_kinematic([clips], FPS), PROTOCOL), None)
     families = {family.family: family for family in seen.graded}
     assert families["jitter"].passes
     assert families["foot-sliding"].passes
     assert families["low-pass"].strengths == (10.0, 5.0, 3.0)
     assert set(seen.flat) == {"yaw", "translation", "sinc interpolation by half a frame"}
-    blind = calibrate(real, None, MeanHeight(), PROTOCOL)
+    blind = calibrate(Comparison(real, MeanHeight(), PROTOCOL), None)
     assert not blind.passes

@@ -39,8 +39,8 @@ PUBLISHED = GuoFiles(Path("finest.tar"), glove=Path("glove"))
 
 def evaluators(protocol: str, **changes: object) -> tuple[list[object], list[str]]:
     request = TableRequest(Path("store"), Path("results"), **changes)  # type: ignore[arg-type]
-    missing: list[str] = []
-    return list(text_motion_evaluators(request, find_text_motion_protocol(protocol), missing)), missing
+    found = text_motion_evaluators(request, find_text_motion_protocol(protocol))
+    return found.value, list(found.missing)
 
 
 @pytest.mark.parametrize(
