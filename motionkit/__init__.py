@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
     from motionkit.core.timegrid import TimeGrid
     from motionkit.fields.resample import resample
-    from motionkit.formats.writing import write
+    from motionkit.formats.catalogue import write
     from motionkit.generate.models import SamplingOptions
     from motionkit.generate.motion_model import MotionModel, generate, load_model
     from motionkit.store.named_motions.reading import read, read_all
@@ -77,11 +77,11 @@ give_names(
         "read_all": "motionkit.store.named_motions.reading",
         "resample": "motionkit.fields.resample",
         "view": "motionkit.view.motions",
-        "write": "motionkit.formats.writing",
+        "write": "motionkit.formats.catalogue",
     },
 )
 provide(
     resample="motionkit.fields.resample:resample",
-    save="motionkit.formats.writing:write",
+    save="motionkit.formats.catalogue:write",
     notebook_view="motionkit.view.notebook:notebook_view",
 )

@@ -21,8 +21,7 @@ from rich.table import Table
 
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
-from motionkit.export.catalogue import EXPORTS
-from motionkit.export.run import export
+from motionkit.export.run import export, export_kinds
 from motionkit.export.selection import Outcome, Selection
 from motionkit.store import Store
 
@@ -49,7 +48,7 @@ def read_alone(selection: Selection) -> dict[str, Any]:
 
 
 def measure(name: str, store: Store, where: str | None, num_frames: int, raw: int) -> dict[str, Any]:
-    kind = EXPORTS[name]
+    kind = export_kinds()[name]
     selection = Selection(store, store.select(where), kind.fps)
     num_sequences = len(selection.indices)
     marks = (max(1, num_sequences // 10), num_sequences)
@@ -80,7 +79,7 @@ def measure(name: str, store: Store, where: str | None, num_frames: int, raw: in
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("store", type=Path)
-    parser.add_argument("--formats", nargs="*", default=list(EXPORTS), choices=list(EXPORTS))
+    parser.add_argument("--formats", nargs="*", default=list(export_kinds()), choices=list(export_kinds()))
     parser.add_argument("--where")
     arguments = parser.parse_args()
     store = Store.open(arguments.store)

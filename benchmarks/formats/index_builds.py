@@ -25,7 +25,8 @@ from motionkit.formats.indexes.catalogue import read_index
 from motionkit.formats.indexes.entries import Entry
 from motionkit.formats.scan.cuts import StepCut
 from motionkit.formats.scan.items import IndexOptions, ReadOptions, SourceItem
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 
 FPS = 120
 RENAMED = {

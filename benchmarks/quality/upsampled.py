@@ -27,7 +27,9 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation.interpolators import interpolate
 from motionkit.fields.motion_field import to_motion
-from motionkit.formats.scan.scanner import ReadOptions, read, scan
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.quality import measure
 
 # Captured → stated fps: factors 2, 3, 4, 5, 6, then others, pulldown from film last.

@@ -20,7 +20,9 @@ import pyarrow.parquet as pq
 from rich.table import Table
 
 from motionkit.cli.console import stdout
-from motionkit.formats.scan.scanner import ReadOptions, read, scan
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.store.schema import FLOAT_LIST, ROW_GROUP_SEGMENTS, SEGMENT_FRAMES
 
 # One segment of one column, channels by frames.

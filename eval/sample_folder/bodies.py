@@ -6,7 +6,7 @@ from jaxtyping import Float, Float32, Int64
 from eval.sample_folder.folder import SampleFolder, SampleFolderError
 from eval.sample_folder.manifest import MANIFEST
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.formats.pose_folders import kit
+from motionkit.formats.pose_folders.humanml3d import KIT
 from motionkit.formats.source.body_frame import PLAUSIBLE_FACTOR, TRUNK_AND_LEGS, TYPICAL_HEIGHT_METRES, UNITS
 
 KIT_TRUNK_AND_LEGS = (
@@ -84,7 +84,7 @@ def check_bodies(folder: SampleFolder) -> tuple[str, ...]:
 
 def _size_message(metres: float) -> str:
     found = f"the bodies measure {metres:.3g} m from ankle to head, people {TYPICAL_HEIGHT_METRES} m"
-    units = {**UNITS, "KIT-ML's unit": kit.UNIT_METRES}
+    units = {**UNITS, "KIT-ML's unit": KIT.unit_metres}
     name, unit = min(units.items(), key=lambda entry: _factor(metres * entry[1]))
     if _factor(metres * unit) > PLAUSIBLE_FACTOR:
         needed = TYPICAL_HEIGHT_METRES / metres if metres > 0 else np.inf

@@ -8,7 +8,7 @@ from pathlib import Path
 from eval.sample_folder.folder import SampleFolderError
 from eval.sample_folder.manifest import MANIFEST, Manifest, read_manifest
 from motionkit.core.errors import FormatError
-from motionkit.formats.catalogue import FORMATS
+from motionkit.formats.catalogue import readers
 from motionkit.formats.scan import annotations
 from motionkit.formats.scan.annotations import Annotation
 from motionkit.formats.scan.folders import walk
@@ -113,7 +113,7 @@ class _Wanted:
 
 
 def _is_claimed(folder: Path) -> bool:
-    return any(entry.claims is not None and entry.claims(folder) for entry in FORMATS.values())
+    return any(entry.claims is not None and entry.claims(folder) for entry in readers().values())
 
 
 def _rows(

@@ -18,10 +18,10 @@ from motionkit.core.errors import FormatError
 from motionkit.features.layout import layout_of
 from motionkit.features.statistics import Statistics
 from motionkit.formats.arrays import npy
-from motionkit.formats.pose_folders import humanml3d, kit
+from motionkit.formats.pose_folders import humanml3d
 from motionkit.formats.source import source_file
 
-JOINTS_BY_WIDTH = {12 * layout.skeleton.num_joints - 1: layout for layout in (humanml3d.HUMANML3D, kit.KIT)}
+JOINTS_BY_WIDTH = {12 * layout.skeleton.num_joints - 1: layout for layout in humanml3d.LAYOUTS.values()}
 # Velocities of the root that vary by less than this (metres a frame) say nothing.
 LEAST_STEP_METRES = 0.004
 MOST_DISAGREEMENT = 4.0

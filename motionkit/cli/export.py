@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from motionkit.export.selection import Outcome
 
 MEGABYTE = 1e6
-FORMATS = "bvh, joints-npy, npz, csv, humanml3d, kit, gltf, parquet"
+FORMATS = "bvh, joints-npy, npz, csv, gltf, humanml3d, kit, parquet"
 SHOWN_LEFT_OUT = 20
 
 
@@ -39,24 +39,25 @@ def export(
 
     The folder appears when it is complete. Sequences that a format cannot hold are left out and told.
     """
-    from motionkit.export.catalogue import EXPORTS
     from motionkit.export.run import export as export_selection
+    from motionkit.export.run import export_kinds
     from motionkit.export.selection import Selection
     from motionkit.store import Store
 
-    if format not in EXPORTS:
-        raise UsageError(f"unknown format {format!r}, expected one of {', '.join(EXPORTS)}")
+    kinds = export_kinds()
+    if format not in kinds:
+        raise UsageError(f"unknown format {format!r}, expected one of {', '.join(kinds)}")
     try:
         rate = None if fps is None else parse_fps(fps)
     except ValueError as error:
         raise UsageError(f"--fps {fps}: {error}") from None
     opened = Store.open(store or default_path("store"))
-    selection = Selection(opened, opened.select(where), rate or EXPORTS[format].fps)
+    selection = Selection(opened, opened.select(where), rate or kinds[format].fps)
     num_chosen = len(selection.indices)
     if not num_chosen:
         raise UsageError(f"no sequence of {opened.path} satisfies {where!r}" if where else f"{opened.path} is empty")
     with progress() as show, task(show, "export", num_chosen) as work:
-        report = export_selection(selection, out, EXPORTS[format], on_outcome=lambda outcome: work.advance())
+        report = export_selection(selection, out, kinds[format], on_outcome=lambda outcome: work.advance())
     _tell_left_out(report.left_out)
     if as_json:
         print_json(_as_json(report))

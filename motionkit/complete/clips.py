@@ -21,14 +21,13 @@ from motionkit.fields.completion import Completion
 from motionkit.fields.interpolation.rigid import on_bones
 from motionkit.fields.long_observation import LongObservation
 from motionkit.fields.motion_field import Observation, Observed, Poses
-from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.arrays.npz import write_npz
 from motionkit.formats.bvh.document import BvhDocument
 from motionkit.formats.bvh.writing import ChannelLines, check_writable
+from motionkit.formats.catalogue import writer_of, writers
 from motionkit.formats.pose_folders.humanml3d import VECTORS_FOLDER
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read_document
-from motionkit.formats.writing import WRITERS
 from motionkit.store.named_motions import vectors_npy
 from motionkit.store.named_motions.found import Found, Readers, find_motions
 from motionkit.store.named_motions.holes import ReadClip, read_with_holes
@@ -102,13 +101,19 @@ def _read(item: SourceItem, options: ReadOptions) -> Clip:
 
 
 def _as_it_came(read: ReadClip, suffix: str, why_not: str) -> Clip:
-    """A motion with the writer of its file's suffix; else as .bvh where it has rotations, as .npz where it has none."""
-    if suffix == ".npy" and read.motion.skeleton in STANDARD_SKELETONS.values():
-        return _in_memory(read, ".npy", write_joints_npy)
-    if suffix == ".npz":
-        return _in_memory(read, ".npz", write_npz)
+    """A motion as arrays where it came as such; else as .bvh where it has rotations, as .npz where it has none."""
+    if suffix == ".npz" or (suffix == ".npy" and read.motion.skeleton in STANDARD_SKELETONS.values()):
+        return _in_memory(read, suffix, _write_of(suffix))
     other = ".npz" if read.motion.local_rotations is None else ".bvh"
-    return _in_memory(read, other, WRITERS[other], f"{why_not}: its result is a {other[1:]} file")
+    return _in_memory(read, other, _write_of(other), f"{why_not}: its result is a {other[1:]} file")
+
+
+def _write_of(suffix: str) -> Callable[[Motion, Path], None]:
+    format = writer_of(suffix)
+    if format is None or format.write is None:
+        suffixes = ", ".join(sorted(each.suffixes[0] for each in writers().values()))
+        raise UsageError(f"clips are written as {suffixes} or as they came, not as {suffix}")
+    return format.write
 
 
 def clip_of_document(document: BvhDocument) -> Clip:
@@ -172,9 +177,7 @@ def as_format(clip: Clip, suffix: str) -> Clip:
     """The same clip, to be written as another format by its suffix; raises `UsageError` for one that is not written."""
     if clip.suffix == suffix:
         return clip
-    if suffix not in WRITERS:
-        raise UsageError(f"clips are written as {', '.join(WRITERS)} or as they came, not as {suffix}")
-    return replace(clip, suffix=suffix, write=_writing(WRITERS[suffix], clip.timegrid, clip.label), note="")
+    return replace(clip, suffix=suffix, write=_writing(_write_of(suffix), clip.timegrid, clip.label), note="")
 
 
 def _vectors(path: Path, options: ReadOptions) -> Clip:

@@ -2,14 +2,17 @@
 
 import csv
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
+from motionkit.core.errors import UsageError
 from motionkit.core.files import naming
 from motionkit.core.motion import Caption, Motion
-from motionkit.core.skeletons.mapping import SkeletonMapError
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.core.timegrid import format_fps
-from motionkit.export.selection import Outcome, Selection
+from motionkit.export.selection import Outcome, Selection, flat_names, nested_names
+from motionkit.formats.format import Format
 
 TABLE = "motions.csv"
 # As motionkit.formats.scan.annotations reads them; sequence_id, the id in the store, is for people.
@@ -19,25 +22,38 @@ COLUMNS = (
 )
 
 
-def write_files(
-    selection: Selection, folder: Path, names: Sequence[PurePosixPath], write: Callable[[Motion, Path], None]
-) -> Iterator[Outcome]:
-    """Write each motion to its name below `folder` and its row to motions.csv; yields what became of each.
+def export_files(selection: Selection, folder: Path, format: Format) -> Iterator[Outcome]:
+    """Write each motion to `folder/ID.SUFFIX` and its row to motions.csv; yields what became of each.
 
-    A skeleton that `write` cannot map costs its sequence, not the export.
+    Files that share a framerate and their joints lie in one folder, as motions of the 22 joints. A skeleton that cannot
+    be mapped costs its sequence, not the export. Raises `UsageError` where framerates that have to be one differ.
     """
+    names_of, is_shared = (flat_names, True) if format.shared_file else (nested_names, False)
+    if is_shared and len(selection.framerates) > 1:
+        *most, last = [format_fps(fps) for fps in selection.framerates]
+        found = f"{', '.join(most)} and {last}"
+        raise UsageError(f"a folder of joints has one framerate, the sequences have {found}: give one with --fps")
+    return _write(selection, folder, names_of(selection.sequence_ids, format.suffixes[0]), format)
+
+
+def _write(selection: Selection, folder: Path, names: Sequence[PurePosixPath], format: Format) -> Iterator[Outcome]:
+    assert format.write is not None
     with MotionTable(folder / TABLE) as table:
         for motion, name in zip(selection.motions(), names, strict=True):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
                 with naming(path):
-                    write(motion, path)
+                    format.write(_with_22_joints(motion) if format.shared_file else motion, path)
             except SkeletonMapError as error:
                 yield Outcome(motion.sequence_id, "skeleton", str(error))
                 continue
             table.add(motion, name)
             yield Outcome(motion.sequence_id)
+
+
+def _with_22_joints(motion: Motion) -> Motion:
+    return Motion(map_joints(motion, SMPL22.name), SMPL22, motion.timegrid, sequence_id=motion.sequence_id)
 
 
 class MotionTable:

@@ -21,8 +21,15 @@ from motionkit.export.selection import Outcome, Selection, short_names
 from motionkit.export.templates import render
 from motionkit.features import humanml3d
 from motionkit.formats.arrays import joints_npy
-from motionkit.formats.pose_folders.humanml3d import HUMANML3D, JOINTS_FOLDER, Entry, FolderWriter, Layout
-from motionkit.formats.pose_folders.kit import KIT
+from motionkit.formats.pose_folders.humanml3d import (
+    HUMANML3D,
+    JOINTS_FOLDER,
+    KIT,
+    LAYOUTS,
+    Entry,
+    FolderWriter,
+    Layout,
+)
 
 README = "README.md"
 MIN_POSES = 2
@@ -107,19 +114,15 @@ def write_folder_manifest(folder: Path, layout: Layout) -> None:
         "layout": layout.skeleton.name,
         "unit_metres": layout.unit_metres,
         "vectors": humanml3d.CONVENTION,
-        "published_fps": format_fps(_published_fps(layout)),
+        "published_fps": format_fps(LAYOUTS[layout.name].fps),
     }
     write_json(folder / joints_npy.MANIFEST, manifest)
-
-
-def _published_fps(layout: Layout) -> Fraction:
-    return {HUMANML3D.name: HUMANML3D, KIT.name: KIT}[layout.name].fps
 
 
 def _describe(folder: Path, kind: Kind, lengths: Sequence[int]) -> None:
     """What the folder is, for readers (`motions.json`) and for people (`README.md`)."""
     layout = kind.layout
-    published = _published_fps(layout)
+    published = LAYOUTS[layout.name].fps
     write_folder_manifest(folder, layout)
     text = render(
         "pose_folder.md.j2",

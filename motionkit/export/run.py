@@ -1,14 +1,45 @@
 """Selection → folder: written beside its place and renamed when it is complete."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import whole_folder
-from motionkit.export.catalogue import Export
+from motionkit.export.files import export_files
+from motionkit.export.parquet import export_parquet
+from motionkit.export.pose_folder import export_humanml3d, export_kit
 from motionkit.export.selection import Outcome, Selection
+from motionkit.formats.catalogue import writers
+from motionkit.formats.pose_folders.humanml3d import HUMANML3D, KIT
+
+
+@dataclass(frozen=True)
+class Export:
+    """One kind of output: `write` fills an empty folder and yields what became of each sequence, in order.
+
+    `fps` is the framerate of all motions where none is asked for; None leaves each at its own.
+    What cannot be written as asked for is found before the first frame is read and raises `UsageError`.
+    """
+
+    name: str
+    description: str
+    write: Callable[[Selection, Path], Iterator[Outcome]]
+    fps: Fraction | None = None
+
+
+def export_kinds() -> Mapping[str, Export]:
+    """All kinds of output: a file for each motion in every format that is written, and data sets of all of them."""
+    kinds = (
+        *(Export(name, each.written, partial(export_files, format=each)) for name, each in writers().items()),
+        Export("humanml3d", "HumanML3D's folder: joints, 263 numbers, texts, splits", export_humanml3d, HUMANML3D.fps),
+        Export("kit", "KIT-ML's folder: 21 joints, 251 numbers, texts, splits", export_kit, KIT.fps),
+        Export("parquet", "Parquet by split with a dataset card: datasets, pandas, polars, duckdb", export_parquet),
+    )
+    return {kind.name: kind for kind in kinds}
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from motionkit.core.motion import Motion, Provenance
 from motionkit.core.plain_text import parse_json
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file
 from motionkit.formats.source.body_frame import in_metres
@@ -244,3 +245,14 @@ def _rotations(
             rotations[:, joint] = values / lengths[:, None]
     log = [f"quaternions normalised; they were off unit length by up to {worst:.3f}"]
     return rotations, log if worst > LOGGED_LENGTH_ERROR else []
+
+
+FORMAT = Format(
+    name="deepmimic",
+    description="DeepMimic's motions (.txt or .json, Loop and Frames; the humanoid of 15 joints)",
+    framerate="the frames' durations",
+    rotations=True,
+    read=of_path(read_deepmimic),
+    suffixes=(".txt", ".json"),
+    accepts=accepts,
+)

@@ -19,6 +19,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
 from motionkit.core.timegrid import TimeGrid, format_fps
+from motionkit.formats.format import Format
 from motionkit.formats.source.joint_channels import JointChannels, joint_channels
 
 Side = Literal["left", "right", "middle"]
@@ -271,3 +272,11 @@ def _extras(motion: Motion) -> dict[str, Any]:
         ],
     }
     return {name: value for name, value in said.items() if value not in ("", [], None)}
+
+
+FORMAT = Format(
+    name="gltf",
+    suffixes=(".glb",),
+    write=write_gltf,
+    written="a .glb each: an animated, visible skeleton for viewers and engines",
+)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from motionkit.core.motion import Motion
 from motionkit.formats.arrays import joints_npy, npy
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock
 
@@ -59,3 +60,15 @@ def read_humanact12(path: Path, options: ReadOptions | None = None) -> Motion:
             operations=operations,
         ),
     )
+
+
+FORMAT = Format(
+    name="humanact12",
+    description="HumanAct12 clips (.npy, 24 joints, action in the name)",
+    framerate="20, by definition",
+    rotations=False,
+    read=of_path(read_humanact12),
+    suffixes=(".npy",),
+    accepts=accepts,
+    beside=joints_npy.manifests,
+)

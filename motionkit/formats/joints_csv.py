@@ -21,6 +21,7 @@ from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid, format_fps
 from motionkit.formats.arrays.npy import MAX_NUMBER
 from motionkit.formats.arrays.npz import bones_of_pose
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file
 from motionkit.formats.source.body_frame import in_metres
@@ -182,3 +183,16 @@ def _skeleton(joints: tuple[str, ...]) -> tuple[Skeleton | None, tuple[str, ...]
         if set(joints) == set(skeleton.joint_names):
             return skeleton, skeleton.joint_names
     return None, joints
+
+
+FORMAT = Format(
+    name="csv",
+    description="joint positions (.csv, time_seconds or frame, then JOINT_x, JOINT_y, JOINT_z)",
+    framerate="time_seconds; else annotation CSV or --fps",
+    rotations=False,
+    read=of_path(read_joints_csv),
+    suffixes=(".csv",),
+    accepts=accepts,
+    write=write_joints_csv,
+    written="a table of joint positions each, with time stamps",
+)

@@ -25,6 +25,7 @@ from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
 from motionkit.formats.arrays.npy import checked_numbers, checked_rotations
 from motionkit.formats.arrays.npz import checked_layout_map, unnamed_skeleton
+from motionkit.formats.format import Format
 from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem
 from motionkit.formats.source import clock
 from motionkit.formats.source.body_frame import in_metres
@@ -375,3 +376,15 @@ def row_of(motion: Motion) -> dict[str, Any]:
         "end_site_offsets": [value for _, offset in skeleton.end_sites for value in offset],
         "layout_map": skeleton.layout_map,
     }
+
+
+FORMAT = Format(
+    name="parquet",
+    description="rows of motions as export --format parquet writes them, a folder of .parquet files",
+    framerate="fps_numerator/fps_denominator, or fps",
+    rotations=True,
+    read=read_parquet,
+    claims=claims,
+    find=find,
+    beside=beside,
+)

@@ -1,8 +1,9 @@
-"""Generated motions as files: sampled from their fields, written as .npz, .bvh, .glb or HumanML3D's arrays."""
+"""Generated motions as files: sampled from their fields, written in any format or as HumanML3D's arrays."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache, partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -13,8 +14,8 @@ from motionkit.core.files import whole_file
 from motionkit.export.pose_folder import HUMANML3D_KIND, pose_entry, write_folder_manifest
 from motionkit.export.selection import Outcome
 from motionkit.formats.arrays import joints_npy, npz
-from motionkit.formats.bvh.writing import write_bvh
-from motionkit.formats.gltf import write_gltf
+from motionkit.formats.catalogue import writers
+from motionkit.formats.format import Format
 from motionkit.formats.pose_folders.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER, FolderWriter
 from motionkit.generate.samples import GeneratedSample
 
@@ -39,16 +40,11 @@ def write_npz_file(path: Path, sample: GeneratedSample) -> None:
         npz.write_arrays(temporary, {**arrays, "duration_seconds": np.float64(sample.duration_seconds)})
 
 
-def write_bvh_file(path: Path, sample: GeneratedSample) -> None:
-    """Write a .bvh in centimetres, rotations by inverse kinematics; it appears whole or not at all."""
+def _write_file(path: Path, sample: GeneratedSample, format: Format) -> None:
+    assert format.write is not None
+    motion = sample.motion()
     with whole_file(path) as temporary:
-        write_bvh(sample.motion(), temporary)
-
-
-def write_gltf_file(path: Path, sample: GeneratedSample) -> None:
-    """Write a .glb, an animated, visible skeleton; it appears whole or not at all."""
-    with whole_file(path) as temporary:
-        write_gltf(sample.motion(), temporary)
+        format.write(motion, temporary)
 
 
 def write_humanml3d_files(path: Path, sample: GeneratedSample) -> None:
@@ -62,7 +58,7 @@ def write_humanml3d_files(path: Path, sample: GeneratedSample) -> None:
     entry = pose_entry(motion, sample.name, kind)
     if isinstance(entry, Outcome):
         raise UsageError(f"{sample.name}: {entry.message}")
-    for place in OUTPUTS["humanml3d"].files(sample.name):
+    for place in _HUMANML3D.files(sample.name):
         (path.parents[1] / place).unlink(missing_ok=True)  # a link would be written through
     FolderWriter(path.parents[1], kind.layout).add(entry)
 
@@ -96,22 +92,27 @@ class OutputFormat:
         return tuple(PurePosixPath(pattern.format(motion)) for pattern in self.patterns)
 
 
-OUTPUTS: Mapping[str, OutputFormat] = {
-    each.name: each
-    for each in (
-        OutputFormat("npz", ("{}.npz",), write_npz_file, any_instants=True),
-        OutputFormat("bvh", ("{}.bvh",), write_bvh_file),
-        OutputFormat("gltf", ("{}.glb",), write_gltf_file),
-        OutputFormat(
-            "humanml3d",
-            (f"{VECTORS_FOLDER}/{{}}.npy", f"{JOINTS_FOLDER}/{{}}.npy", f"{TEXTS_FOLDER}/{{}}.txt"),
-            write_humanml3d_files,
-            fps=HUMANML3D_KIND.layout.fps,
-            begin=_begin_humanml3d,
-            shared=(joints_npy.MANIFEST,),
-        ),
-    )
-}
+_NPZ = OutputFormat("npz", ("{}.npz",), write_npz_file, any_instants=True)
+_HUMANML3D = OutputFormat(
+    "humanml3d",
+    (f"{VECTORS_FOLDER}/{{}}.npy", f"{JOINTS_FOLDER}/{{}}.npy", f"{TEXTS_FOLDER}/{{}}.txt"),
+    write_humanml3d_files,
+    fps=HUMANML3D_KIND.layout.fps,
+    begin=_begin_humanml3d,
+    shared=(joints_npy.MANIFEST,),
+)
+
+
+@cache
+def output_formats() -> Mapping[str, OutputFormat]:
+    """All kinds of output by name: a file for each motion in every format that is written, and HumanML3D's folder."""
+    files = {name: _one_file(each) for name, each in writers().items()}
+    return {**files, _NPZ.name: _NPZ, _HUMANML3D.name: _HUMANML3D}
+
+
+def _one_file(format: Format) -> OutputFormat:
+    shared = (format.shared_file,) if format.shared_file else ()
+    return OutputFormat(format.name, (f"{{}}{format.suffixes[0]}",), partial(_write_file, format=format), shared=shared)
 
 
 def describe_sample(sample: GeneratedSample, file: str) -> dict[str, Any]:

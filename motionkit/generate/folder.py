@@ -18,7 +18,7 @@ from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.files import naming, temporary_name
 from motionkit.core.plain_text import whole_number
 from motionkit.core.progress import warn
-from motionkit.generate.files import OUTPUTS
+from motionkit.generate.files import output_formats
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.samples import GeneratedSample, motion_name
 from motionkit.generate.table import GeneratedTable
@@ -143,7 +143,9 @@ def _begun(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
 
 
 def _table(path: Path, manifest: Mapping[str, Any]) -> GeneratedTable:
-    return GeneratedTable(path, OUTPUTS[str(manifest["file_format"])], bool(manifest.get(TABLE_CHECKSUMS, False)))
+    return GeneratedTable(
+        path, output_formats()[str(manifest["file_format"])], bool(manifest.get(TABLE_CHECKSUMS, False))
+    )
 
 
 def _keep_complete(table: GeneratedTable) -> int:
@@ -185,7 +187,7 @@ def _unnoted(table: GeneratedTable, manifest: Mapping[str, Any]) -> Iterator[str
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     value = read_json(path / MANIFEST, f"delete the folder, or {ANOTHER}")
-    if value.get("format") != FORMAT or str(value.get("file_format")) not in OUTPUTS:
+    if value.get("format") != FORMAT or str(value.get("file_format")) not in output_formats():
         raise UsageError(f"{path / MANIFEST} is not of `motionkit generate`: {ANOTHER}")
     return value
 

@@ -11,7 +11,7 @@ import numpy as np
 from motionkit.core.errors import UsageError
 from motionkit.core.timegrid import format_fps
 from motionkit.fields.motion_field import MotionField
-from motionkit.generate.files import OUTPUTS, OutputFormat
+from motionkit.generate.files import OutputFormat, output_formats
 from motionkit.generate.folder import FORMAT
 from motionkit.generate.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts, is_joined
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
@@ -132,9 +132,9 @@ def make_plan(
     Raises `UsageError` for an unknown format, for instants that it or a motion's length does not allow, and for prompts
     without a length that are to be joined.
     """
-    if file_format not in OUTPUTS:
-        raise UsageError(f"--format is one of {', '.join(OUTPUTS)}, not {file_format!r}")
-    output = OUTPUTS[file_format]
+    output = output_formats().get(file_format)
+    if output is None:
+        raise UsageError(f"--format is one of {', '.join(output_formats())}, not {file_format!r}")
     if times and not output.any_instants:
         raise UsageError(f"a {file_format} file has one framerate: --times goes with --format npz")
     for prompt in prompts if join else ():

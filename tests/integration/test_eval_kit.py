@@ -16,7 +16,7 @@ from eval.text_motion.guo.networks import GuoWidths
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process, standard_bone_lengths
-from motionkit.formats.pose_folders.kit import UNIT_METRES
+from motionkit.formats.pose_folders.humanml3d import KIT
 from motionkit.generate.models import GenerationRequest
 from tests.helpers.published_guo import write_archive, write_glove
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
@@ -102,7 +102,7 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
     folders = {name: tmp_path / name for name in ("vectors", "mdm", "metres")}
     for name, stated in (
         ("vectors", 'statistics = "raw"'),
-        ("mdm", f"fps = 12.5\nunit_metres = {UNIT_METRES}"),
+        ("mdm", f"fps = 12.5\nunit_metres = {KIT.unit_metres}"),
         ("metres", "fps = 12.5"),
     ):
         folders[name].mkdir()
@@ -114,7 +114,7 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
         joints = humanml3d.positions(vectors, "kit21")
         batch[take, :, :, : len(joints)] = joints.transpose(1, 2, 0)
         np.save(folders["vectors"] / f"{take:05d}.npy", vectors)
-        np.save(folders["metres"] / f"{take:05d}.npy", joints * np.float32(UNIT_METRES))
+        np.save(folders["metres"] / f"{take:05d}.npy", joints * np.float32(KIT.unit_metres))
     for name in ("vectors", "metres"):
         (folders[name] / "captions.csv").write_text(captions, encoding="utf-8")
     np.savez(

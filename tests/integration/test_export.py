@@ -18,8 +18,9 @@ from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.export.catalogue import EXPORTS
+from motionkit.export.run import export_kinds
 from motionkit.formats.bvh.writing import write_bvh
+from motionkit.formats.catalogue import writers
 from motionkit.store import Store, StoreWriter
 
 
@@ -80,7 +81,7 @@ def test_what_files_cannot_hold_comes_back(motionkit, tmp_path):
 
 
 def test_help_names_every_format():
-    assert tuple(FORMATS.split(", ")) == tuple(EXPORTS)
+    assert tuple(FORMATS.split(", ")) == tuple(export_kinds())
 
 
 def test_a_skeleton_without_the_joints_is_left_out_and_told(motionkit, bodies, tmp_path):
@@ -99,13 +100,18 @@ def test_a_skeleton_without_the_joints_is_left_out_and_told(motionkit, bodies, t
     assert not list(tmp_path.glob("none*"))
 
 
+def patch_writer(monkeypatch, write):
+    """BVH files are written by `write`."""
+    monkeypatch.setattr("motionkit.export.run.writers", lambda: {"bvh": replace(writers()["bvh"], write=write)})
+
+
 def test_a_fault_half_way_leaves_nothing(motionkit, bodies, tmp_path, monkeypatch):
     def broken(motion, path):
         if motion.sequence_id == "a/fast":
             raise OSError(28, "No space left on device", str(path))
         write_bvh(motion, path)
 
-    monkeypatch.setattr("motionkit.export.motion_files.write_bvh", broken)
+    patch_writer(monkeypatch, broken)
     outcome = motionkit("export", tmp_path / "out", "--store", bodies)
     assert outcome.code == 1
     assert "No space left on device" in outcome.stderr
@@ -116,7 +122,7 @@ def test_what_a_killed_export_left_is_deleted_by_the_next_one(motionkit, bodies,
     def killed(motion, path):
         os.kill(os.getpid(), signal.SIGKILL)
 
-    monkeypatch.setattr("motionkit.export.motion_files.write_bvh", killed)
+    patch_writer(monkeypatch, killed)
     process = multiprocessing.get_context("fork").Process(
         target=motionkit, args=("export", tmp_path / "out", "--store", bodies)
     )
@@ -124,7 +130,7 @@ def test_what_a_killed_export_left_is_deleted_by_the_next_one(motionkit, bodies,
     process.join()
     assert process.exitcode == -signal.SIGKILL
     assert [path.name for path in tmp_path.glob("out*")] == ["out.partial"]
-    monkeypatch.setattr("motionkit.export.motion_files.write_bvh", write_bvh)
+    patch_writer(monkeypatch, write_bvh)
     outcome = motionkit("export", tmp_path / "out", "--store", bodies)
     assert outcome.code == 0
     assert [path.name for path in tmp_path.glob("out*")] == ["out"]

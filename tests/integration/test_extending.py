@@ -142,6 +142,52 @@ def test_the_model_has_its_row_in_table_2(site: Path, run: Path) -> None:
     assert not any("NeRM" in line for line in result["missing"])
 
 
+FORMAT = """
+import motionkit as mk
+motion = mk.read("in/take.xyz")
+motion.save("again.xyz")
+assert open("again.xyz").read() == open("in/take.xyz").read()
+made = mk.complete("in/take.xyz", fps=60, model="spline")
+assert made.num_frames == 19
+made.resample(30).save("in/second.xyz")
+print(motion.fps, motion.num_frames, mk.view("in", path="page.html").name)
+"""
+
+
+def test_a_format_of_one_file_is_read_ingested_and_exported(site: Path) -> None:
+    """And completed, viewed, written by suffix, with no other change than the package that is installed."""
+    rng = np.random.default_rng(2)
+    body = np.linspace(0.1, 1.7, 66) + rng.normal(0, 0.02, (10, 66)).cumsum(axis=0)
+    take = site / "beside" / "in" / "take.xyz"
+    take.parent.mkdir(parents=True)
+    take.write_text("fps 30\n" + "".join(" ".join(f"{value:.6f}" for value in row) + "\n" for row in body))
+    used = python(site, FORMAT)
+    assert used.returncode == 0, used.stderr
+    assert used.stdout.split() == ["30", "10", "page.html"]
+    ingested = python(site, APP, "ingest", "in", "--store", "xyz-store", "--json")
+    assert ingested.returncode == 0, ingested.stderr
+    exported = python(site, APP, "export", "out", "--format", "xyz", "--store", "xyz-store", "--json")
+    assert exported.returncode == 0, exported.stderr
+    assert json.loads(exported.stdout)["sequences"] == 2
+    rows = [np.loadtxt(each, skiprows=1) for each in (take, site / "beside" / "out" / "in" / "take.xyz")]
+    np.testing.assert_allclose(rows[0], rows[1], atol=2e-6)
+    (site / "beside" / "in" / "broken.xyz").write_text("fps 30\n1 2 3\n")
+    broken = python(site, APP, "ingest", "in", "--store", "another")
+    assert "broken.xyz" in broken.stderr and "expected 'fps'" in broken.stderr
+    without = python(site, APP, "ingest", "in", "--store", "third", installed=False)
+    assert without.returncode != 0 and "no motions in this folder" in without.stderr
+
+
+def test_a_format_that_is_generated(site: Path, run: Path) -> None:
+    made = python(
+        site, APP, "generate", "a walk", "--seconds", "1", "--fps", "20", "--runs", "../runs", "--run", "idle",
+        "--format", "xyz", "--out", "made", "--json",
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    (path,) = (site / "beside" / "made").glob("*.xyz")
+    assert path.read_text().startswith("fps 20\n")
+
+
 def test_a_stage_that_nobody_brought_is_a_usage_error(site: Path) -> None:
     told = python(site, APP, "train", "--stage", "standstill", "--store", "store", installed=False)
     assert told.returncode == 2

@@ -22,7 +22,8 @@ from motionkit.formats.bvh.document import read_bvh
 from motionkit.formats.bvh.writing import write_bvh
 from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
 from tests.helpers.every_format import SOURCES

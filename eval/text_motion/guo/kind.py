@@ -17,7 +17,7 @@ from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.features.layout import pose_layout
 from motionkit.features.statistics import Statistics, check_statistics
 from motionkit.formats.arrays import npy
-from motionkit.formats.pose_folders import kit
+from motionkit.formats.pose_folders.humanml3d import KIT
 from motionkit.formats.source import source_file
 
 STATISTICS_NAMES = (("mean.npy", "std.npy"), ("eval_mean.npy", "eval_std.npy"))
@@ -55,7 +55,7 @@ class GuoKind:
     @property
     def unit_metres(self) -> float:
         """How long the unit of the data set's files is: a metre, or a thousandth of KIT-ML's body of 1.7 m."""
-        return kit.UNIT_METRES if self.layout == kit.KIT.skeleton.name else 1.0
+        return KIT.unit_metres if self.layout == KIT.skeleton.name else 1.0
 
     @property
     def is_weighted(self) -> bool:

@@ -19,6 +19,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion, Provenance
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.acclaim.asf import ROTATIONS, AsfSkeleton, read_asf
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import source_file
 from motionkit.formats.source.number_table import (
@@ -279,3 +280,15 @@ def _local_rotations(
             turn = kinematics.quaternion_multiply(kinematics.quaternion_multiply(frame, turn), back)
             rotations[:, joint] = turn
     return rotations, (root * asf.unit_metres).astype(np.float32)
+
+
+FORMAT = Format(
+    name="asfamc",
+    description="Acclaim skeleton and motion (.amc with its .asf beside it), as CMU publishes them",
+    framerate="not stated: annotation CSV or --fps",
+    rotations=True,
+    read=of_path(read_asfamc),
+    suffixes=(".amc",),
+    beside=skeletons,
+    begins=b":FULLY-SPECIFIED",
+)

@@ -14,9 +14,11 @@ from motionkit.core.checksums import unsealed, write_json
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion, Provenance
 from motionkit.core.plain_text import parse_json, shown
-from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
+from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
 from motionkit.formats.arrays import npy
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import body_frame, clock, source_file
 
@@ -91,10 +93,11 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
 def write_joints_npy(motion: Motion, path: Path) -> None:
     """Write the positions in metres and their framerate into `motions.json` beside them.
 
-    Raises `ValueError` where the folder's `motions.json` has another framerate or layout.
+    Another skeleton than a standard one is brought to the 22 joints. Raises `SkeletonMapError` where that cannot be,
+    `ValueError` where the folder's `motions.json` has another framerate or layout.
     """
-    if motion.skeleton.name not in STANDARD_SKELETONS:
-        raise ValueError(f"skeleton {motion.skeleton.name!r} is none of {', '.join(STANDARD_SKELETONS)}; map it first")
+    if motion.skeleton not in STANDARD_SKELETONS.values():
+        motion = Motion(map_joints(motion, SMPL22.name), SMPL22, motion.timegrid)
     manifest = path.parent / MANIFEST
     if manifest.exists():
         there = read_manifest(manifest)
@@ -137,3 +140,19 @@ def _skeleton(num_joints: int, manifest: Manifest, path: Path) -> Skeleton:
             reason="channel-count",
         )
     return STANDARD_SKELETONS[layout]
+
+
+FORMAT = Format(
+    name="joints-npy",
+    description="joint positions (.npy, frames × joints × 3; 21, 22 or 24 joints)",
+    framerate="motions.json, annotation CSV or --fps",
+    rotations=False,
+    read=of_path(read_joints_npy),
+    suffixes=(".npy",),
+    accepts=accepts,
+    beside=manifests,
+    begins=npy.MAGIC,
+    write=write_joints_npy,
+    written="22 joints in metres as .npy, one framerate",
+    shared_file=MANIFEST,
+)

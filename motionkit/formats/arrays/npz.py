@@ -24,6 +24,7 @@ from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npy import checked_rotations
 from motionkit.formats.arrays.npz_archive import NpzArchive
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file
 from motionkit.formats.source.body_frame import in_metres
@@ -315,3 +316,16 @@ def _texts(archive: NpzArchive, key: str) -> tuple[str, ...]:
 
 def _text(archive: NpzArchive, key: str) -> str:
     return next(iter(_texts(archive, key)), "")
+
+
+FORMAT = Format(
+    name="npz",
+    description="this project's .npz: joint_positions, a clock, anything else that is known",
+    framerate="fps_numerator/fps_denominator, fps, or time_seconds",
+    rotations=True,
+    read=of_path(read_npz),
+    suffixes=(".npz",),
+    accepts=accepts,
+    write=write_npz,
+    written="an .npz file each, everything that is known",
+)

@@ -16,6 +16,7 @@ from jaxtyping import Float32, Float64, Int64
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.formats.bvh.document import BvhDocument, read_bvh, read_document
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 
 THEMES = (
@@ -111,3 +112,15 @@ def benchmark_windows(motion: Motion, *, window_frames: int, step_frames: int) -
 def _turn_to_x(root: Float64[np.ndarray, "windows 4"]) -> Float64[np.ndarray, "windows 4"]:
     forward = kinematics.quaternion_rotate(root, np.array([0.0, 1.0, 0.0])) * np.array([1.0, 0.0, 1.0])
     return kinematics.quaternion_between(forward, np.array([1.0, 0.0, 0.0]))
+
+
+FORMAT = Format(
+    name="lafan1",
+    description="LaFAN1's takes (.bvh named walk1_subject5), with theme, subject and the benchmark's split",
+    framerate="Frame Time",
+    rotations=True,
+    read=of_path(read_lafan1),
+    document=read_lafan1_document,
+    suffixes=(".bvh",),
+    accepts=accepts,
+)

@@ -19,6 +19,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.plain_text import shown
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.bvh.document import T_POSE_DROPPED, BvhDocument, read_bvh, read_document
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import source_file
 
@@ -152,3 +153,16 @@ def _numbers(cells: list[str], table: Path, line: int) -> tuple[int, int]:
         )
     start, stop = (int(value) for value in values)
     return start, stop
+
+
+FORMAT = Format(
+    name="100style",
+    description="100STYLE's takes (.bvh named Style_FW), cut as Frame_Cuts.csv says, with style and movement",
+    framerate="Frame Time",
+    rotations=True,
+    read=of_path(read_100style),
+    document=read_100style_document,
+    suffixes=(".bvh",),
+    accepts=accepts,
+    beside=tables_of_cuts,
+)

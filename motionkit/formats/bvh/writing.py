@@ -13,7 +13,8 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Poses
 from motionkit.formats.bvh import channels
-from motionkit.formats.bvh.document import BvhDocument
+from motionkit.formats.bvh.document import BvhDocument, read_bvh, read_document
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.source import number_table
 from motionkit.formats.source.body_frame import y_up_to_z_up
 from motionkit.formats.source.joint_channels import joint_channels
@@ -240,3 +241,17 @@ def _places(
             back = kinematics.quaternion_conjugate(world[:, parent])
             places[:, column] = kinematics.quaternion_rotate(back, positions[:, joint] - positions[:, parent])
     return places
+
+
+FORMAT = Format(
+    name="bvh",
+    description="BioVision hierarchy (.bvh), any skeleton and channel order",
+    framerate="Frame Time",
+    rotations=True,
+    read=of_path(read_bvh),
+    document=read_document,
+    suffixes=(".bvh",),
+    begins=b"HIERARCHY",
+    write=write_bvh,
+    written="a BVH file each, own skeleton and framerate",
+)

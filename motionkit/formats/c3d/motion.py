@@ -21,6 +21,7 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.formats.bvh import channels
 from motionkit.formats.c3d.container import C3dFile, parse_c3d
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file
 
@@ -287,3 +288,13 @@ def _metres(markers: _Markers, unit: float, up: str, path: Path) -> Float32[np.n
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+FORMAT = Format(
+    name="c3d",
+    description="C3D (.c3d): markers without bones; a --skeleton-map makes the 22 joints of them",
+    framerate="POINT:RATE",
+    rotations=False,
+    read=of_path(read_c3d),
+    suffixes=(".c3d",),
+)

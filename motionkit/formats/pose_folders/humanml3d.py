@@ -1,12 +1,14 @@
-"""HumanML3D folders (22 joints, 20 fps, metres) and what the KIT-ML folders of the same shape share with them.
+"""HumanML3D folders (22 joints, 20 fps, metres), and KIT-ML's of the same shape (21 joints, 12.5 fps, 251 numbers).
 
 A folder has `new_joints/ID.npy` [T, J, 3] and/or `new_joint_vecs/ID.npy` [T, 12·J − 1], `texts/ID.txt`, `train.txt`,
-`val.txt`, `test.txt`, `Mean.npy` and `Std.npy`. Source: https://github.com/EricGuo5513/HumanML3D.
+`val.txt`, `test.txt`, `Mean.npy` and `Std.npy`. KIT-ML's lengths are thousandths of the body's height.
+Source: https://github.com/EricGuo5513/HumanML3D, https://motion-annotation.humanoids.kit.edu.
 """
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +18,10 @@ from motionkit.core.errors import FormatError
 from motionkit.core.files import naming
 from motionkit.core.moments import Moments, merge, moments
 from motionkit.core.motion import Caption, Motion, Provenance
-from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import joints_npy, npy
+from motionkit.formats.format import Format
 from motionkit.formats.pose_folders import texts
 from motionkit.formats.pose_folders.texts import SPLITS, read_splits
 from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem
@@ -53,6 +56,10 @@ def vector_blocks(num_joints: int) -> tuple[slice, ...]:
 
 
 HUMANML3D = Layout("humanml3d", SMPL22, Fraction(20), 1.0)
+# KIT-ML's files have the root at 560 units on average, the hips' height of a body of 1,000; here that is 1.7 m tall.
+BODY_HEIGHT_METRES = 1.7
+KIT = Layout("kit", KIT21, Fraction(25, 2), BODY_HEIGHT_METRES / 1000.0)
+LAYOUTS = {layout.name: layout for layout in (HUMANML3D, KIT)}
 
 
 def claims(folder: Path, layout: Layout = HUMANML3D) -> bool:
@@ -279,3 +286,27 @@ def _arrays(folder: Path) -> dict[str, Path]:
     paths = {path.stem: path for path in sorted((folder / VECTORS_FOLDER).glob("*.npy"))}
     paths.update({path.stem: path for path in sorted((folder / JOINTS_FOLDER).glob("*.npy"))})
     return dict(sorted(paths.items()))
+
+
+FORMAT = Format(
+    name="humanml3d",
+    description="HumanML3D folder: new_joints and/or new_joint_vecs (263 numbers), texts, splits",
+    framerate="20, by definition",
+    rotations=False,
+    read=read_humanml3d,
+    claims=claims,
+    find=find,
+    beside=files_of_folder,
+)
+
+
+KIT_FORMAT = Format(
+    name="kit",
+    description="KIT-ML folder in HumanML3D's form: 21 joints, 251 numbers",
+    framerate="12.5, by definition",
+    rotations=False,
+    read=partial(read_humanml3d, layout=KIT),
+    claims=partial(claims, layout=KIT),
+    find=partial(find, layout=KIT),
+    beside=files_of_folder,
+)

@@ -11,7 +11,7 @@ from motionkit.core.mirror import mirror
 from motionkit.core.motion import Motion
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.formats.bvh.document import BvhDocument
-from motionkit.formats.catalogue import FORMATS
+from motionkit.formats.catalogue import readers
 from motionkit.formats.scan import cuts, framerate_rules
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.source.source_file import check_size
@@ -40,7 +40,7 @@ def read_document(item: SourceItem, options: ReadOptions | None = None) -> BvhDo
 
     Its skeleton, frames and clock are those that `read` finds. Raises `FormatError`.
     """
-    options, document = _with_clock(item, options), FORMATS[item.format].document
+    options, document = _with_clock(item, options), readers()[item.format].document
     if document is None:
         return None
     found = _on_clock(item, options, lambda wanted: document(item.path, wanted))
@@ -74,7 +74,9 @@ def _annotated(made: Read, item: SourceItem, options: ReadOptions) -> Read:
 
 
 def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
-    return _on_clock(item, options, lambda wanted: FORMATS[item.format].read(item, wanted))
+    read_with = readers()[item.format].read
+    assert read_with is not None
+    return _on_clock(item, options, lambda wanted: read_with(item, wanted))
 
 
 def _on_clock(item: SourceItem, options: ReadOptions, read: Callable[[ReadOptions], Read]) -> Read:

@@ -9,15 +9,13 @@ from functools import cache
 from pathlib import Path
 
 from motionkit.core.errors import FormatError, UsageError
-from motionkit.formats.catalogue import FORMATS, Format
+from motionkit.formats.catalogue import readers
+from motionkit.formats.format import Format
 from motionkit.formats.indexes import search
 from motionkit.formats.scan import annotations, unread
 from motionkit.formats.scan.annotations import Annotation, AnnotationTable
 from motionkit.formats.scan.folders import dangling, walk
 from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem, Spare
-from motionkit.formats.scan.reading import read
-
-__all__ = ["FORMATS", "Format", "ReadOptions", "ScanResult", "SourceItem", "read", "scan"]
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
@@ -27,8 +25,8 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     `options.captions` that are no such table.
     """
     options = options or ReadOptions()
-    if options.format != "auto" and options.format not in FORMATS:
-        raise UsageError(f"unknown format {options.format!r}, expected auto or one of {', '.join(FORMATS)}")
+    if options.format != "auto" and options.format not in readers():
+        raise UsageError(f"unknown format {options.format!r}, expected auto or one of {', '.join(readers())}")
     if options.index is not None:
         seen: list[AnnotationTable] = []
         broken: list[FormatError] = []
@@ -70,7 +68,7 @@ def _file_items(
 
     The annotation tables beside the files are added to `seen`, what is wrong with those that are none to `broken`.
     """
-    candidates = [entry for entry in FORMATS.values() if options.format in ("auto", entry.name)]
+    candidates = [entry for entry in readers().values() if options.format in ("auto", entry.name)]
 
     @cache
     def around(folder: Path, root: Path) -> tuple[str, tuple[AnnotationTable, ...]]:
@@ -154,11 +152,11 @@ def _files_below(folder: Path) -> list[Path]:
 
 
 def _is_claimed(folder: Path) -> bool:
-    return any(entry.claims is not None and entry.claims(folder) for entry in FORMATS.values())
+    return any(entry.claims is not None and entry.claims(folder) for entry in readers().values())
 
 
 def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, options: ReadOptions) -> ScanResult:
-    candidates = [entry for entry in FORMATS.values() if options.format in ("auto", entry.name)]
+    candidates = [entry for entry in readers().values() if options.format in ("auto", entry.name)]
     for entry in candidates:
         if entry.claims is not None and entry.find is not None and entry.claims(folder):
             found = entry.find(folder, root)
@@ -184,7 +182,7 @@ def _recognise(path: Path, licence: str, options: ReadOptions) -> ScanResult:
     with path.open("rb") as file:
         head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
     words = next((line.strip() for line in head.splitlines() if line.strip() and not line.startswith(b"#")), b"")
-    for entry in FORMATS.values():
+    for entry in readers().values():
         fits = options.format in ("auto", entry.name) and (entry.accepts is None or entry.accepts(path))
         if fits and entry.begins and words.upper().startswith(entry.begins):
             return ScanResult((_file_item(entry, path, path.parent, licence),))

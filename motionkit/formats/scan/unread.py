@@ -7,7 +7,7 @@ from pathlib import Path
 
 from motionkit.core.errors import FormatError
 from motionkit.formats.arrays import unknown
-from motionkit.formats.catalogue import FORMATS
+from motionkit.formats.catalogue import readers
 from motionkit.formats.scan import annotations
 from motionkit.formats.scan.items import ReadOptions, ScanResult
 
@@ -26,7 +26,7 @@ def ignored(files: Iterable[Path], found: Sequence[tuple[Path, ScanResult]], rea
         known.update(item.path for item in result.items)
         known.update(problem.path for problem in (*result.problems, *result.warnings))
         for name in {item.format for item in result.items}:
-            known.update(FORMATS[name].beside(folder))
+            known.update(readers()[name].beside(folder))
     return tuple(path for path in files if path not in known)
 
 
@@ -37,7 +37,7 @@ def kinds_of(paths: Iterable[Path]) -> dict[str, int]:
 
 def no_motion(source: Path, options: ReadOptions) -> FormatError:
     """The problem of a file or folder in which nothing is a motion."""
-    expected = options.format if options.format != "auto" else ", ".join(FORMATS)
+    expected = options.format if options.format != "auto" else ", ".join(readers())
     if source.is_file():
         arrays = unknown.describe(source) if options.format in ("auto", "npz", "joints-npy") else ""
         message = arrays or f"of no known format, expected {expected}"

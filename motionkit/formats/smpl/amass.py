@@ -18,6 +18,7 @@ from motionkit.core.motion import Motion, Provenance
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
+from motionkit.formats.format import Format
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.smpl.body import BODY, LAYOUTS, POSE_PARTS, SMPLH, Body, PoseLayout, mean_body, own_body
 from motionkit.formats.source import body_frame, clock, source_file
@@ -181,3 +182,15 @@ def _family(archive: NpzArchive) -> str:
 def _text(archive: NpzArchive, key: str) -> str:
     value = npz_archive.read_scalar(archive, key) if key in archive else None
     return value.strip().lower() if isinstance(value, str) else ""
+
+
+FORMAT = Format(
+    name="amass",
+    description="AMASS (.npz): SMPL, SMPL-H or SMPL-X poses, both generations of files",
+    framerate="mocap_framerate or mocap_frame_rate",
+    rotations=True,
+    read=read_amass,
+    suffixes=(".npz",),
+    accepts=accepts,
+    beside=shapes,
+)

@@ -21,6 +21,7 @@ from motionkit.core.motion import Motion, Provenance
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
+from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.smpl.body import SMPL, Body, mean_body, own_body
 from motionkit.formats.source import clock, source_file
@@ -161,3 +162,14 @@ def _to_front(name: _Name) -> tuple[Float32[np.ndarray, "4"], list[str]]:
         f"turned by {-45 * name.view}° about the camera's y to the front view",
         upright,
     ]
+
+
+FORMAT = Format(
+    name="uestc",
+    description="UESTC as ACTOR uses it (.npz, SMPL poses, action, view and subject in the name)",
+    framerate="30, by definition",
+    rotations=True,
+    read=of_path(read_uestc),
+    suffixes=(".npz", ".pkl"),
+    accepts=accepts,
+)

@@ -18,8 +18,8 @@ from motionkit.engines.choice import LOCAL, check_engine, make_engine
 from motionkit.engines.parallel import Engine, WorkerDied, map_in_order
 from motionkit.engines.process_engine import usable_cores
 from motionkit.formats.scan.cuts import missing_seconds, unlike_stated_seconds
-from motionkit.formats.scan.items import Spare
-from motionkit.formats.scan.scanner import ReadOptions, ScanResult, SourceItem, scan
+from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem, Spare
+from motionkit.formats.scan.scanner import scan
 from motionkit.formats.scan.unread import kinds_of
 from motionkit.formats.smpl.body import substituted_body
 from motionkit.store.codec import Row

@@ -10,7 +10,7 @@ from pathlib import Path
 from motionkit.core.errors import FormatError, StoreError
 from motionkit.core.skeleton import Skeleton
 from motionkit.formats.scan.items import ReadOptions, SourceItem
-from motionkit.formats.scan.scanner import read
+from motionkit.formats.scan.reading import read
 from motionkit.store.codec import Row
 from motionkit.store.commit import unique_pending_part
 from motionkit.store.encode import EncodedMotion, RefusedMotion, encode

@@ -9,8 +9,7 @@ from typing import Generic, TypeVar
 from motionkit.core.errors import FormatError, StoreError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.formats.arrays import npy
-from motionkit.formats.pose_folders.humanml3d import HUMANML3D, JOINTS_FOLDER, VECTORS_FOLDER
-from motionkit.formats.pose_folders.kit import KIT
+from motionkit.formats.pose_folders.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.scanner import scan, with_tables_above
 from motionkit.store import Store
@@ -75,7 +74,7 @@ def _of_pose_folder(path: Path) -> SourceItem | None:
     if path.suffix.lower() != ".npy" or path.parent.name not in (JOINTS_FOLDER, VECTORS_FOLDER):
         return None
     shape = npy.peek_shape(path)
-    for layout in (HUMANML3D, KIT):
+    for layout in LAYOUTS.values():
         if shape is not None and shape[1:] in ((layout.skeleton.num_joints, 3), (layout.num_values,)):
             path = path.resolve()
             return SourceItem(layout.name, path, path.parents[1], sequence_id=path.stem, key=path.stem)

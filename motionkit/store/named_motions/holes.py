@@ -20,7 +20,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import parse_fps
 from motionkit.formats.arrays import npy, npz_archive
 from motionkit.formats.arrays.joints_npy import MANIFEST
-from motionkit.formats.scan import scanner
+from motionkit.formats.scan import reading
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.source import source_file
 
@@ -58,13 +58,13 @@ def read_with_holes(item: SourceItem, options: ReadOptions) -> ReadClip:
 
 def _read_timed(item: SourceItem, options: ReadOptions) -> tuple[Motion, Float64[np.ndarray, "frames"] | None]:
     try:
-        return scanner.read(item, options), None
+        return reading.read(item, options), None
     except FormatError as error:
         if error.reason != "frame-time" or item.format != "npz":
             raise
         seconds = _ascending_seconds(item.path, error)
     # The usual step stands for a framerate where one is needed: how fast the clip is.
-    motion = scanner.read(item, replace(options, fps=parse_fps(float(1 / np.median(np.diff(seconds))))))
+    motion = reading.read(item, replace(options, fps=parse_fps(float(1 / np.median(np.diff(seconds))))))
     return motion.logged("time stamps are uneven: each frame taken at its own"), seconds
 
 

@@ -10,7 +10,7 @@ from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.core.timegrid import Framerate, parse_fps
-from motionkit.formats.scan import scanner
+from motionkit.formats.scan import reading as one_sequence
 from motionkit.formats.scan.folders import dangling
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.store.named_motions.found import Readers, find_motions
@@ -134,7 +134,7 @@ def _find(path: Path, options: ReadOptions) -> tuple[list[_Sequence], list[Forma
         raise UsageError(f"{path} is a store: Store.open({str(path)!r}) reads it")
 
     def of_item(item: SourceItem) -> _Sequence:
-        return _Sequence(item.sequence_id, partial(scanner.read, item, options))
+        return _Sequence(item.sequence_id, partial(one_sequence.read, item, options))
 
     def of_vectors(file: Path) -> _Sequence:
         return _Sequence(file.stem, partial(_read_vectors, file, options))

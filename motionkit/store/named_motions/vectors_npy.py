@@ -12,19 +12,18 @@ from motionkit.core.timegrid import TimeGrid, format_fps
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
 from motionkit.formats.arrays import joints_npy, npy
-from motionkit.formats.pose_folders.humanml3d import HUMANML3D, Layout, recover_positions
-from motionkit.formats.pose_folders.kit import KIT
+from motionkit.formats.pose_folders.humanml3d import LAYOUTS, Layout, recover_positions
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file
 from motionkit.store.named_motions.holes import ReadClip, filled_rows
 
-LAYOUTS: dict[int, Layout] = {layout.num_values: layout for layout in (HUMANML3D, KIT)}
+LAYOUT_BY_WIDTH: dict[int, Layout] = {layout.num_values: layout for layout in LAYOUTS.values()}
 
 
 def accepts(path: Path) -> bool:
     """Whether a .npy file holds rows of 263 or 251 numbers."""
     shape = npy.peek_shape(path) if path.suffix.lower() == ".npy" else None
-    return shape is not None and len(shape) == 2 and shape[1] in LAYOUTS
+    return shape is not None and len(shape) == 2 and shape[1] in LAYOUT_BY_WIDTH
 
 
 def read_vectors(path: Path, options: ReadOptions) -> ReadClip:
@@ -35,7 +34,7 @@ def read_vectors(path: Path, options: ReadOptions) -> ReadClip:
     """
     data = source_file.read_bytes(path)
     vectors = npy.parse_npy(path, data, (None, None))
-    layout = LAYOUTS[vectors.shape[1]]
+    layout = LAYOUT_BY_WIDTH[vectors.shape[1]]
     filled, seen = filled_rows({"": vectors}, path)
     manifests = (folder / joints_npy.MANIFEST for folder in (path.parent, path.parent.parent))
     stated = next((read for read in map(joints_npy.read_manifest, manifests) if read.fps), None)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from motionkit.core.motion import Caption, Motion, Provenance
-from motionkit.export.catalogue import EXPORTS
-from motionkit.export.run import ExportReport, export
+from motionkit.export.run import ExportReport, export, export_kinds
 from motionkit.export.selection import Selection
 from motionkit.fields.motion_field import to_motion
 from motionkit.store import Store, StoreWriter
@@ -50,7 +49,7 @@ def export_as(tmp_path: Path) -> Callable[..., ExportReport]:
     """`export_as(store, "bvh", fps=…)` into `tmp_path/out`."""
 
     def run(store: Store, name: str, fps: Fraction | None = None, where: str | None = None) -> ExportReport:
-        kind = EXPORTS[name]
+        kind = export_kinds()[name]
         return export(Selection(store, store.select(where), fps or kind.fps), tmp_path / "out", kind)
 
     return run

@@ -13,7 +13,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.features import humanml3d
 from motionkit.features.statistics import Statistics, check_statistics
 from motionkit.fields.resample import resample
-from motionkit.formats.pose_folders.kit import UNIT_METRES
+from motionkit.formats.pose_folders.humanml3d import KIT
 from motionkit.store import Store, StoreWriter
 
 
@@ -51,7 +51,7 @@ def test_units_of_kit_are_thousandths_of_a_body(store, export_as):
     out = export_as(store, "kit").folder
     heights = np.load(out / "new_joint_vecs" / "take 0.npy")[:, 3]
     assert 480 < np.median(heights) < 600  # the published mean is 559.6
-    assert json.loads((out / "motions.json").read_text())["unit_metres"] == UNIT_METRES
+    assert json.loads((out / "motions.json").read_text())["unit_metres"] == KIT.unit_metres
 
 
 @pytest.mark.parametrize("name", ["humanml3d", "kit"])

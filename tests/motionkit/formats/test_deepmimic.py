@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from motionkit.core.errors import FormatError
 from motionkit.formats.deepmimic import humanoid3d, read_deepmimic
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from tests.motionkit.core.skeletons.test_skeleton_mapping import check_body
 
 REAL_FRAMERATES = {"16": 2, "24": 4, "30": 5, "60": 9, "120": 53}

@@ -17,7 +17,10 @@ from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.formats.scan.scanner import FORMATS, ReadOptions, read, scan
+from motionkit.formats.catalogue import readers
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.quality import measure
 from tests.helpers.damage import damaged, damaged_archive
 from tests.helpers.every_format import SOURCES
@@ -42,7 +45,7 @@ def read_source(source: Path, options: ReadOptions = OPTIONS) -> tuple[list[Moti
 
 
 def test_there_is_a_source_of_every_format():
-    assert set(SOURCES) == set(FORMATS)
+    assert set(SOURCES) == set(readers())
 
 
 @pytest.mark.parametrize("name", SOURCES)

@@ -12,7 +12,8 @@ from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.joints_csv import accepts, read_joints_csv, write_joints_csv
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 
 HEAD = "time_seconds,Hips_x,Hips_y,Hips_z,Head_x,Head_y,Head_z\n"
 ROWS = "".join(f"{frame / 60},{frame},0.9,0,{frame},1.6,0.25\n" for frame in range(4))

@@ -15,7 +15,8 @@ from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats import parquet
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 
 LEAST = {"sequence_id": "a", "joint_positions": np.arange(132, dtype=np.float32), "num_joints": 22, "fps": 59.94}
 

@@ -7,7 +7,7 @@ import pytest
 
 from motionkit.core.motion import Motion
 from motionkit.fields.motion_field import to_motion
-from motionkit.formats.scan import scanner
+from motionkit.formats.scan import reading, scanner
 from motionkit.synthetic.demo_corpus import DemoCorpus, draw_sequences, split_of, write_demo_corpus
 
 NUM_SEQUENCES = 24
@@ -22,7 +22,7 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> DemoCorpus:
 def motions(corpus: DemoCorpus) -> dict[str, Motion]:
     found = scanner.scan([corpus.folder])
     assert found.problems == () and found.warnings == ()
-    return {item.path.stem: scanner.read(item) for item in found.items}
+    return {item.path.stem: reading.read(item) for item in found.items}
 
 
 def test_the_readers_find_every_sequence(corpus: DemoCorpus, motions: dict[str, Motion]) -> None:

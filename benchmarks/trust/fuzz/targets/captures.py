@@ -15,7 +15,8 @@ from motionkit.export.player.takes import take_of
 from motionkit.formats.indexes.catalogue import read_index
 from motionkit.formats.scan.framerate_rules import read_rules
 from motionkit.formats.scan.items import IndexOptions, ReadOptions
-from motionkit.formats.scan.scanner import FORMATS, read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.formats.smpl.body import LAYOUTS
 from motionkit.generate.prompts import read_prompts
 from motionkit.quality import measure
@@ -152,7 +153,7 @@ MORE: dict[str, tuple[Make, ...]] = {
 
 def targets() -> Iterator[Target]:
     """All of them."""
-    for name in FORMATS:
+    for name in readers():
         makes = (SOURCES[name], *MORE.get(name, ()))
         options = STATED if name in SAYS_NO_FRAMERATE else ReadOptions()
         yield Target(name, makes, partial(read_folder, options=options))

@@ -15,7 +15,9 @@ from motionkit.core.skeletons.families import (
 )
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints
 from motionkit.formats.arrays.npz import read_npz, write_npz
-from motionkit.formats.scan.scanner import ReadOptions, read, scan
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from tests.helpers.format_samples import bvh_text
 
 # The sample BVH's joints under names that no shipped family knows.

@@ -14,7 +14,8 @@ from motionkit.formats.arrays import npy
 from motionkit.formats.arrays.joints_npy import read_joints_npy, write_joints_npy
 from motionkit.formats.humanact12 import read_humanact12
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 
 
 def standing(num_frames: int = 5, num_joints: int = 22) -> np.ndarray:

@@ -16,7 +16,8 @@ from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import npz
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 
 WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
 SECONDS = st.floats(0, 1e4, allow_nan=False)

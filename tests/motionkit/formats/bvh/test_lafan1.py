@@ -16,7 +16,8 @@ from motionkit.formats.bvh.lafan1 import (
     benchmark_windows,
     read_lafan1,
 )
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from tests.helpers.format_samples import bvh_text, lafan1_text
 from tests.motionkit.core.skeletons.test_skeleton_mapping import check_body
 

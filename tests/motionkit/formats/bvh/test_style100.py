@@ -6,7 +6,8 @@ import pytest
 
 from motionkit.core.errors import FormatError
 from motionkit.formats.bvh.style100 import read_100style
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 
 HEADER = "STYLE_NAME,BR_START,BR_STOP,FW_START,FW_STOP,TR2_START,TR2_STOP"

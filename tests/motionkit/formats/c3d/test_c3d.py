@@ -19,7 +19,8 @@ from motionkit.core.skeletons.mapping import map_joints
 from motionkit.formats.c3d.container import parse_c3d
 from motionkit.formats.c3d.motion import TURNS, read_c3d
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 
 LABELS = ("LASI", "RASI", "SACR")
 

@@ -6,10 +6,12 @@ import pytest
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
-from motionkit.formats.pose_folders import humanml3d, kit
+from motionkit.formats.pose_folders import humanml3d
 from motionkit.formats.pose_folders.humanml3d import Entry, recover_positions, write_humanml3d
 from motionkit.formats.pose_folders.texts import format_texts, read_texts
-from motionkit.formats.scan.scanner import ReadOptions, read, scan
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 
 
 def test_recovery_reproduces_the_published_joints(golden_humanml3d: Path) -> None:
@@ -71,7 +73,7 @@ def test_vectors_alone_are_enough(tmp_path: Path, golden_humanml3d: Path) -> Non
 def test_kit_is_told_apart_and_becomes_metres(tmp_path: Path) -> None:
     body = np.full((25, 21, 3), 560.0, np.float32)
     entry = Entry("00001", body, captions=(Caption("a person walks"),), split="test")
-    write_humanml3d(tmp_path / "kit", [entry], kit.KIT)
+    write_humanml3d(tmp_path / "kit", [entry], humanml3d.KIT)
     (item,) = scan([tmp_path / "kit"]).items
     motion = read(item)
     assert (item.format, motion.fps, motion.skeleton.name) == ("kit", Fraction(25, 2), "kit21")
@@ -143,7 +145,7 @@ def test_texts_round_trip(tmp_path: Path) -> None:
 
 
 def test_blocks_tile_a_vector() -> None:
-    for layout in (humanml3d.HUMANML3D, kit.KIT):
+    for layout in (humanml3d.HUMANML3D, humanml3d.KIT):
         blocks = humanml3d.vector_blocks(layout.skeleton.num_joints)
         covered = np.concatenate([np.arange(layout.num_values)[block] for block in blocks])
         assert np.array_equal(covered, np.arange(layout.num_values))

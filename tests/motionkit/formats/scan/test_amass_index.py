@@ -7,12 +7,12 @@ import pytest
 
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
-from motionkit.export.catalogue import EXPORTS
-from motionkit.export.run import export
+from motionkit.export.run import export, export_kinds
 from motionkit.export.selection import Selection
 from motionkit.features import humanml3d
 from motionkit.formats.scan.items import IndexOptions, ReadOptions, SourceItem
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.formats.smpl.amass import read_amass
 from motionkit.formats.smpl.body import LAYOUTS, find_body_model
 from motionkit.store import Store
@@ -132,7 +132,7 @@ def test_mirrored_clips_move_by_mirrored_rotations(stores, number):
 
 def test_published_clips_exported_are_the_published_folder(amass, stores, tmp_path):
     """What the notebooks write from the same joints: names, poses, the 263 numbers."""
-    export(Selection(stores[True], stores[True].select(None)), tmp_path / "out", EXPORTS["humanml3d"])
+    export(Selection(stores[True], stores[True].select(None)), tmp_path / "out", export_kinds()["humanml3d"])
     for number, (name, _, _, indexed, (start, end), _, _) in enumerate(CLIPS):
         raw = as_published(amass, name, indexed.split("/")[0], start, end)
         vectors = humanml3d.vectors(humanml3d.process(raw, "smpl22"), "smpl22")

@@ -7,7 +7,8 @@ import pytest
 
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.store.ingest.stretches import read_or_fault
 from tests.helpers.format_samples import bvh_text
 

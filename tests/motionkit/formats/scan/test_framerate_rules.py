@@ -14,7 +14,8 @@ from motionkit.formats.scan.framerate_rules import (
     shipped_rules,
 )
 from motionkit.formats.scan.items import ReadOptions, SourceItem
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.helpers.format_samples import bvh_text, write_asfamc
 

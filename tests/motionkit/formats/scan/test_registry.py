@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError, UsageError
-from motionkit.formats.scan.scanner import ReadOptions, read, scan
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from tests.helpers.format_samples import bvh_text, write_asfamc
 
 

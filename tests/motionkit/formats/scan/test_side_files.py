@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.formats.scan.framerate_rules import read_rules
-from motionkit.formats.scan.scanner import ReadOptions, read, scan
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.formats.source.source_file import read_bytes
 from motionkit.store.ingest.ingest import ingest
 from tests.helpers.damage import damaged

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.formats.scan.scanner import ReadOptions, read, scan
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from tests.helpers.amass_samples import smplh_fields, write_amass
 from tests.helpers.every_format import SOURCES, bodies
 from tests.helpers.format_samples import bvh_text, write_asfamc

@@ -9,7 +9,8 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints, rest_positions
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.formats.smpl.body import mean_shape_skeleton
 from tests.helpers.amass_samples import WIDTHS, smplh_fields, stageii_fields, write_amass
 

@@ -10,7 +10,8 @@ import torch
 from motionkit.core.errors import FormatError
 from motionkit.core.skeleton import SMPL22
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.formats.smpl.body import LAYOUTS, PoseLayout, find_body_model
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.motionkit.formats.smpl.test_amass import read_one

@@ -19,7 +19,8 @@ from motionkit.core.errors import FormatError
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.scanner import read, scan
+from motionkit.formats.scan.reading import read
+from motionkit.formats.scan.scanner import scan
 from motionkit.formats.smpl.body import SMPL
 from motionkit.formats.smpl.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
 from tests.helpers.repository import REPOSITORY
