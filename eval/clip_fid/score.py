@@ -20,6 +20,7 @@ from jaxtyping import Float, Float64, Int64
 
 from eval.metrics.checks import Estimate, estimate
 from eval.metrics.gaussian import fid_infinity, fit_gaussian, frechet_distance, kid
+from eval.metrics.metric import Metric
 from eval.metrics.neighbours import prdc
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import MotionkitError
@@ -232,6 +233,18 @@ def score_rows(
 
     replications = _run(replicate, protocol.replications, on_replication)
     return {name: _summarise([scores[name] for scores in replications]) for name in rows}
+
+
+CLIP_FID = Metric(
+    "clip_fid",
+    "clip-FID",
+    "",
+    False,
+    f"NeRM §4.2, as {VERSION}",
+    "real, generated",
+    score_rows,
+    calibration="motionkit eval --calibrate",
+)
 
 
 def score_disjoint_halves(

@@ -6,10 +6,11 @@ from fractions import Fraction
 
 from eval.completion.encoders import Completer
 from eval.completion.scores import Scores, pooled
-from eval.metrics.registry import find_metric
-from eval.report.results import Block, Cell, Row
+from eval.metrics.metric import find_metric
+from eval.report.results import Block, Cell, Measure, Row, measure
 
-UNITS = {"mpjpe_global": 100.0}
+# Metrics that are shown in another unit than their own: how many of it make one of theirs, and its name.
+UNITS = {"mpjpe_global": (100.0, "cm")}
 PLAIN = "plain"
 # What a title says of the rows of a form; corrections stand with what they correct.
 FORMS = {"": "", PLAIN: ", plain answers"}
@@ -69,6 +70,7 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
                         ),
                         lower_is_better=find_metric(metric).higher_is_better is False,
                         note=scope.note,
+                        metrics=(shown_measure(metric),),
                     )
                 )
             told.add(form)
@@ -97,4 +99,10 @@ def _cells(scores: Scores, metric: str, shown: Shown) -> dict[str, Cell]:
 
 def value(scores: Scores, metric: str, column: str) -> float:
     """A figure in the unit that tables show it in."""
-    return UNITS.get(metric, 1.0) * scores[metric][column].mean
+    factor, _ = UNITS.get(metric, (1.0, ""))
+    return factor * scores[metric][column].mean
+
+
+def shown_measure(metric: str) -> Measure:
+    """What a block says of a metric."""
+    return measure(metric, unit=UNITS[metric][1] if metric in UNITS else None)

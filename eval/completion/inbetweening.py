@@ -9,7 +9,7 @@ from eval.completion.encoders import Completer
 from eval.completion.protocol import Question
 from eval.completion.scores import Scores, scores_of
 from eval.completion.windows import FPS, PoseWindows, global_poses
-from eval.metrics.registry import MeanStream, find_metric
+from eval.metrics.metric import MeanStream, find_metric
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.fields.completion import query_many
 from motionkit.fields.motion_field import Observation, Poses

@@ -11,20 +11,26 @@ from eval.completion.encoders import Completer
 from eval.completion.protocol import InterpolationProtocol, scale_label
 from eval.completion.scores import ClipFrames, PoseScale, Scores, scores_of
 from eval.completion.takes import TrueClips, TruePoses, observations
-from eval.metrics.registry import MeanStream, find_metric
+from eval.metrics.metric import MeanStream, all_metrics, find_metric
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.rotation_rows import rows_of_poses, two_columns
 from motionkit.fields.completion import query_many
 from motionkit.fields.motion_field import Poses
 
-METRICS = (
-    *("psnr", "ssim", "mpjpe_global", "rotation_angle_error"),
-    *("velocity_error", "acceleration_error", "jerk_error"),
-)
 # A body that stands still is put back exactly: a clip counts with at most so many dB, which is float32's resolution.
 CEILING_DB = 100.0
 CLIPS_AT_ONCE = 32
+
+
+def timed_metrics() -> list[str]:
+    """Metrics of whole clips of joint positions and their framerate, all that are declared: velocity, acceleration …"""
+    return [metric.name for metric in all_metrics().values() if metric.arguments == "predicted, target, fps"]
+
+
+def measured_metrics() -> tuple[str, ...]:
+    """What is measured of every answer."""
+    return ("psnr", "ssim", "mpjpe_global", "rotation_angle_error", *timed_metrics())
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +52,10 @@ def measure_interpolation(
 
     `advance` is called once for each batch of clips (`num_batches`).
     """
+    metrics = measured_metrics()
     streams = {
         completer.name: {
-            scale_label(scale): {name: MeanStream(find_metric(name)) for name in METRICS} for scale in scales
+            scale_label(scale): {name: MeanStream(find_metric(name)) for name in metrics} for scale in scales
         }
         for completer in completers
     }
@@ -66,7 +73,7 @@ def measure_interpolation(
                     failed[completer.name] = f"{scale_label(scale)}: {error}"
         advance()
     figures = {
-        completer.name: scores_of(streams[completer.name], METRICS)
+        completer.name: scores_of(streams[completer.name], metrics)
         for completer in completers
         if completer.name not in failed
     }
@@ -101,7 +108,7 @@ def _add(
     streams["ssim"].update(predicted, target)
     streams["mpjpe_global"].update(_frames(positions[:, asked]), _frames(truth.joint_positions[:, asked]))
     streams["rotation_angle_error"].update(_frames(turned[:, asked]), _frames(rotations[:, asked]))
-    for name in ("velocity_error", "acceleration_error", "jerk_error"):
+    for name in timed_metrics():
         streams[name].update(positions, truth.joint_positions, fps=fps)
 
 

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
 from eval.completion.takes import TrueClips
-from eval.metrics.checks import MeanSums
-from eval.metrics.registry import MeanStream
+from eval.metrics.metric import MeanStream, MeanSums
 from eval.metrics.signal import to_unit_range
 from motionkit.core.moments import stream
 from motionkit.core.skeleton import SMPL22

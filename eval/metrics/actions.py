@@ -7,6 +7,7 @@ import numpy.typing as npt
 from jaxtyping import Float, Float64, Int, Int64
 
 from eval.metrics.checks import checked_features
+from eval.metrics.metric import Metric, by_frames
 
 
 def accuracy(scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarray, "samples"]) -> float:
@@ -23,6 +24,11 @@ def accuracy(scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarra
         raise ValueError(f"labels run from {labels.min()} to {labels.max()}, but there are {scores.shape[1]} classes")
     best = scores == scores.max(axis=1, keepdims=True)
     return float((best[np.arange(len(labels)), labels] / best.sum(axis=1)).mean())
+
+
+ACCURACY = Metric(
+    "accuracy", "Accuracy", "", True, "action-to-motion (Guo et al. 2020)", "scores, labels", accuracy, by_frames
+)
 
 
 NUM_PAIRS = 10
@@ -52,6 +58,9 @@ def multimodality(
     return float(np.linalg.norm(first - second, axis=-1).mean())
 
 
+MULTIMODALITY = Metric("multimodality", "MultiModality", "", None, "NeRM Eq. 8", "one set", multimodality, by_frames)
+
+
 def multimodality_shared_pairs(
     features: Float[np.ndarray, "texts generations features"], *, rng: np.random.Generator, num_pairs: int = NUM_PAIRS
 ) -> float:
@@ -67,6 +76,17 @@ def multimodality_shared_pairs(
         raise ValueError(f"{num_pairs} pairs need at least {num_pairs} generations of each text, not {generations}")
     first, second = (rng.permutation(generations)[:num_pairs] for _ in range(2))
     return float(np.linalg.norm(values[:, first] - values[:, second], axis=-1).mean())
+
+
+SHARED_PAIRS = Metric(
+    "multimodality_shared_pairs",
+    "MultiModality (shared pairs)",
+    "",
+    None,
+    "text-to-motion (Guo et al. 2022)",
+    "one set",
+    multimodality_shared_pairs,
+)
 
 
 def multimodality_by_class(
@@ -90,6 +110,17 @@ def multimodality_by_class(
     return _by_class(features, labels, draw, least=2)
 
 
+BY_CLASS = Metric(
+    "multimodality_by_class",
+    "MultiModality (by action)",
+    "",
+    None,
+    "motionkit: pairs of two different motions",
+    "one set",
+    multimodality_by_class,
+)
+
+
 def multimodality_by_class_with_replacement(
     features: Float[np.ndarray, "samples features"],
     labels: Int[np.ndarray, "labels"],
@@ -107,6 +138,17 @@ def multimodality_by_class_with_replacement(
         return rng.integers(members, size=num_pairs), rng.integers(members, size=num_pairs)
 
     return _by_class(features, labels, draw, least=1)
+
+
+BY_CLASS_WITH_REPLACEMENT = Metric(
+    "multimodality_by_class_with_replacement",
+    "MultiModality (by action, with replacement)",
+    "",
+    None,
+    "action-to-motion (Guo et al. 2020)",
+    "one set",
+    multimodality_by_class_with_replacement,
+)
 
 
 def _by_class(
@@ -165,6 +207,9 @@ def diversity(
     return _mean_distance(features, first, second)
 
 
+DIVERSITY = Metric("diversity", "Diversity", "", None, "text-to-motion; NeRM Eq. 7", "one set", diversity)
+
+
 def diversity_with_replacement(
     features: Float[np.ndarray, "samples features"], rng: np.random.Generator, num_pairs: int = ACTION_PAIRS
 ) -> float:
@@ -174,6 +219,17 @@ def diversity_with_replacement(
     """
     _check(features)
     return _mean_distance(features, *(rng.integers(len(features), size=num_pairs) for _ in range(2)))
+
+
+DIVERSITY_WITH_REPLACEMENT = Metric(
+    "diversity_with_replacement",
+    "Diversity (with replacement)",
+    "",
+    None,
+    "action-to-motion (Guo et al. 2020)",
+    "one set",
+    diversity_with_replacement,
+)
 
 
 def _check(features: Float[np.ndarray, "samples features"]) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from eval.metrics.checks import checked_features, checked_fps
+from eval.metrics.metric import Metric, by_steps
 
 ANKLE_HEIGHT = 0.08
 TOE_HEIGHT = 0.04
@@ -33,6 +34,11 @@ def skating_speed(
     return float((speed * (2.0 - np.exp2(np.clip(height, 0.0, 1.0)))).mean())
 
 
+SKATING_SPEED_METRIC = Metric(
+    "skating_speed", "Foot skating", "m/s", False, "Zhang et al. 2018; NeMF", "one set", skating_speed, by_steps
+)
+
+
 def skating_ratio(
     feet: Float[np.ndarray, "frames feet 3"],
     fps: float,
@@ -50,6 +56,11 @@ def skating_ratio(
     values, moving = _feet_and_speed(feet, fps)
     low = values[..., 1] - floor < height
     return float((low[:-1] & low[1:] & (moving > speed)).any(axis=1).mean())
+
+
+SKATING_RATIO = Metric(
+    "skating_ratio", "Foot skating ratio", "", False, "GMD; CondMDI", "one set", skating_ratio, by_steps
+)
 
 
 def _feet_and_speed(
@@ -83,3 +94,8 @@ def contact_consistency(
     values = checked_features(feet.reshape(len(feet), -1), "feet", minimum=2).reshape(feet.shape)
     speed = np.linalg.norm(np.diff(values, axis=0), axis=-1) * checked_fps(fps)
     return float((labels[:-1] == (speed < contact_speed)).mean())
+
+
+CONTACT_CONSISTENCY = Metric(
+    "contact_consistency", "Contact consistency", "", True, "motionkit", "one set", contact_consistency, by_steps
+)

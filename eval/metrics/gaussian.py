@@ -11,6 +11,7 @@ from jaxtyping import Float, Float64
 from threadpoolctl import threadpool_limits
 
 from eval.metrics.checks import checked_features
+from eval.metrics.metric import Metric
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +106,13 @@ def fid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m f
         return frechet_distance(fit_gaussian(real), fit_gaussian(generated))
 
 
+FID = Metric("fid", "FID", "", False, "Heusel et al. 2017", "real, generated", fid)
+FID_TRAIN = Metric(
+    "fid_train", "FID (training set)", "", False, "ACTOR (Petrovich et al. 2021)", "real, generated", fid
+)
+FID_TEST = Metric("fid_test", "FID (test set)", "", False, "ACTOR (Petrovich et al. 2021)", "real, generated", fid)
+
+
 @dataclass(frozen=True)
 class Extrapolation:
     """FID at several N and the line through them over 1/N: `limit` is its value at 1/N = 0, `slope` its slope."""
@@ -147,6 +155,9 @@ def fid_infinity(
     return Extrapolation(limit, slope, tuple(sizes.tolist()), tuple(values.tolist()))
 
 
+FID_INFINITY = Metric("fid_infinity", "FID∞", "", False, "Chong & Forsyth 2020", "real, generated", fid_infinity)
+
+
 def _prefix_gaussians(features: Float[np.ndarray, "samples features"], sizes: npt.NDArray[np.int64]) -> list[Gaussian]:
     """Gaussians of the first `sizes[i]` rows; every row is visited once."""
     result: list[Gaussian] = []
@@ -172,6 +183,9 @@ def kid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m f
     within_x = (_kernel_sum(x, x) - _diagonal_sum(x)) / (n * (n - 1))
     within_y = (_kernel_sum(y, y) - _diagonal_sum(y)) / (m * (m - 1))
     return within_x + within_y - 2.0 * _kernel_sum(x, y) / (n * m)
+
+
+KID = Metric("kid", "KID", "", False, "Bińkowski et al. 2018", "real, generated", kid)
 
 
 def _kernel_sum(x: Float64[np.ndarray, "n features"], y: Float64[np.ndarray, "m features"]) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from eval.metrics.checks import checked_difference, checked_quaternions
+from eval.metrics.metric import Metric, by_clip_frames
 
 
 def l2p(
@@ -25,6 +26,9 @@ def l2p(
     return float(np.sqrt(np.square(difference).sum(axis=(-2, -1))).mean())
 
 
+L2P = Metric("l2p", "L2P", "", False, "Harvey et al. 2020", "predicted, target", l2p, by_clip_frames)
+
+
 def l2q(
     predicted: Float[np.ndarray, "clips frames joints 4"], target: Float[np.ndarray, "clips frames joints 4"]
 ) -> float:
@@ -41,6 +45,9 @@ def l2q(
     return float(np.sqrt(squared.sum(axis=-1)).mean())
 
 
+L2Q = Metric("l2q", "L2Q", "", False, "Harvey et al. 2020", "predicted, target", l2q, by_clip_frames)
+
+
 def l2q_as_signed(
     predicted: Float[np.ndarray, "clips frames joints 4"], target: Float[np.ndarray, "clips frames joints 4"]
 ) -> float:
@@ -52,6 +59,18 @@ def l2q_as_signed(
     difference = checked_difference(predicted, target)
     checked_quaternions(predicted, target)
     return float(np.sqrt(np.square(difference).sum(axis=(-2, -1))).mean())
+
+
+L2Q_AS_SIGNED = Metric(
+    "l2q_as_signed",
+    "L2Q (signs as they come)",
+    "",
+    False,
+    "Harvey et al. 2020",
+    "predicted, target",
+    l2q_as_signed,
+    by_clip_frames,
+)
 
 
 def npss(
@@ -77,6 +96,18 @@ def npss(
 def npss_weight(target: Float[np.ndarray, "clips frames numbers"]) -> float:
     """The total true power by which a batch's NPSS counts in the NPSS of many batches of equal length."""
     return float(_power(target).sum())
+
+
+NPSS = Metric(
+    "npss",
+    "NPSS",
+    "",
+    False,
+    "Gopalakrishnan et al. 2019",
+    "predicted, target",
+    npss,
+    lambda _, target: npss_weight(target),
+)
 
 
 def _power(signal: Float[np.ndarray, "clips frames numbers"]) -> Float64[np.ndarray, "clips frames numbers"]:

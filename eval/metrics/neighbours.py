@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from eval.metrics.checks import checked_features
+from eval.metrics.metric import Metric
 
 BLOCK_ROWS = 512
 
@@ -49,6 +50,12 @@ def prdc(
         density=float(balls_holding.mean()) / num_neighbours,
         coverage=covered / len(x),
     )
+
+
+PRECISION = Metric("precision", "Precision", "", True, "Kynkäänniemi et al. 2019", "real, generated", prdc)
+RECALL = Metric("recall", "Recall", "", True, "Kynkäänniemi et al. 2019", "real, generated", prdc)
+DENSITY = Metric("density", "Density", "", True, "Naeem et al. 2020", "real, generated", prdc)
+COVERAGE = Metric("coverage", "Coverage", "", True, "Naeem et al. 2020", "real, generated", prdc)
 
 
 def _squared_distances(

@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float, Float64, Int64
 from scipy.spatial.distance import cdist
 
+from eval.metrics.metric import Metric
+
 REFERENCE_POOL = 32
 RANKS = 3
 
@@ -55,6 +57,27 @@ def r_precision(
     Raises `ValueError` for fewer pairs than a pool or rows that are not finite.
     """
     return ranked(pool_distances(queries, candidates, rng.permutation(len(queries)), pool), ranks)
+
+
+R_PRECISION = tuple(
+    Metric(
+        f"r_precision_top{rank}{suffix}",
+        f"R-Precision, top {rank}{title}",
+        "",
+        True,
+        source,
+        "queries, candidates",
+        r_precision,
+    )
+    for suffix, title, source in (
+        ("", "", "text-to-motion (Guo et al. 2022): a text asks for its motion"),
+        ("_motion_asks", " (a motion asks)", "NeRM, appendix: a motion asks for its text"),
+    )
+    for rank in range(1, RANKS + 1)
+)
+MM_DIST = Metric(
+    "mm_dist", "MultiModal Dist", "", False, "text-to-motion (Guo et al. 2022)", "queries, candidates", r_precision
+)
 
 
 def r_precision_both_ways(

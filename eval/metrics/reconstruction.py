@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from eval.metrics.checks import checked_difference, checked_features, checked_fps, checked_quaternions
+from eval.metrics.metric import Metric, by_clip_steps, by_frames, by_numbers
 
 
 def mpjpe_global(
@@ -16,6 +17,11 @@ def mpjpe_global(
     """Mean distance between predicted and true joints in metres, the body's path included."""
     difference = checked_difference(predicted, target)
     return float(np.linalg.norm(difference, axis=-1).mean())
+
+
+MPJPE_GLOBAL = Metric(
+    "mpjpe_global", "MPJPE (global)", "m", False, "Ionescu et al. 2014", "predicted, target", mpjpe_global, by_frames
+)
 
 
 def mpjpe_root_aligned(
@@ -28,6 +34,18 @@ def mpjpe_root_aligned(
     difference = checked_difference(predicted, target)
     difference -= difference[:, root : root + 1].copy()
     return float(np.linalg.norm(difference, axis=-1).mean())
+
+
+MPJPE = Metric(
+    "mpjpe",
+    "MPJPE",
+    "m",
+    False,
+    "motion-latent-diffusion; NeRM Table 4",
+    "predicted, target",
+    mpjpe_root_aligned,
+    by_frames,
+)
 
 
 def mpjpe_procrustes(
@@ -47,6 +65,11 @@ def mpjpe_procrustes(
     return float(np.linalg.norm(scale[:, None, None] * (x @ rotation) - y, axis=-1).mean())
 
 
+MPJPE_PROCRUSTES = Metric(
+    "mpjpe_procrustes", "MPJPE (Procrustes)", "m", False, "Gower 1975", "predicted, target", mpjpe_procrustes, by_frames
+)
+
+
 def rotation_angle_error(
     predicted: Float[np.ndarray, "frames joints 4"], target: Float[np.ndarray, "frames joints 4"]
 ) -> float:
@@ -63,6 +86,18 @@ def rotation_angle_error(
     return float(np.degrees(4.0 * quarter).mean())
 
 
+ROTATION_ERROR = Metric(
+    "rotation_angle_error",
+    "Rotation error",
+    "°",
+    False,
+    "geodesic distance on SO(3)",
+    "predicted, target",
+    rotation_angle_error,
+    by_frames,
+)
+
+
 def mre(predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray, "frames numbers"]) -> float:
     """Root-mean-square difference over all numbers of the redundant pose vectors, in their raw units.
 
@@ -73,11 +108,28 @@ def mre(predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray
     return float(np.sqrt(np.mean(difference * difference)))
 
 
+MRE = Metric(
+    "mre", "MRE", "raw", False, "NeRM Table 4, as a root mean square", "predicted, target", mre, by_numbers, exponent=2
+)
+
+
 def mean_vector_distance(
     predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray, "frames numbers"]
 ) -> float:
     """Mean Euclidean distance between pose vectors: MRE as the paper words it (L2 norm, raw units)."""
     return float(np.linalg.norm(checked_difference(predicted, target), axis=-1).mean())
+
+
+MEAN_VECTOR_DISTANCE = Metric(
+    "mean_vector_distance",
+    "MRE (L2 norm)",
+    "raw",
+    False,
+    "NeRM Table 4",
+    "predicted, target",
+    mean_vector_distance,
+    by_frames,
+)
 
 
 def bone_length_variation(positions: Float[np.ndarray, "frames joints 3"], parents: tuple[int, ...]) -> float:
@@ -93,6 +145,18 @@ def bone_length_variation(positions: Float[np.ndarray, "frames joints 3"], paren
     return float((lengths.std(axis=0)[mean > 0] / mean[mean > 0]).mean())
 
 
+BONE_LENGTH_VARIATION = Metric(
+    "bone_length_variation",
+    "Bone-length variation",
+    "",
+    False,
+    "motionkit",
+    "one set",
+    bone_length_variation,
+    by_frames,
+)
+
+
 def bone_length_error(
     predicted: Float[np.ndarray, "frames joints 3"],
     target: Float[np.ndarray, "frames joints 3"],
@@ -102,6 +166,11 @@ def bone_length_error(
     if predicted.shape != target.shape:
         raise ValueError(f"predicted is {predicted.shape}, target is {target.shape}; they must agree")
     return float(np.abs(_lengths(predicted, parents) - _lengths(target, parents)).mean())
+
+
+BONE_LENGTH_ERROR = Metric(
+    "bone_length_error", "Bone-length error", "m", False, "motionkit", "predicted, target", bone_length_error, by_frames
+)
 
 
 def _lengths(
@@ -125,6 +194,18 @@ def velocity_error(
     return _derivative_error(predicted, target, fps, order=1)
 
 
+VELOCITY_ERROR = Metric(
+    "velocity_error",
+    "Velocity error",
+    "m/s",
+    False,
+    "mean joint distance of differences",
+    "predicted, target, fps",
+    velocity_error,
+    by_clip_steps(1),
+)
+
+
 def acceleration_error(
     predicted: Float[np.ndarray, "*clips frames joints 3"],
     target: Float[np.ndarray, "*clips frames joints 3"],
@@ -134,6 +215,18 @@ def acceleration_error(
     return _derivative_error(predicted, target, fps, order=2)
 
 
+ACCELERATION_ERROR = Metric(
+    "acceleration_error",
+    "Acceleration error",
+    "m/s²",
+    False,
+    "Kanazawa et al. 2019",
+    "predicted, target, fps",
+    acceleration_error,
+    by_clip_steps(2),
+)
+
+
 def jerk_error(
     predicted: Float[np.ndarray, "*clips frames joints 3"],
     target: Float[np.ndarray, "*clips frames joints 3"],
@@ -141,6 +234,18 @@ def jerk_error(
 ) -> float:
     """Mean distance between predicted and true joint jerks, m/s³."""
     return _derivative_error(predicted, target, fps, order=3)
+
+
+JERK_ERROR = Metric(
+    "jerk_error",
+    "Jerk error",
+    "m/s³",
+    False,
+    "mean joint distance of third differences",
+    "predicted, target, fps",
+    jerk_error,
+    by_clip_steps(3),
+)
 
 
 def _derivative_error(

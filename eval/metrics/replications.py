@@ -28,7 +28,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Scores:
-    """Metrics by their names in `eval.metrics.registry`; `sizes` counts what they were computed on.
+    """Metrics by their names in `eval.metrics.metric`; `sizes` counts what they were computed on.
 
     `remarks` says where the data gave less than the protocol asks for, and what was left out because of it.
     """

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from eval.metrics.checks import checked_difference
+from eval.metrics.metric import Metric, by_clips
 
 SSIM_WINDOW = 7
 _C1, _C2 = 0.01**2, 0.03**2
@@ -51,6 +52,9 @@ def psnr(
         return float(np.mean(np.minimum(-10.0 * np.log10(error), ceiling_db)))
 
 
+PSNR = Metric("psnr", "PSNR", "dB", True, "motionkit", "predicted, target", psnr, by_clips)
+
+
 def ssim(
     predicted: Float[np.ndarray, "*clips frames numbers"], target: Float[np.ndarray, "*clips frames numbers"]
 ) -> float:
@@ -73,6 +77,9 @@ def ssim(
     similarity = (2 * product + _C1) * (2 * covariance + _C2)
     similarity /= (squares + _C1) * (variances + _C2)
     return float(similarity.mean())
+
+
+SSIM = Metric("ssim", "SSIM", "", True, "Wang et al. 2004", "predicted, target", ssim, by_clips)
 
 
 def _window_means(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from eval.report.results import Block, Cell, Result, Row
+from eval.report.results import Block, Cell, Measure, Result, Row
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -88,6 +88,14 @@ def format_cell(cell: Cell | None, as_printed: bool = False) -> str:
     return f"{cell.value:.{decimals}f} ± {cell.ci95:.{decimals}f}"
 
 
+def format_measure(measure: Measure) -> str:
+    """A metric's unit, direction, source and calibration in a line."""
+    unit = f" in {measure.unit}" if measure.unit else ""
+    better = "best as real motion has it" if measure.better == "as real" else f"{measure.better} is better"
+    calibration = f"; calibration: {measure.calibration}" if measure.calibration else ""
+    return f"{measure.title}{unit}: {better} ({measure.source}{calibration})"
+
+
 @dataclass(frozen=True)
 class DetailTable:
     """One further metric of a block: the rows and columns that have a number of it, in the block's order."""
@@ -128,6 +136,7 @@ def _environment(*, html: bool = False, latex: bool = False) -> "Environment":
         "cell": format_cell,
         "number": format_number,
         "details": detail_tables,
+        "measure": format_measure,
         "tex": _escape_latex,
         "md": lambda text: str(text).replace("|", "\\|"),
     }

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from eval.metrics.metric import Metric, find_metric
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import MotionkitError
 from motionkit.core.plain_text import shown
@@ -53,6 +54,39 @@ class Row:
 
 
 @dataclass(frozen=True)
+class Measure:
+    """What numbers of a block are, as their metric declares it; `column` is empty where all columns are of one metric.
+
+    `unit` is that of the block, `better` says which of two numbers is: the "lower", the "higher", or the one "as real".
+    """
+
+    metric: str
+    title: str
+    unit: str
+    better: Literal["lower", "higher", "as real"]
+    source: str
+    version: int = 1
+    calibration: str = ""
+    column: str = ""
+
+
+def measure(metric: Metric | str, *, unit: str | None = None, column: str = "") -> Measure:
+    """A metric (or its name) as a block has it, in another unit than its own where one is given."""
+    known = find_metric(metric) if isinstance(metric, str) else metric
+    better: dict[bool | None, Literal["lower", "higher", "as real"]] = {True: "higher", False: "lower", None: "as real"}
+    return Measure(
+        known.name,
+        known.title,
+        known.unit if unit is None else unit,
+        better[known.higher_is_better],
+        known.source,
+        known.version,
+        known.calibration,
+        column,
+    )
+
+
+@dataclass(frozen=True)
 class Block:
     """Rows that may be compared with one another; numbers of different blocks may not."""
 
@@ -62,6 +96,7 @@ class Block:
     lower_is_better: bool = True
     note: str = ""
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    metrics: tuple[Measure, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -167,7 +202,11 @@ def _result(path: Path, document: dict[str, Any]) -> Result:
 
 def _block(document: dict[str, Any]) -> Block:
     rows = tuple(map(_row, document["rows"]))
-    block = Block(**{**document, "rows": rows, "columns": _texts(document["columns"])})
+    # Results of before declare no metrics.
+    metrics = tuple(Measure(**each) for each in document.get("metrics", ()))
+    block = Block(**{**document, "rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
+    for each in metrics:
+        _require(str, *(value for name, value in vars(each).items() if name != "version"))
     _require(str, block.title, block.note)
     _require(dict, block.provenance)
     _require(bool, block.lower_is_better)

@@ -17,7 +17,8 @@ from eval.clip_fid.calibration import (
     level_name,
 )
 from eval.clip_fid.features import FeatureSource, feature_sources
-from eval.report.results import Block, Cell, Result, Row, environment
+from eval.clip_fid.score import CLIP_FID
+from eval.report.results import Block, Cell, Result, Row, environment, measure
 from eval.sets.corruptions import families
 from eval.sets.found import Found, each_found
 from eval.sets.real import RealMotion, real_motion
@@ -113,6 +114,7 @@ def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Cal
             tuple(Row(name, "reference", ratios[name]) for name in _row_order(list(ratios)) if ratios[name]),
             note=f"{verdict} ({replications} replications).",
             provenance=provenance | {"shows": "scores"},
+            metrics=(measure(CLIP_FID),),
         ),
         Block(
             f"{source.name}: Spearman correlation of severity and score",

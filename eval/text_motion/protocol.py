@@ -67,7 +67,7 @@ class MultiModalityRule:
 
     @property
     def metric(self) -> str:
-        """Its name in `eval.metrics.registry`."""
+        """Its name in `eval.metrics.metric`."""
         return "multimodality" if self.pairs == "distinct" else "multimodality_shared_pairs"
 
 

@@ -11,7 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from eval.report.results import Block, Cell, Result, Row, environment
+from eval.clip_fid.score import CLIP_FID
+from eval.report.results import Block, Cell, Result, Row, environment, measure
 from eval.sets.found import Found
 from eval.tables.models import Trained
 from eval.tables.nerm.clip_fid_column import P1, P2
@@ -36,6 +37,7 @@ WINDOW_SETS = {
     TRAINING: "Reconstruction of training windows, from their μ",
     HELD_OUT: "Reconstruction of held-out windows, encoded by optimisation",
 }
+MEASURES = {MPJPE: measure("mpjpe", unit="mm"), MRE: measure("mre")}
 WANTED_ERRORS = ((TRAINING, MPJPE), (TRAINING, MRE), (HELD_OUT, MPJPE))
 
 
@@ -127,6 +129,7 @@ def _reconstruction_blocks(ablation: Ablation, rows: Sequence[_Trained], yardsti
                 f"{WINDOW_SETS[windows]}: {error}",
                 tuple(label(fps) for fps in yardstick.rates),
                 tuple(_row(ablation, row, found[row.entry.label], encoder, yardstick.request) for row in rows),
+                metrics=(MEASURES[error],),
             )
         )
     return Found(blocks, measured.missing)
@@ -154,6 +157,7 @@ def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Ya
             f"Mean ± half the 95 % interval over {protocol.replications} replications of N = {protocol.num_clips:,} "
             "clips on each side: how exactly one run is measured, not how much another seed would differ."
         ),
+        metrics=(measure(CLIP_FID),),
     )
     return Found(block, missing)
 

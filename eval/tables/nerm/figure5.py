@@ -2,7 +2,8 @@
 
 from fractions import Fraction
 
-from eval.report.results import Block, Cell, Result, Row, environment
+from eval.clip_fid.score import CLIP_FID
+from eval.report.results import Block, Cell, Result, Row, environment, measure
 from eval.tables.models import require_models
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
@@ -47,6 +48,7 @@ def build_figure5(request: TableRequest) -> Result:
                     *(Row(name, "reference", floors.rows.get(name, nothing), ROW_NOTES[name]) for name in (P1, P2)),
                     *(Row(name, "ours", part.rows.get(SYNTHESIS, nothing)) for name, part in parts.items()),
                 ),
+                metrics=(measure(CLIP_FID),),
             ),
             Block(
                 "Diversity (Eq. 7) of clips in the kinematic descriptor's space",
@@ -57,6 +59,7 @@ def build_figure5(request: TableRequest) -> Result:
                 ),
                 lower_is_better=False,
                 note="Better the closer to real motion's. It sees clips, not whole motions.",
+                metrics=(measure("diversity"),),
             ),
         ),
         definition={"split": request.split, "where": request.where, "low_pass_hz": request.low_pass_hz},

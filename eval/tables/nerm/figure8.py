@@ -5,7 +5,8 @@ from collections.abc import Callable, Mapping
 from fractions import Fraction
 from itertools import product
 
-from eval.report.results import Block, Cell, Result, Row, environment
+from eval.clip_fid.score import CLIP_FID
+from eval.report.results import Block, Cell, Result, Row, environment, measure
 from eval.tables.models import require_models
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import SYNTHESIS, Yardstick, label
@@ -54,7 +55,14 @@ def build_figure8(request: TableRequest) -> Result:
             f"Generating one motion of {seconds:g} s at {label(fps)} without a condition, the quickest of {REPEATS} "
             f"calls. clip-FID as in Table 2, split {request.split!r}{request.restriction}."
         ),
-        blocks=(Block("Cost and clip-FID", (CPU, WALL, quality), tuple(rows)),),
+        blocks=(
+            Block(
+                "Cost and clip-FID",
+                (CPU, WALL, quality),
+                tuple(rows),
+                metrics=(measure(CLIP_FID, column=quality),),
+            ),
+        ),
         definition={"seconds": seconds, "fps": str(fps), "repeats": REPEATS, "split": request.split},
         notes=(
             "The paper draws this figure without numbers, for one GPU (RTX 3090). Seconds are of this machine, and "

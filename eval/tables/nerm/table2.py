@@ -10,8 +10,8 @@ import numpy as np
 
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
 from eval.clip_fid.kinematic import KinematicDescriptor
-from eval.clip_fid.score import VERSION
-from eval.report.results import Block, Cell, Result, Row, environment
+from eval.clip_fid.score import CLIP_FID, VERSION
+from eval.report.results import Block, Cell, Result, Row, environment, measure
 from eval.sample_folder import SampleFolder
 from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
@@ -223,6 +223,7 @@ def _block(
             "fingerprints": {label: scored.fingerprint for label, scored in sheet.items()},
             "replications": source.protocol(request.protocol).replications,
         },
+        metrics=(measure(CLIP_FID),),
     )
 
 

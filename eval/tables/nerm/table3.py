@@ -15,7 +15,7 @@ from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_a
 from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
 from eval.metrics.replications import Score, Scores
-from eval.report.results import Block, Cell, Origin, Result, Row, environment
+from eval.report.results import Block, Cell, Origin, Result, Row, environment, measure
 from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
 from eval.sets.real import RealMotion, has_training, real_motion
@@ -231,6 +231,7 @@ def _block(
 ) -> Found[Block]:
     fids = {"fid_train": "FID (train)", "fid_test": f"FID ({request.split})"}
     rows, missing = [], []
+    shown: dict[str, str] = {}
     for system in systems:
         against = {
             name: features for name, features in references.items() if not (system.is_reference and name == "test")
@@ -242,6 +243,7 @@ def _block(
             missing.append(f"{system.name}, protocol {protocol.name!r}: {error}")
             continue
         origin: Origin = "reference" if system.is_reference else "ours"
+        shown |= {name: (fids | COLUMN_OF)[name] for name in scores.values}
         cells = _with_kid(_cells(scores, fids | COLUMN_OF), fids, against, system)
         remarks = [] if system.is_reference else size_remarks(against["test"], against["test"], first, request.seed)
         rows.append(Row(system.name, origin, cells, "; ".join((_note(system, scores, protocol), *remarks))))
@@ -252,6 +254,7 @@ def _block(
         tuple(rows),
         note=" ".join((source.note, BEST_WHERE_REAL, *protocol.remarks)),
         provenance={"protocol": asdict(protocol)},
+        metrics=tuple(measure(name, column=column) for name, column in shown.items()),
     )
     return Found(block, tuple(missing))
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from eval.reconstruction.errors import WindowErrors, mpjpe_cell, mre_cell, window_errors
-from eval.report.results import Block, Cell, Result, Row, environment
+from eval.report.results import Block, Cell, Result, Row, environment, measure
 from eval.sets.found import Found
 from eval.sets.real import of_split_and
 from eval.tables.models import reconstructor, trained_reconstructors
@@ -177,7 +177,12 @@ def _block(
         found = {label: cell for label, cell in cells.items() if cell is not None}
         if found:
             rows.append(Row(name, "ours", found))
-    return Block(title, tuple(_label(fps) for fps in rates), tuple(rows))
+    return Block(
+        title,
+        tuple(_label(fps) for fps in rates),
+        tuple(rows),
+        metrics=(measure("mpjpe", unit="mm") if cell_of is mpjpe_cell else measure("mre"),),
+    )
 
 
 def _paper_block(title: str, metric: str, factor: float) -> Block:

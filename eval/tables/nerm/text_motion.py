@@ -10,10 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from eval.metrics.checks import Estimate, estimate
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
+from eval.metrics.metric import find_metric
 from eval.metrics.r_precision import r_precision_both_ways
-from eval.metrics.registry import find_metric
 from eval.metrics.replications import Scores
-from eval.report.results import Block, Cell, Origin, Row
+from eval.report.results import Block, Cell, Origin, Row, measure
 from eval.sets.found import Found, each_found
 from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import TableRequest
@@ -132,6 +132,7 @@ def scored_blocks(
         )
         + ".",
         provenance=provenance,
+        metrics=tuple(measure(name, column=title_of(name)) for name in every),
     )
     other_way = Block(
         f"R-Precision the other way round: {head}",
@@ -143,6 +144,7 @@ def scored_blocks(
         lower_is_better=False,
         note="The reference code asks with a text for its motion; the NeRM paper's words, with a motion for its text.",
         provenance=provenance,
+        metrics=tuple(measure(name, column=title_of(name)) for name in turned),
     )
     return main, other_way
 

@@ -11,11 +11,11 @@ from functools import partial
 from statistics import fmean
 from typing import Any
 
-from eval.completion.blocks import Scope, value, with_pools
+from eval.completion.blocks import Scope, shown_measure, value, with_pools
 from eval.completion.encoders import INTERPOLATION, completer_of
 from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
 from eval.completion.takes import NoTakesError, data_sets_of
-from eval.metrics.registry import find_metric
+from eval.metrics.metric import find_metric
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.sets.real import of_split_and
 from eval.tables.pahires.interpolation import caption, definition
@@ -151,7 +151,14 @@ def _blocks(ablation: Ablation, scope: Scope, trained: _Trained) -> list[Block]:
         lower = find_metric(metric).higher_is_better is False
         ours = tuple(Row(row, "ours", found) for row, found in cells.items() if found)
         blocks.append(
-            Block(f"{scope.label}: {title}", columns, (*references, *ours), lower_is_better=lower, note=scope.note)
+            Block(
+                f"{scope.label}: {title}",
+                columns,
+                (*references, *ours),
+                lower_is_better=lower,
+                note=scope.note,
+                metrics=(shown_measure(metric),),
+            )
         )
     return blocks
 
@@ -177,6 +184,7 @@ def _starts(scopes: Sequence[Scope], trained: _Trained) -> list[Block]:
             ),
             lower_is_better=find_metric(metric).higher_is_better is False,
             note="Settings that differ by less than these runs do are not told apart.",
+            metrics=(shown_measure(metric),),
         )
         for metric, title in METRICS.items()
     ]

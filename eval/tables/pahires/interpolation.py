@@ -7,8 +7,10 @@ from typing import Any
 
 from eval.completion.blocks import Shown, blocks_of, with_pools
 from eval.completion.encoders import INTERPOLATION, trained_completers
+from eval.completion.interpolation import timed_metrics
 from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, VERSION, InterpolationProtocol, scale_label
 from eval.completion.takes import data_sets_of
+from eval.metrics.metric import find_metric
 from eval.report.results import Block, Cell, Result, Row, environment
 from eval.sets.real import of_split_and
 from eval.tables.pahires.measured import Measured, measure_all
@@ -21,13 +23,18 @@ METRICS = {
     "mpjpe_global": "MPJPE (cm)",
     "acceleration_error": "acceleration error (m/s²)",
 }
-DETAILS = {
-    "mpjpe_global": {
-        "rotation_angle_error": "rotation error (°)",
-        "velocity_error": "velocity error (m/s)",
-        "jerk_error": "jerk error (m/s³)",
-    }
-}
+
+
+def _details() -> dict[str, dict[str, str]]:
+    """Further metrics, and whatever else is declared for clips of joint positions."""
+    names = ["rotation_angle_error", *(name for name in timed_metrics() if name not in METRICS)]
+    titles = {}
+    for metric in map(find_metric, names):
+        title = metric.title[0].lower() + metric.title[1:]
+        titles[metric.name] = f"{title} ({metric.unit})" if metric.unit else title
+    return {"mpjpe_global": titles}
+
+
 SMALL_TAKES = 100
 
 
@@ -52,7 +59,7 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
         caption=caption(measured, protocol, request),
         blocks=(
             *blocks_of(
-                with_pools([each.scope for each in measured], "clips"), completers, Shown(labels, METRICS, DETAILS)
+                with_pools([each.scope for each in measured], "clips"), completers, Shown(labels, METRICS, _details())
             ),
             *_paper_blocks(number, labels),
         ),

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from eval.completion.blocks import Scope
 from eval.completion.encoders import Completer
-from eval.completion.interpolation import METRICS, InterpolationTask, measure_interpolation, num_batches
+from eval.completion.interpolation import InterpolationTask, measure_interpolation, measured_metrics, num_batches
 from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
 from eval.completion.scores import Scores, measure_scale, told_split
 from eval.completion.takes import DataSet, NoTakesError, TrueClips, open_clips, shared_reason
-from eval.metrics.checks import MeanSums
+from eval.metrics.metric import MeanSums
 from eval.report.results import Cell
 from eval.sets.found import Found, each_found
 from eval.tables.parts import Part, find_part, keep_part
@@ -123,7 +123,7 @@ def _measure(
     rows: dict[str, Scores] = {}
     for completer in completers:
         of_row = {**terms, "encoder": completer.fingerprint}
-        kept = find_scores(request.results, "interpolation", of_row, METRICS, list(map(scale_label, scales)))
+        kept = find_scores(request.results, "interpolation", of_row, measured_metrics(), list(map(scale_label, scales)))
         if kept is not None:
             rows[completer.name] = kept
     wanted = [completer for completer in completers if completer.name not in rows]

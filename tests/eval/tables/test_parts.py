@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from eval.metrics.checks import MeanSums
+from eval.metrics.metric import MeanSums
 from eval.report.results import Cell
 from eval.tables.pahires.measured import find_scores, keep_scores
 from eval.tables.parts import Part, find_part, keep_part

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.metrics.registry import find_metric
+from eval.metrics.metric import find_metric
 from eval.metrics.replications import Scores
 from eval.text_motion.protocol import TEXT_MOTION_PROTOCOLS, MultiModalityRule, find_text_motion_protocol
 from eval.text_motion.scores import TextMotionPairs, score_text_motion

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from eval.completion.blocks import Scope, Shown, blocks_of, with_pools
 from eval.completion.encoders import HOLD, Completer
 from eval.completion.scores import Scores, pooled, scores_of
-from eval.metrics.checks import MeanSums
-from eval.metrics.registry import MeanStream, find_metric
+from eval.metrics.metric import MeanStream, MeanSums, find_metric
 from eval.tables.pahires.measured import find_scores, keep_scores
 
 SHOWN = Shown(("×2",), {"psnr": "PSNR (dB)", "mpjpe_global": "MPJPE (cm)"}, {"psnr": {"mpjpe_global": "joints (cm)"}})

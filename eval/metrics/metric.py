@@ -1,0 +1,152 @@
+"""How a metric declares itself beside its function: unit, direction, source; and, where it is a mean, over what."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.generic]
+Arguments = Literal[
+    "real, generated", "predicted, target", "predicted, target, fps", "queries, candidates", "scores, labels", "one set"
+]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric as tables name it.
+
+    `higher_is_better` is None where the best value is the real set's own. `source` is the paper, or the code, that
+    defines it; `calibration` says how it was tried to be gamed, and where that stands. `arguments` says what the
+    function's first arrays are, in order: those of "predicted, target, fps" are clips of joint positions
+    [clips, frames, joints, 3], and are in every table of interpolated motion. `weight` gives the weight of a batch from
+    the function's arrays; it is None where the metric is no mean (a stream of such a metric needs other sums, or all
+    rows). `exponent` is 2 where the metric is the root of a mean of squares. `version` is raised when a value changes
+    its meaning.
+    """
+
+    name: str
+    title: str
+    unit: str
+    higher_is_better: bool | None
+    source: str
+    arguments: Arguments
+    function: Callable[..., object] = field(repr=False)
+    weight: Callable[..., float] | None = field(default=None, repr=False)
+    exponent: int = 1
+    version: int = 1
+    calibration: str = ""
+
+
+@dataclass(frozen=True)
+class MeanSums:
+    """Σ weight·value and Σ weight of the batches so far; without arguments, of none.
+
+    A weight is the number of things that a batch's value is a mean over (`Metric.weight` gives it).
+    """
+
+    total: float = 0.0
+    weight: float = 0.0
+
+    def added(self, value: float, weight: float) -> "MeanSums":
+        """With one more batch. Raises `ValueError` for NaN or a weight that is not positive and finite."""
+        if value != value or not 0 < weight < float("inf"):
+            raise ValueError(f"a batch of value {value} and weight {weight} cannot be averaged")
+        return MeanSums(self.total + weight * value, self.weight + weight)
+
+    def merged(self, other: "MeanSums") -> "MeanSums":
+        """With the batches of another rank."""
+        return MeanSums(self.total + other.total, self.weight + other.weight)
+
+    @property
+    def mean(self) -> float:
+        """The mean over all batches. Raises `ValueError` where there are none."""
+        if not self.weight:
+            raise ValueError("there is nothing to average: no batch was added")
+        return self.total / self.weight
+
+
+class MeanStream:
+    """A metric over batches and ranks: `update` with what its function takes, `merge` other ranks, read `value`."""
+
+    def __init__(self, metric: Metric) -> None:
+        if metric.weight is None:
+            raise ValueError(
+                f"{metric.name} is not a mean over batches; its function needs all samples (docs/metrics.md)"
+            )
+        self._metric = metric
+        self._weight = metric.weight
+        self.sums = MeanSums()
+
+    def update(self, *arrays: Array, **settings: object) -> None:
+        """Add a batch; arrays by position, everything else by keyword."""
+        value = self._metric.function(*arrays, **settings)
+        assert isinstance(value, float)
+        self.sums = self.sums.added(value**self._metric.exponent, self._weight(*arrays))
+
+    def merge(self, other: "MeanStream") -> None:
+        """Add what another rank's stream of the same metric has seen."""
+        if other._metric.name != self._metric.name:
+            raise ValueError(f"a stream of {self._metric.name} cannot take in one of {other._metric.name}")
+        self.sums = self.sums.merged(other.sums)
+
+    @property
+    def value(self) -> float:
+        """The metric over all batches so far."""
+        return float(self.sums.mean ** (1 / self._metric.exponent))
+
+
+def by_frames(first: Array, *_: Array) -> float:
+    """A weight: frames (or samples), the first axis."""
+    return float(len(first))
+
+
+def by_steps(first: Array, *_: Array) -> float:
+    """A weight: steps from a frame to the next."""
+    return float(len(first) - 1)
+
+
+def by_clips(first: Array, *_: Array) -> float:
+    """A weight: clips [*clips, frames, numbers]."""
+    return float(np.prod(first.shape[:-2]))
+
+
+def by_clip_steps(order: int) -> Callable[..., float]:
+    """A weight: differences of an order along the frames of clips [*clips, frames, joints, 3]."""
+    return lambda first, *_: float(np.prod(first.shape[:-3]) * (first.shape[-3] - order))
+
+
+def by_clip_frames(first: Array, *_: Array) -> float:
+    """A weight: frames of clips [clips, frames, …]."""
+    return float(first.shape[0] * first.shape[1])
+
+
+def by_numbers(first: Array, *_: Array) -> float:
+    """A weight: single numbers."""
+    return float(first.size)
+
+
+@cache
+def all_metrics() -> Mapping[str, Metric]:
+    """Every metric by name: what the modules of `eval.metrics` declare as a `Metric` or a tuple of them."""
+    import eval.metrics
+
+    found: dict[str, Metric] = {}
+    for module in sorted(iter_modules(eval.metrics.__path__), key=lambda module: module.name):
+        for value in vars(import_module(f"eval.metrics.{module.name}")).values():
+            for each in value if isinstance(value, tuple) else (value,):
+                if isinstance(each, Metric):
+                    found[each.name] = each
+    return found
+
+
+def find_metric(name: str) -> Metric:
+    """A metric by name; raises `KeyError` with the names there are."""
+    known = all_metrics()
+    if name not in known:
+        raise KeyError(f"there is no metric {name!r}: {', '.join(known)}")
+    return known[name]
