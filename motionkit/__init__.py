@@ -83,5 +83,5 @@ give_names(
 provide(
     resample="motionkit.fields.resample:resample",
     save="motionkit.formats.catalogue:write",
-    notebook_view="motionkit.view.notebook:notebook_view",
+    notebook_view="motionkit.view.motions:notebook_view",
 )

@@ -19,7 +19,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from motionkit.formats.acclaim.asfamc import parse_amc, read_asfamc
+from motionkit.formats.asfamc import parse_amc, read_asfamc
 from motionkit.formats.scan.items import ReadOptions
 
 

@@ -21,8 +21,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from motionkit.formats.indexes.catalogue import read_index
 from motionkit.formats.indexes.entries import Entry
+from motionkit.formats.indexes.search import read_index
 from motionkit.formats.scan.cuts import StepCut
 from motionkit.formats.scan.items import IndexOptions, ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read

@@ -6,7 +6,7 @@ from jaxtyping import Float, Float32, Int64
 from eval.sample_folder.folder import SampleFolder, SampleFolderError
 from eval.sample_folder.manifest import MANIFEST
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.formats.pose_folders.humanml3d import KIT
+from motionkit.formats.humanml3d import KIT
 from motionkit.formats.source.body_frame import PLAUSIBLE_FACTOR, TRUNK_AND_LEGS, TYPICAL_HEIGHT_METRES, UNITS
 
 KIT_TRUNK_AND_LEGS = (

@@ -23,9 +23,9 @@ from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.statistics import Statistics
+from motionkit.formats import texts
 from motionkit.formats.arrays import joints_npy
 from motionkit.formats.arrays.npy import MAX_NUMBER
-from motionkit.formats.pose_folders import texts
 from motionkit.formats.scan.annotations import Annotation
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read

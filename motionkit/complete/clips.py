@@ -25,7 +25,7 @@ from motionkit.formats.arrays.npz import write_npz
 from motionkit.formats.bvh.document import BvhDocument
 from motionkit.formats.bvh.writing import ChannelLines, check_writable
 from motionkit.formats.catalogue import writer_of, writers
-from motionkit.formats.pose_folders.humanml3d import VECTORS_FOLDER
+from motionkit.formats.humanml3d import VECTORS_FOLDER
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read_document
 from motionkit.store.named_motions import vectors_npy

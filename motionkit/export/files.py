@@ -4,6 +4,7 @@ import csv
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import naming
@@ -110,3 +111,18 @@ def _caption(caption: Caption) -> str | dict[str, str | float]:
     if caption.tokens:
         stated["tokens"] = caption.tokens
     return {"text": caption.text, **stated} if stated else caption.text
+
+
+def render(template: str, **values: Any) -> str:
+    """The text of `motionkit/export/templates/TEMPLATE`; a name that is missing raises."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("motionkit.export", "templates"),
+        undefined=StrictUndefined,
+        autoescape=False,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(template).render(values)

@@ -19,8 +19,8 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import naming
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import format_fps
+from motionkit.export.files import render
 from motionkit.export.selection import Outcome, Selection
-from motionkit.export.templates import render
 from motionkit.formats import parquet
 
 # The Hub's names of licences that motion captures come with (huggingface.co/docs/hub/repositories-licenses).

@@ -16,12 +16,11 @@ from motionkit.core.checksums import write_json
 from motionkit.core.motion import Motion
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.core.timegrid import format_fps
-from motionkit.export.files import TABLE, MotionTable
+from motionkit.export.files import TABLE, MotionTable, render
 from motionkit.export.selection import Outcome, Selection, short_names
-from motionkit.export.templates import render
 from motionkit.features import humanml3d
 from motionkit.formats.arrays import joints_npy
-from motionkit.formats.pose_folders.humanml3d import (
+from motionkit.formats.humanml3d import (
     HUMANML3D,
     JOINTS_FOLDER,
     KIT,

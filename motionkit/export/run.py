@@ -14,7 +14,7 @@ from motionkit.export.parquet import export_parquet
 from motionkit.export.pose_folder import export_humanml3d, export_kit
 from motionkit.export.selection import Outcome, Selection
 from motionkit.formats.catalogue import writers
-from motionkit.formats.pose_folders.humanml3d import HUMANML3D, KIT
+from motionkit.formats.humanml3d import HUMANML3D, KIT
 
 
 @dataclass(frozen=True)

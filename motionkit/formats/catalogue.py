@@ -8,14 +8,11 @@ from pathlib import Path
 from motionkit.core.errors import UsageError
 from motionkit.core.files import whole_file
 from motionkit.core.motion import Motion
-from motionkit.formats import deepmimic, gltf, humanact12, joints_csv, parquet
-from motionkit.formats.acclaim import asfamc
+from motionkit.formats import asfamc, c3d, deepmimic, gltf, humanact12, humanml3d, joints_csv, parquet
 from motionkit.formats.arrays import joints_npy, npz
 from motionkit.formats.bvh import lafan1, style100
 from motionkit.formats.bvh import writing as bvh
-from motionkit.formats.c3d import motion as c3d
 from motionkit.formats.format import Format
-from motionkit.formats.pose_folders import humanml3d
 from motionkit.formats.smpl import amass, uestc
 
 GROUP = "motionkit.formats"

@@ -16,7 +16,7 @@ from motionkit.export.selection import Outcome
 from motionkit.formats.arrays import joints_npy, npz
 from motionkit.formats.catalogue import writers
 from motionkit.formats.format import Format
-from motionkit.formats.pose_folders.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER, FolderWriter
+from motionkit.formats.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER, FolderWriter
 from motionkit.generate.samples import GeneratedSample
 
 

@@ -5,7 +5,6 @@
 """
 
 from motionkit.synthetic.bodies import Body, draw_body, make_body
-from motionkit.synthetic.field import SyntheticMotion
-from motionkit.synthetic.performance import ACTIONS, perform
+from motionkit.synthetic.performance import ACTIONS, SyntheticMotion, perform
 
 __all__ = ["ACTIONS", "Body", "SyntheticMotion", "draw_body", "make_body", "perform"]

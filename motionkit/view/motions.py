@@ -1,11 +1,14 @@
-"""One page of some motions, in Python: what `motionkit view` does, of motions in memory or in files."""
+"""One page of some motions, in Python: what `motionkit view` does, of motions in memory or in files; in notebooks."""
 
+import html
 import warnings
 import webbrowser
 from pathlib import Path
 
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
+from motionkit.export.player.page import page_of
+from motionkit.export.player.takes import packed_bytes, take_of
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.store.named_motions.found import Found
 from motionkit.store.named_motions.holes import ReadClip
@@ -54,3 +57,25 @@ def _in_memory(motion: Motion) -> ViewSource:
     name = motion.sequence_id or "motion"
     beside = Path(name.replace("/", "_").lstrip(".") or "motion")
     return Found(name, name, beside, lambda: ReadClip.whole(motion))
+
+
+# A notebook keeps every output that it shows: a minute of 22 joints at 60 fps is about 0.7 MB.
+MOST_BYTES = 2_000_000
+HEIGHT = 560
+
+
+def notebook_view(motion: Motion) -> str:
+    """HTML with the moving skeleton, of a long motion its beginning; where nothing can be drawn, why."""
+    num_frames = max(1, min(motion.num_frames, MOST_BYTES // packed_bytes(1, motion.skeleton.num_joints)))
+    take = take_of(motion, motion.sequence_id or "motion").frames(0, num_frames)
+    shown = f"Shown: the first {take.duration_seconds:.4g} of {motion.duration_seconds:.4g} s."
+    try:
+        page = page_of(take.name, [take], note=shown if num_frames < motion.num_frames else "")
+    except MotionkitError as error:
+        return f"<pre>{html.escape(f'{motion!r}: {error}')}</pre>"
+    # Scripts run in an origin of their own, from which they reach nothing of the notebook.
+    inside = page.replace("&", "&amp;").replace('"', "&quot;")
+    return (
+        f'<iframe title="{html.escape(take.name)}" srcdoc="{inside}" sandbox="allow-scripts" '
+        f'style="width: 100%; height: {HEIGHT}px; border: 0"></iframe>'
+    )

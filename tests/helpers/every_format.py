@@ -15,7 +15,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats import parquet
 from motionkit.formats.deepmimic import humanoid3d
-from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
+from motionkit.formats.humanml3d import Entry, write_humanml3d
 from tests.helpers.amass_samples import smplh_fields, write_amass
 from tests.helpers.format_samples import bvh_text, lafan1_text, write_asfamc
 

@@ -27,7 +27,7 @@ from motionkit.formats.arrays.npz import motion_arrays, read_npz, write_npz
 from motionkit.formats.bvh import frame_lines
 from motionkit.formats.bvh.document import read_bvh, read_document
 from motionkit.formats.bvh.writing import write_bvh
-from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
+from motionkit.formats.humanml3d import Entry, write_humanml3d
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text

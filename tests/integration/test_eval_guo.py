@@ -17,7 +17,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
-from motionkit.formats.pose_folders.humanml3d import recover_positions
+from motionkit.formats.humanml3d import recover_positions
 from motionkit.store.writer import StoreWriter
 from tests.helpers.published_guo import PLAIN, write_archive, write_glove, write_statistics
 

@@ -20,7 +20,7 @@ from motionkit.fields.motion_field import to_motion
 from motionkit.formats.arrays.npz import motion_arrays, write_npz
 from motionkit.formats.bvh.document import read_bvh
 from motionkit.formats.bvh.writing import write_bvh
-from motionkit.formats.pose_folders.humanml3d import Entry, write_humanml3d
+from motionkit.formats.humanml3d import Entry, write_humanml3d
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.scan.reading import read
 from motionkit.formats.scan.scanner import scan

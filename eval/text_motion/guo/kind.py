@@ -17,7 +17,7 @@ from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.features.layout import pose_layout
 from motionkit.features.statistics import Statistics, check_statistics
 from motionkit.formats.arrays import npy
-from motionkit.formats.pose_folders.humanml3d import KIT
+from motionkit.formats.humanml3d import KIT
 from motionkit.formats.source import source_file
 
 STATISTICS_NAMES = (("mean.npy", "std.npy"), ("eval_mean.npy", "eval_std.npy"))

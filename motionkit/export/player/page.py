@@ -54,7 +54,7 @@ def page_of(title: str, takes: Sequence[Take], *, note: str = "", one_camera: bo
     data = {"title": title, "note": note, "oneCamera": one_camera, "takes": shown}
     # In a script nothing may look like the end of one.
     text = json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
-    parts = resources.files("motionkit.export.player.templates")
+    parts = resources.files("motionkit.export.player") / "templates"
     page = parts.joinpath("page.html").read_text(encoding="utf-8")
     scripts = "\n".join(parts.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
     contents = {

@@ -3,20 +3,24 @@
 Names are walked, files are not opened: of a folder of all AMASS only the files that an index names are read.
 """
 
+import json
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.motion import Caption
-from motionkit.formats.indexes.catalogue import read_index
+from motionkit.formats import texts
+from motionkit.formats.indexes import babel, humanml3d_index, tmr_annotations
 from motionkit.formats.indexes.entries import Entry, Index, Key, dataset_of, file_key
-from motionkit.formats.pose_folders import texts
-from motionkit.formats.pose_folders.texts import SPLITS, read_splits
 from motionkit.formats.scan.cuts import PublishedCut, StepCut
 from motionkit.formats.scan.folders import walk
 from motionkit.formats.scan.items import IndexOptions, ScanResult, SourceItem
+from motionkit.formats.source import source_file
+from motionkit.formats.texts import SPLITS, read_splits
 
 MIRROR = "M"
 
@@ -199,3 +203,44 @@ def _one_file_at_a_time(items: Iterable[SourceItem]) -> Iterator[SourceItem]:
         of_file.setdefault(item.path, []).append(item)
     for group in of_file.values():
         yield from group
+
+
+# What has to be read of a JSON index to know its first value, whose captions may be long.
+HEAD_BYTES = 1 << 16
+
+JSON_KINDS: tuple[tuple[Callable[[Any], bool], Callable[[Path], Index]], ...] = (
+    (tmr_annotations.recognise, tmr_annotations.read_tmr_annotations),
+    (babel.recognise, babel.read_babel),
+)
+
+
+def read_index(path: Path) -> Index:
+    """Read an index of any kind: HumanML3D's index.csv, TMR's annotations, BABEL's labels.
+
+    Bad entries become its `problems`. Raises `FormatError` (`index`, `encoding`, `empty`, `unreadable`) for a file that
+    is none.
+    """
+    head = source_file.read_bytes(path)[:HEAD_BYTES].decode("utf-8-sig", errors="replace")
+    if humanml3d_index.recognise(head):
+        return humanml3d_index.read_humanml3d_index(path)
+    first = _first_value(head)
+    for recognise, read in JSON_KINDS:
+        if recognise(first):
+            return read(path)
+    raise FormatError(
+        f"looks like {source_file.describe_content(head.encode())}, expected an index: HumanML3D's index.csv (columns "
+        f"{', '.join(humanml3d_index.COLUMNS)}), TMR's annotations (path, annotations) or BABEL's labels (feat_p)",
+        path=path,
+        reason="index",
+    )
+
+
+def _first_value(head: str) -> Any:
+    # The value of the first name of a JSON object, parsed from the beginning of the file; None where there is none.
+    found = re.match(r'\s*\{\s*"(?:[^"\\]|\\.)*"\s*:\s*', head)
+    if found is None:
+        return None
+    try:
+        return json.JSONDecoder().raw_decode(head, found.end())[0]
+    except (ValueError, RecursionError):
+        return None

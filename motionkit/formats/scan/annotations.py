@@ -20,8 +20,8 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
 from motionkit.core.plain_text import parse_json, shown, suggestion, whole_number
 from motionkit.core.timegrid import parse_fps
-from motionkit.formats.pose_folders.texts import SPLITS
 from motionkit.formats.source import source_file
+from motionkit.formats.texts import SPLITS
 
 COLUMNS = frozenset(
     (

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 from motionkit.core.errors import FormatError, StoreError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.formats.arrays import npy
-from motionkit.formats.pose_folders.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
+from motionkit.formats.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.scanner import scan, with_tables_above
 from motionkit.store import Store

@@ -12,7 +12,7 @@ from motionkit.core.timegrid import TimeGrid, format_fps
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
 from motionkit.formats.arrays import joints_npy, npy
-from motionkit.formats.pose_folders.humanml3d import LAYOUTS, Layout, recover_positions
+from motionkit.formats.humanml3d import LAYOUTS, Layout, recover_positions
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file
 from motionkit.store.named_motions.holes import ReadClip, filled_rows

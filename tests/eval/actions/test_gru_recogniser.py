@@ -27,7 +27,7 @@ from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.fields.resample import resample_positions
-from motionkit.formats.acclaim.asfamc import read_asfamc
+from motionkit.formats.asfamc import read_asfamc
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.training.tensors import CheckpointError
 

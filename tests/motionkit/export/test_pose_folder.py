@@ -13,7 +13,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.features import humanml3d
 from motionkit.features.statistics import Statistics, check_statistics
 from motionkit.fields.resample import resample
-from motionkit.formats.pose_folders.humanml3d import KIT
+from motionkit.formats.humanml3d import KIT
 from motionkit.store import Store, StoreWriter
 
 

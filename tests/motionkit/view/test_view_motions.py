@@ -16,7 +16,7 @@ import motionkit as mk
 from motionkit.export.player.takes import unpack
 from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import make_body, perform
-from motionkit.view.notebook import MOST_BYTES
+from motionkit.view.motions import MOST_BYTES
 
 HALF_STEP = 5.1e-5
 

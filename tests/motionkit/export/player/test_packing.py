@@ -65,7 +65,7 @@ def node() -> str:
 
 def in_script(node: str, scripts: list[str], expression: str, data: object) -> object:
     """What an expression of `data` is to the page's own scripts."""
-    parts = resources.files("motionkit.export.player.templates")
+    parts = resources.files("motionkit.export.player") / "templates"
     code = "\n".join(parts.joinpath(name).read_text(encoding="utf-8") for name in scripts)
     code += f'\nconst data = JSON.parse(require("fs").readFileSync(0));\nconsole.log(JSON.stringify({expression}));'
     ran = subprocess.run([node, "-e", code], input=json.dumps(data), capture_output=True, text=True, check=True)

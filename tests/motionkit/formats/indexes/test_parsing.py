@@ -11,8 +11,8 @@ import pytest
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
-from motionkit.formats.indexes.catalogue import read_index
 from motionkit.formats.indexes.entries import Index, stem
+from motionkit.formats.indexes.search import read_index
 from motionkit.formats.scan.cuts import StepCut, TimeCut
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"

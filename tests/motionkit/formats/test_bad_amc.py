@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError
-from motionkit.formats.acclaim.asf import read_asf
-from motionkit.formats.acclaim.asfamc import parse_amc, read_asfamc
+from motionkit.formats.asf import read_asf
+from motionkit.formats.asfamc import parse_amc, read_asfamc
 from motionkit.formats.scan.items import ReadOptions
 from tests.helpers.format_samples import ASF, amc_text, write_asfamc
 

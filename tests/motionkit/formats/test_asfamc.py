@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.formats.acclaim.asfamc import parse_amc, read_asfamc
+from motionkit.formats.asfamc import parse_amc, read_asfamc
 from motionkit.formats.bvh.document import read_bvh
 from motionkit.formats.scan.items import ReadOptions
 from tests.helpers.format_samples import amc_text, write_asfamc

@@ -16,8 +16,8 @@ from motionkit.core.errors import FormatError
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.formats.c3d.container import parse_c3d
-from motionkit.formats.c3d.motion import TURNS, read_c3d
+from motionkit.formats.c3d import TURNS, read_c3d
+from motionkit.formats.c3d_container import parse_c3d
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.scan.reading import read
 from motionkit.formats.scan.scanner import scan

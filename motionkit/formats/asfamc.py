@@ -18,7 +18,7 @@ from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion, Provenance
 from motionkit.core.timegrid import TimeGrid
-from motionkit.formats.acclaim.asf import ROTATIONS, AsfSkeleton, read_asf
+from motionkit.formats.asf import ROTATIONS, AsfSkeleton, read_asf
 from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import source_file

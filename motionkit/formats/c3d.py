@@ -20,7 +20,7 @@ from motionkit.core.motion import Motion, Provenance
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.formats.bvh import channels
-from motionkit.formats.c3d.container import C3dFile, parse_c3d
+from motionkit.formats.c3d_container import C3dFile, parse_c3d
 from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file

@@ -20,12 +20,12 @@ from motionkit.core.moments import Moments, merge, moments
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
+from motionkit.formats import texts
 from motionkit.formats.arrays import joints_npy, npy
 from motionkit.formats.format import Format
-from motionkit.formats.pose_folders import texts
-from motionkit.formats.pose_folders.texts import SPLITS, read_splits
 from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem
 from motionkit.formats.source import clock, source_file
+from motionkit.formats.texts import SPLITS, read_splits
 
 JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER = "new_joints", "new_joint_vecs", "texts"
 

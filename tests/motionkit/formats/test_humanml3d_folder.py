@@ -6,12 +6,12 @@ import pytest
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
-from motionkit.formats.pose_folders import humanml3d
-from motionkit.formats.pose_folders.humanml3d import Entry, recover_positions, write_humanml3d
-from motionkit.formats.pose_folders.texts import format_texts, read_texts
+from motionkit.formats import humanml3d
+from motionkit.formats.humanml3d import Entry, recover_positions, write_humanml3d
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.scan.reading import read
 from motionkit.formats.scan.scanner import scan
+from motionkit.formats.texts import format_texts, read_texts
 
 
 def test_recovery_reproduces_the_published_joints(golden_humanml3d: Path) -> None:

@@ -1,1 +1,0 @@
-"""The parts of the page; `motionkit.export.player.page` puts them into one file."""

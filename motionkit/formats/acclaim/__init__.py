@@ -1,1 +1,0 @@
-"""Acclaim ASF/AMC: the skeleton and the takes that move it."""

@@ -1,1 +1,0 @@
-"""Folders of pose vectors as HumanML3D and KIT-ML publish them."""
