@@ -19,14 +19,14 @@ from nerm.stages import CODEBOOK, DENOISER, FIELD
 # What a recipe that was made for the other layout needs; its own layout needs nothing.
 LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
     "global": (
-        "field.latent_layout=global",
-        "field.latent_dimension=256",
-        "field.initialisation=normal",
-        "field.linear_path=false",
-        "field.latent_rate=1e-1",
+        "field.latents.layout=global",
+        "field.latents.dimension=256",
+        "field.latents.initialisation=normal",
+        "field.decoder.linear_path=false",
+        "field.optimizer.latent_learning_rate=1e-1",
         "denoiser.network.latent_tokens=1",
     ),
-    "local": ("field.latent_layout=local",),
+    "local": ("field.latents.layout=local",),
 }
 BOTH_STAGES = ("field", "denoiser")
 
@@ -60,7 +60,7 @@ class Variant:
 
     def settings(self, recipe: NermConfig) -> tuple[str, ...]:
         """What is set in a recipe: the layout's settings where it has the other layout, and the change."""
-        layout = () if recipe.field.latent_layout == self.layout else LAYOUTS[self.layout]
+        layout = () if recipe.field.latents.layout == self.layout else LAYOUTS[self.layout]
         return (*layout, *self.change)
 
 
@@ -80,16 +80,16 @@ def _both(label: str, name: str, change: str, reported: str = "") -> tuple[Entry
     )
 
 
-_NO_TIME = _both("no coordinate at all", "no-time", "field.time_encoding=none")
-_RAW_TIME = _both("the coordinate itself", "raw-time", "field.time_encoding=raw", "no time encoding")
-_FOURIER = _both("Fourier features", "fourier", "field.time_encoding=fourier", "fourier")
+_NO_TIME = _both("no coordinate at all", "no-time", "field.encoder.kind=none")
+_RAW_TIME = _both("the coordinate itself", "raw-time", "field.encoder.kind=raw", "no time encoding")
+_FOURIER = _both("Fourier features", "fourier", "field.encoder.kind=fourier", "fourier")
 _POINT = _both(
-    "one z a window, no distribution (Eq. 9)", "non-variational", "field.variational=false", "non-variational"
+    "one z a window, no distribution (Eq. 9)", "non-variational", "field.latents.variational=false", "non-variational"
 )
-_TRANSFORMER = _both("transformer", "transformer", "field.decoder=transformer", "transformer decoder")
-_WARMUP_NONE = _both("no warm-up at one framerate", "warmup-0", "field.warmup_fraction=0")
-_WARMUP_HALF = _both("half of the steps at 20 fps", "warmup-50", "field.warmup_fraction=0.5")
-_FIXED = _both("all steps at 20 fps (NeRM-fixed)", "fixed-20", "field.fixed_fps=20", "NeRM-fixed")
+_TRANSFORMER = _both("transformer", "transformer", "field.decoder.kind=transformer", "transformer decoder")
+_WARMUP_NONE = _both("no warm-up at one framerate", "warmup-0", "field.clips.warmup_fraction=0")
+_WARMUP_HALF = _both("half of the steps at 20 fps", "warmup-50", "field.clips.warmup_fraction=0.5")
+_FIXED = _both("all steps at 20 fps (NeRM-fixed)", "fixed-20", "field.clips.fixed_fps=20", "NeRM-fixed")
 
 ABLATIONS: dict[str, Ablation] = {
     ablation.table: ablation
@@ -124,12 +124,16 @@ ABLATIONS: dict[str, Ablation] = {
             "8",
             "size of z and weight of the KL term",
             (
-                Entry("global: d = 128", _changed(GLOBAL, "d-128", "field.latent_dimension=128"), "latent_dim=128"),
+                Entry("global: d = 128", _changed(GLOBAL, "d-128", "field.latents.dimension=128"), "latent_dim=128"),
                 Entry("global: d = 256", GLOBAL, "latent_dim=256"),
-                Entry("global: d = 512", _changed(GLOBAL, "d-512", "field.latent_dimension=512"), "latent_dim=512"),
-                Entry("global: λ_KL = 1e-5", _changed(GLOBAL, "kl-1e-5", "field.kl_weight=1e-5"), "kl_weight=1e-5"),
+                Entry("global: d = 512", _changed(GLOBAL, "d-512", "field.latents.dimension=512"), "latent_dim=512"),
+                Entry(
+                    "global: λ_KL = 1e-5", _changed(GLOBAL, "kl-1e-5", "field.loss.kl_weight=1e-5"), "kl_weight=1e-5"
+                ),
                 Entry("global: λ_KL = 1e-4", GLOBAL, "kl_weight=1e-4"),
-                Entry("global: λ_KL = 1e-3", _changed(GLOBAL, "kl-1e-3", "field.kl_weight=1e-3"), "kl_weight=1e-3"),
+                Entry(
+                    "global: λ_KL = 1e-3", _changed(GLOBAL, "kl-1e-3", "field.loss.kl_weight=1e-3"), "kl_weight=1e-3"
+                ),
             ),
             ("field",),
         ),
@@ -138,7 +142,9 @@ ABLATIONS: dict[str, Ablation] = {
             "time normalisation",
             (
                 # Knots lie at normalised coordinates, so this table has no rows of the local layout.
-                Entry("global: frame numbers 1 … T", _changed(GLOBAL, "frame-numbers", "field.coordinates=frames")),
+                Entry(
+                    "global: frame numbers 1 … T", _changed(GLOBAL, "frame-numbers", "field.encoder.coordinates=frames")
+                ),
                 Entry("global: normalised to [−1, 1]", GLOBAL),
             ),
             BOTH_STAGES,
@@ -171,7 +177,7 @@ def share_codebook(sweep: Sweep, run: RunFolder, config: NermConfig) -> None:
     The variants differ in how the codes are used, not in the codes, so they have the same ones. One that uses none gets
     none.
     """
-    if config.field.time_encoding != "codebook":
+    if config.field.encoder.kind != "codebook":
         return
     common = RunFolder(sweep.runs / sweep.prefix)
     context = sweep.context(common, CODEBOOK_SEED, overwrite=False)

@@ -26,7 +26,7 @@ def _load_encoder(run: Path) -> "NermEncoder":
     return load(run)
 
 
-MODEL = ModelLoader("NeRM", ("field", "denoiser"), _load_model, order=30, fixed_fps_setting="field.fixed_fps")
+MODEL = ModelLoader("NeRM", ("field", "denoiser"), _load_model, order=30, fixed_fps_setting="field.clips.fixed_fps")
 ENCODER = EncoderLoader(
     "NeRM (latents by optimisation)", ("field",), _load_encoder, order=90, tasks=("reconstruction",)
 )

@@ -1,68 +1,88 @@
 """NeRM's named recipes: `paper` (the paper's figures), `base` (an hour on a GPU), `nano` and `demo` (minutes on two
-cores); what their settings mean stands in `nerm/settings/`.
+cores); what their settings mean stands in `nerm/settings.py`.
 """
 
-import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from dataclasses import field as part
 
-from nerm.settings import CodebookConfig, DenoiserConfig, DiffusionConfig, FieldConfig, TransformerConfig
+from motionkit.training.config import Schedule
+from nerm.settings import (
+    ClipsConfig,
+    CodebookConfig,
+    CodebookNetworkConfig,
+    CodebookScheduleConfig,
+    ConditionsConfig,
+    DecoderConfig,
+    DenoiserConfig,
+    DiffusionConfig,
+    EncoderConfig,
+    FieldConfig,
+    FieldLossConfig,
+    FieldOptimizerConfig,
+    LatentsConfig,
+    LatentSpaceConfig,
+    TransformerConfig,
+    WindowsConfig,
+)
 
 
 @dataclass(frozen=True)
 class NermConfig:
     """All stages of NeRM."""
 
-    codebook: CodebookConfig = dataclasses.field(default_factory=CodebookConfig)
-    field: FieldConfig = dataclasses.field(default_factory=FieldConfig)
-    denoiser: DenoiserConfig = dataclasses.field(default_factory=DenoiserConfig)
+    codebook: CodebookConfig = part(default_factory=CodebookConfig)
+    field: FieldConfig = part(default_factory=FieldConfig)
+    denoiser: DenoiserConfig = part(default_factory=DenoiserConfig)
 
 
 def paper() -> NermConfig:
     """The paper's figures (§3, B.1, D), with what ../docs/deviations.md says where it is silent."""
-    return NermConfig(denoiser=DenoiserConfig(text_encoder="clip", text_dimension=768))
+    return NermConfig(denoiser=DenoiserConfig(conditions=ConditionsConfig(text_encoder="clip", text_dimension=768)))
 
 
 def nano() -> NermConfig:
     """Two CPU cores and minutes: smaller networks, local latents, the settings that docs/results measured."""
-    codebook = CodebookConfig(
-        width=128, code_dimension=128, num_codes=256, steps=600, batch=48, rate=1e-3, rate_drop_at=480
+    return NermConfig(
+        codebook=CodebookConfig(
+            network=CodebookNetworkConfig(width=128, code_dimension=128, num_codes=256),
+            schedule=CodebookScheduleConfig(steps=600, batch_size=48, learning_rate=1e-3, drop_at=480),
+        ),
+        field=_local_field(steps=8000),
+        denoiser=_knot_denoiser(steps=2500),
     )
-    return NermConfig(codebook=codebook, field=_local_field(steps=8000), denoiser=_knot_denoiser(steps=2500))
 
 
 def base() -> NermConfig:
     """One GPU of the H100's kind for an hour: `nano` at the paper's widths; docs/nerm.md counts the FLOPs."""
-    codebook = CodebookConfig(steps=20_000, rate_drop_at=13_000, precision="auto")
-    field = dataclasses.replace(
-        nano().field,
-        mirrored=True,
-        num_queries=256,
-        hidden=1024,
-        steps=60_000,
-        batch=4096,
-        rate=2e-3,
-        attention_rate=5e-4,
+    field, denoiser = nano().field, nano().denoiser
+    return NermConfig(
+        codebook=CodebookConfig(schedule=CodebookScheduleConfig(steps=20_000, drop_at=13_000), precision="auto"),
+        field=replace(
+            field,
+            windows=replace(field.windows, mirrored=True),
+            encoder=replace(field.encoder, num_queries=256),
+            decoder=replace(field.decoder, width=1024),
+            schedule=replace(field.schedule, steps=60_000, batch_size=4096, learning_rate=2e-3),
+            optimizer=replace(field.optimizer, attention_learning_rate=5e-4),
+        ),
+        denoiser=replace(
+            denoiser,
+            network=TransformerConfig(width=512, num_heads=8, ffn_width=2048, latent_tokens=16),
+            schedule=replace(denoiser.schedule, steps=80_000, batch_size=256, learning_rate=3e-4),
+            ema_decay=0.9999,
+            precision="auto",
+        ),
     )
-    denoiser = dataclasses.replace(
-        nano().denoiser,
-        network=TransformerConfig(num_layers=9, width=512, num_heads=8, ffn_width=2048, dropout=0.1, latent_tokens=16),
-        batch=256,
-        steps=80_000,
-        rate=3e-4,
-        ema_decay=0.9999,
-        precision="auto",
-    )
-    return NermConfig(codebook=codebook, field=field, denoiser=denoiser)
 
 
 def demo() -> NermConfig:
     """Three minutes on the embedded corpus: `nano` with a smaller codebook, sparser windows and fewer steps."""
-    codebook = CodebookConfig(
-        width=64, code_dimension=64, num_codes=128, steps=120, batch=32, rate=1e-3, rate_drop_at=100
-    )
     return NermConfig(
-        codebook=codebook,
+        codebook=CodebookConfig(
+            network=CodebookNetworkConfig(width=64, code_dimension=64, num_codes=128),
+            schedule=CodebookScheduleConfig(steps=120, batch_size=32, learning_rate=1e-3, drop_at=100),
+        ),
         field=_local_field(steps=1200, stride_seconds=5.0),
         denoiser=_knot_denoiser(steps=1000),
     )
@@ -70,40 +90,34 @@ def demo() -> NermConfig:
 
 def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
     return FieldConfig(
-        stride_seconds=stride_seconds,
-        latent_layout="local",
-        latent_dimension=768,
-        knots=(32, 16),
-        knot_numbers=(16, 13),
-        path_knots=16,
-        knot_kernel="lanczos",
-        knot_radius=3.0,
-        knot_modes=3,
-        initial_log_variance=-8.0,
-        initialisation="ridge",
-        ridge=0.02,
-        num_queries=64,
-        hidden=256,
-        activation="silu",
-        linear_path=True,
-        framerate_scale=0.05,
-        scaling="group",
-        root_weight=4.0,
-        epochs=None,
-        steps=steps,
-        batch=256,
-        num_poses=8,
-        contiguous=False,
-        seconds_per_visit=2.5,
-        warmup_fraction=0.02,
-        lowest_fps=20.0,
-        rate=8e-3,
-        attention_rate=1e-3,
-        latent_rate=1e-2,
-        weight_decay=0.0,
-        schedule="cosine",
-        # At full rate the first steps undo the start from the linear model, which the next hundred have to win back.
-        rate_warmup_fraction=0.05,
+        windows=WindowsConfig(stride_seconds=stride_seconds),
+        clips=ClipsConfig(num_poses=8, contiguous=False, seconds_per_visit=2.5, warmup_fraction=0.02, lowest_fps=20.0),
+        latents=LatentsConfig(
+            layout="local",
+            dimension=768,
+            knots=(32, 16),
+            knot_numbers=(16, 13),
+            path_knots=16,
+            kernel="lanczos",
+            radius=3.0,
+            modes=3,
+            initial_log_variance=-8.0,
+            initialisation="ridge",
+            ridge=0.02,
+        ),
+        encoder=EncoderConfig(num_queries=64, framerate_scale=0.05),
+        decoder=DecoderConfig(width=256, activation="silu", linear_path=True),
+        loss=FieldLossConfig(scaling="group", root_weight=4.0),
+        schedule=Schedule(
+            steps=steps,
+            batch_size=256,
+            learning_rate=8e-3,
+            kind="cosine",
+            # At full rate the first steps undo the start from the linear model, which the next hundred have to win
+            # back.
+            warmup_fraction=0.05,
+        ),
+        optimizer=FieldOptimizerConfig(attention_learning_rate=1e-3, latent_learning_rate=1e-2, weight_decay=0.0),
         precision="auto",
     )
 
@@ -111,16 +125,9 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
 def _knot_denoiser(*, steps: int) -> DenoiserConfig:
     return DenoiserConfig(
         network=TransformerConfig(num_layers=5, width=192, ffn_width=512, dropout=0.0, latent_tokens=8),
-        diffusion=DiffusionConfig(prediction="velocity", loss="velocity"),
-        path="steps",
-        latent_scale="component",
-        guidance_scale=1.5,
-        batch=64,
-        steps=steps,
-        epochs=None,
-        rate=2e-3,
-        schedule="cosine",
-        rate_warmup_fraction=0.02,
+        diffusion=DiffusionConfig(prediction="velocity", loss="velocity", guidance_scale=1.5),
+        latents=LatentSpaceConfig(path="steps", scale="component"),
+        schedule=Schedule(steps=steps, learning_rate=2e-3, kind="cosine", warmup_fraction=0.02),
         ema_decay=0.995,
     )
 

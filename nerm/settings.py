@@ -1,47 +1,98 @@
-"""Settings of the stages `codebook`, `field` and `denoiser` (no torch)."""
+"""Settings of the stages `codebook`, `field` and `denoiser`, nested as their parts are (no torch).
 
+`MOVED` says what settings were called before they were nested (motionkit.training.config).
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from motionkit.core.timegrid import parse_fps
-from motionkit.training.config import Precision
+from motionkit.training.config import Precision, Schedule, moved
+
+SCHEDULE_MOVED = moved(
+    "schedule",
+    "steps epochs",
+    batch="batch_size",
+    rate="learning_rate",
+    schedule="kind",
+    rate_warmup_fraction="warmup_fraction",
+)
 
 
 @dataclass(frozen=True)
-class CodebookConfig:
-    """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1).
+class CodebookNetworkConfig:
+    """Sizes of the VQ-VAE; codes are moving averages of decay `ema_decay`, and one whose averaged count falls under
+    `reset_below` is drawn again."""
 
-    `published_weights` names T2M-GPT's own checkpoint, which is then taken instead of trained, whatever the sizes here;
-    `published_statistics` the folder of its mean.npy and std.npy (the evaluator's), which the field doesn't need.
-    """
-
-    fps: int = 20
-    window_frames: int = 64
     width: int = 512
     code_dimension: int = 512
     num_codes: int = 512
     residual_layers: int = 3
     ema_decay: float = 0.99
     reset_below: float = 1.0
+
+
+@dataclass(frozen=True)
+class CodebookLossConfig:
+    """Weights of the error of the joint positions and of the commitment, beside that of all numbers."""
+
     position_weight: float = 0.5
     commitment_weight: float = 0.02
+
+
+@dataclass(frozen=True)
+class CodebookScheduleConfig:
+    """Steps, windows a step, and the learning rate, which is multiplied by `drop` at step `drop_at`."""
+
     steps: int = 300_000
-    batch: int = 256
-    rate: float = 2e-4
-    rate_drop_at: int = 200_000
-    rate_drop: float = 0.05
+    batch_size: int = 256
+    learning_rate: float = 2e-4
+    drop_at: int = 200_000
+    drop: float = 0.05
     weight_decay: float = 0.0
-    precision: Precision = "float32"
-    published_weights: str = ""
-    published_statistics: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("batch_size", "steps"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class PublishedConfig:
+    """`weights`: T2M-GPT's own checkpoint, which is then taken instead of trained, whatever the sizes here;
+    `statistics`: the folder of its mean.npy and std.npy (the evaluator's), which the field doesn't need."""
+
+    weights: str = ""
+    statistics: str = ""
+
+
+@dataclass(frozen=True)
+class CodebookConfig:
+    """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1)."""
+
     where: str = "split = 'train'"
+    fps: int = 20
+    window_frames: int = 64
+    network: CodebookNetworkConfig = field(default_factory=CodebookNetworkConfig)
+    loss: CodebookLossConfig = field(default_factory=CodebookLossConfig)
+    schedule: CodebookScheduleConfig = field(default_factory=CodebookScheduleConfig)
+    published: PublishedConfig = field(default_factory=PublishedConfig)
+    precision: Precision = "float32"
+
+    MOVED: ClassVar[Mapping[str, str]] = {
+        **moved("network", "width code_dimension num_codes residual_layers ema_decay reset_below"),
+        **moved("loss", "position_weight commitment_weight"),
+        **moved("schedule", "steps weight_decay", batch="batch_size", rate="learning_rate"),
+        **moved("schedule", rate_drop_at="drop_at", rate_drop="drop"),
+        **moved("published", published_weights="weights", published_statistics="statistics"),
+    }
 
     def __post_init__(self) -> None:
         parse_fps(self.fps)
-        for name in ("window_frames", "batch", "steps"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        if self.window_frames <= 0:
+            raise ValueError(f"window_frames must be positive, not {self.window_frames}")
 
 
 TimeEncoding = Literal["none", "raw", "fourier", "codebook"]
@@ -51,57 +102,29 @@ Activation = Literal["relu", "silu", "gelu"]
 
 
 @dataclass(frozen=True)
-class FieldConfig:
-    """The variational implicit representation (paper §3.1, B, D); lengths in seconds, rates in frames a second.
-
-    `fixed_fps` is Table 1's "NeRM-fixed": every pose of the training is taken at that framerate (an integer, a decimal
-    or a fraction such as 30000/1001), and slower sequences are left out.
-    """
+class WindowsConfig:
+    """How sequences are cut into windows of at most `max_duration_seconds` (l_max), one every `stride_seconds`."""
 
     max_duration_seconds: float = 10.0
     min_duration_seconds: float = 0.5
     stride_seconds: float = 10.0
     mirrored: bool = False
-    where: str = "split = 'train'"
-    # What is learnt at each instant (nerm/pose_vectors/): positions, the published 263 numbers, SMPL's rotations.
-    pose_vectors: PoseVectorsName = "field"
-    # Latents: N(μ, Σ) per window. `local` reads z as banks of knots along time (nerm/latents/local.py): bank i has
-    # knots[i] knots of knot_numbers[i] pose components each; path_knots knots hold the body's path (0: no such bank).
-    latent_layout: LatentLayout = "global"
-    latent_dimension: int = 256
-    knots: tuple[int, ...] = (16,)
-    knot_numbers: tuple[int, ...] = (16,)
-    path_knots: int = 0
-    knot_kernel: Literal["hann", "lanczos"] = "hann"
-    knot_radius: float = 2.0
-    knot_modes: int = 2
-    variational: bool = True
-    kl_weight: float = 1e-4
-    initial_log_variance: float = -6.0
-    initialisation: Literal["normal", "ridge"] = "normal"
-    ridge: float = 1e-2
-    # Coordinates. `raw` is t itself (Table 5's "no time encoding"), `none` no coordinate at all.
-    time_encoding: TimeEncoding = "codebook"
-    coordinates: Literal["normalised", "frames"] = "normalised"
-    num_frequencies: int = 64
-    frequency_scale: float = 4.0
-    framerate_scale: float = 0.2
-    num_queries: int = 256
-    attention_heads: int = 4
-    attention_layers: int = 3
-    # Decoder.
-    decoder: Literal["mlp", "transformer"] = "mlp"
-    hidden: int = 1024
-    layers: int = 9
-    activation: Activation = "relu"
-    linear_path: bool = False
-    # Data scale.
-    scaling: Literal["number", "group"] = "number"
-    root_weight: float = 1.0
-    # Training.
-    epochs: int | None = 20_000
-    steps: int | None = None
-    batch: int = 4096
+
+    def __post_init__(self) -> None:
+        for name in ("max_duration_seconds", "stride_seconds"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class ClipsConfig:
+    """Which poses of a window a step draws.
+
+    During the first `warmup_fraction` of the steps they are taken at `warmup_fps`, then at native framerates or whole
+    fractions of them down to `lowest_fps`. `fixed_fps` is Table 1's "NeRM-fixed": every pose of the training is taken
+    at that framerate (an integer, a decimal or a fraction such as 30000/1001), and slower sequences are left out.
+    """
+
     num_poses: int = 32
     contiguous: bool = True
     seconds_per_visit: float = 10.0
@@ -109,65 +132,167 @@ class FieldConfig:
     warmup_fraction: float = 0.5
     lowest_fps: float | None = None
     fixed_fps: str | None = None
-    rate: float = 1e-4
-    attention_rate: float = 1e-4
-    latent_rate: float = 1e-4
-    weight_decay: float = 0.01
-    schedule: Literal["constant", "cosine"] = "constant"
-    rate_warmup_fraction: float = 0.0
-    precision: Precision = "float32"
-    compile: bool = False
 
     def __post_init__(self) -> None:
-        if (self.steps is None) == (self.epochs is None):
-            raise ValueError(f"exactly one of steps and epochs must be given, not {self.steps} and {self.epochs}")
-        if self.latent_layout == "local" and self.coordinates == "frames":
-            raise ValueError("knots lie at normalised coordinates: frame numbers (Table 9) need latent_layout=global")
-        if self.latent_layout == "local":
-            self._check_banks()
-        elif self.linear_path or self.initialisation == "ridge":
-            raise ValueError("linear_path and initialisation=ridge belong to a linear model of local latents")
-        for name in ("steps", "epochs", "batch", "num_poses", "max_duration_seconds", "stride_seconds"):
-            if (value := getattr(self, name)) is not None and not value > 0:
-                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        if self.num_poses <= 0:
+            raise ValueError(f"num_poses must be positive, not {self.num_poses}")
         for fps in (self.warmup_fps, self.lowest_fps, self.fixed_fps):
             if fps is not None:
                 parse_fps(fps)
-
-    def _check_banks(self) -> None:
-        if len(self.knots) != len(self.knot_numbers) or not self.knots:
-            raise ValueError(f"knots and knot_numbers name one bank each: not {self.knots} and {self.knot_numbers}")
-        banks = zip((*self.knots, self.path_knots), (*self.knot_numbers, 3), strict=True)
-        total = sum(knots * numbers for knots, numbers in banks)
-        if self.latent_dimension != total:
-            raise ValueError(
-                f"knots={self.knots} of knot_numbers={self.knot_numbers} and path_knots={self.path_knots} of 3 make "
-                f"latent_dimension={total}, not {self.latent_dimension}"
-            )
-        if self.path_knots and self.pose_vectors != "field":
-            raise ValueError(
-                f"a path of the body is a path of positions: pose_vectors={self.pose_vectors} needs path_knots=0, and "
-                f"latent_dimension={total - 3 * self.path_knots} then"
-            )
-        if self.path_knots and self.scaling != "group":
-            raise ValueError("a path of the body turns poses, so x and z need one scale: scaling=group")
 
     @property
     def fixed_framerate(self) -> Fraction | None:
         """The one framerate of the whole training, exactly; None where it is continuous-framerate training."""
         return None if self.fixed_fps is None else parse_fps(self.fixed_fps)
 
+
+@dataclass(frozen=True)
+class LatentsConfig:
+    """N(μ, Σ) of each window, of `dimension` numbers (d).
+
+    The layout `local` reads z as banks of knots along time (nerm/latents/local.py): bank i has knots[i] knots of
+    knot_numbers[i] pose components each; `path_knots` knots hold the body's path (0: no such bank). `kernel`, `radius`
+    and `modes` say how knots are read. `initialisation` is the start of μ, `ridge` that of the linear model's fit.
+    """
+
+    layout: LatentLayout = "global"
+    dimension: int = 256
+    knots: tuple[int, ...] = (16,)
+    knot_numbers: tuple[int, ...] = (16,)
+    path_knots: int = 0
+    kernel: Literal["hann", "lanczos"] = "hann"
+    radius: float = 2.0
+    modes: int = 2
+    variational: bool = True
+    initial_log_variance: float = -6.0
+    initialisation: Literal["normal", "ridge"] = "normal"
+    ridge: float = 1e-2
+
+    def __post_init__(self) -> None:
+        if self.layout == "global":
+            if self.initialisation == "ridge":
+                raise ValueError("initialisation=ridge belongs to a linear model of local latents")
+            return
+        if len(self.knots) != len(self.knot_numbers) or not self.knots:
+            raise ValueError(f"knots and knot_numbers name one bank each: not {self.knots} and {self.knot_numbers}")
+        banks = zip((*self.knots, self.path_knots), (*self.knot_numbers, 3), strict=True)
+        total = sum(knots * numbers for knots, numbers in banks)
+        if self.dimension != total:
+            raise ValueError(
+                f"knots={self.knots} of knot_numbers={self.knot_numbers} and path_knots={self.path_knots} of 3 make "
+                f"dimension={total}, not {self.dimension}"
+            )
+
+    @property
+    def has_path(self) -> bool:
+        """Whether z holds a path of the body."""
+        return self.layout == "local" and self.path_knots > 0
+
+
+@dataclass(frozen=True)
+class EncoderConfig:
+    """How coordinates enter: the time encoding (`kind`) and the framerate's scale.
+
+    `raw` is t itself (Table 5's "no time encoding"), `none` no coordinate; `coordinates=frames` counts frames (Table
+    9). `num_queries`, `num_heads` and `num_layers` are those of the attention to the codebook (CCA).
+    """
+
+    kind: TimeEncoding = "codebook"
+    coordinates: Literal["normalised", "frames"] = "normalised"
+    num_frequencies: int = 64
+    frequency_scale: float = 4.0
+    framerate_scale: float = 0.2
+    num_queries: int = 256
+    num_heads: int = 4
+    num_layers: int = 3
+
     @property
     def query_width(self) -> int:
         """Width of CCA's queries: that of γ(t), which its output joins by addition (the paper's 128 for R = 64)."""
         return 2 * self.num_frequencies
 
-    def num_steps(self, visits: int) -> int:
-        """Training steps where an epoch has this many visits to windows."""
-        if self.steps is not None:
-            return self.steps
-        assert self.epochs is not None
-        return -(-self.epochs * visits // self.batch)
+
+@dataclass(frozen=True)
+class DecoderConfig:
+    """The network from a latent and a coordinate to a pose; a transformer has as many heads as the encoder.
+
+    With `linear_path` it begins as the linear model that local latents are fitted with.
+    """
+
+    kind: Literal["mlp", "transformer"] = "mlp"
+    width: int = 1024
+    num_layers: int = 9
+    activation: Activation = "relu"
+    linear_path: bool = False
+
+
+@dataclass(frozen=True)
+class FieldLossConfig:
+    """The weight of the KL term, and the scale in which errors of poses are squared (`measure_scaling`)."""
+
+    kl_weight: float = 1e-4
+    scaling: Literal["number", "group"] = "number"
+    root_weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class FieldOptimizerConfig:
+    """What AdamW has besides the schedule's learning rate: those of attention and of the latents."""
+
+    attention_learning_rate: float = 1e-4
+    latent_learning_rate: float = 1e-4
+    weight_decay: float = 0.01
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """The variational implicit representation (paper §3.1, B, D); lengths in seconds, rates in frames a second.
+
+    `pose_vectors` is what is learnt at each instant (nerm/pose_vectors/): positions, the published 263 numbers, SMPL's
+    rotations.
+    """
+
+    where: str = "split = 'train'"
+    pose_vectors: PoseVectorsName = "field"
+    windows: WindowsConfig = field(default_factory=WindowsConfig)
+    clips: ClipsConfig = field(default_factory=ClipsConfig)
+    latents: LatentsConfig = field(default_factory=LatentsConfig)
+    encoder: EncoderConfig = field(default_factory=EncoderConfig)
+    decoder: DecoderConfig = field(default_factory=DecoderConfig)
+    loss: FieldLossConfig = field(default_factory=FieldLossConfig)
+    schedule: Schedule = field(default_factory=lambda: Schedule(epochs=20_000, batch_size=4096))
+    optimizer: FieldOptimizerConfig = field(default_factory=FieldOptimizerConfig)
+    precision: Precision = "float32"
+    compile: bool = False
+
+    MOVED: ClassVar[Mapping[str, str]] = {
+        **moved("windows", "max_duration_seconds min_duration_seconds stride_seconds mirrored"),
+        **moved("clips", "num_poses contiguous seconds_per_visit warmup_fps warmup_fraction lowest_fps fixed_fps"),
+        **moved("latents", "knots knot_numbers path_knots variational initial_log_variance initialisation ridge"),
+        **moved("latents", latent_layout="layout", latent_dimension="dimension"),
+        **moved("latents", knot_kernel="kernel", knot_radius="radius", knot_modes="modes"),
+        **moved("encoder", "coordinates num_frequencies frequency_scale framerate_scale num_queries"),
+        **moved("encoder", time_encoding="kind", attention_heads="num_heads", attention_layers="num_layers"),
+        **moved("decoder", "activation linear_path", decoder="kind", hidden="width", layers="num_layers"),
+        **moved("loss", "kl_weight scaling root_weight"),
+        **SCHEDULE_MOVED,
+        **moved("optimizer", "weight_decay", attention_rate="attention_learning_rate"),
+        **moved("optimizer", latent_rate="latent_learning_rate"),
+    }
+
+    def __post_init__(self) -> None:
+        latents = self.latents
+        if latents.layout == "local" and self.encoder.coordinates == "frames":
+            raise ValueError("knots lie at normalised coordinates: frame numbers (Table 9) need latents.layout=global")
+        if latents.layout == "global" and self.decoder.linear_path:
+            raise ValueError("decoder.linear_path belongs to a linear model of local latents")
+        if latents.has_path and self.pose_vectors != "field":
+            raise ValueError(
+                f"a path of the body is a path of positions: pose_vectors={self.pose_vectors} needs "
+                f"latents.path_knots=0, and latents.dimension={latents.dimension - 3 * latents.path_knots} then"
+            )
+        if latents.has_path and self.loss.scaling != "group":
+            raise ValueError("a path of the body turns poses, so x and z need one scale: loss.scaling=group")
 
 
 NoiseSchedule = Literal["scaled_linear", "cosine"]
@@ -190,7 +315,7 @@ class DiffusionConfig:
 
     With `sampling_spacing` "trailing" the steps used at inference start at the noisiest one, the state that
     z_K ~ N(0, I) belongs to; "leading" (offset 1) starts up to num_steps / sampling_steps earlier, as
-    motion-latent-diffusion does.
+    motion-latent-diffusion does. `guidance_scale` is r of Eq. 6.
     """
 
     num_steps: int = 1000
@@ -202,6 +327,7 @@ class DiffusionConfig:
     sampler: Sampler = "ddim"
     sampling_steps: int = 50
     sampling_spacing: Literal["trailing", "leading"] = "trailing"
+    guidance_scale: float = 7.5
 
     def __post_init__(self) -> None:
         if not 0 < self.beta_start <= self.beta_end < 1:
@@ -233,54 +359,58 @@ class TransformerConfig:
 
 
 @dataclass(frozen=True)
-class DenoiserConfig:
-    """The stage `denoiser`.
+class LatentSpaceConfig:
+    """Where the field reads z as knots (`nerm.denoiser.latent_space`).
+
+    `path` says whether the diffusion sees the body's path as places or as the steps between them, `scale` whether each
+    number of z is standardised by itself or each component by its values at all knots.
+    """
+
+    path: PathNumbers = "places"
+    scale: LatentScale = "number"
+
+
+@dataclass(frozen=True)
+class ConditionsConfig:
+    """What the denoiser is trained on.
 
     `text_encoder` is what `motionkit.training.text_encoders.load_text_encoder` takes, or "none" to train without texts;
-    `text_dimension` the size its embeddings must have (None: any). A share `condition_drop` of the batch is trained
-    unconditionally; of the windows that have a caption and an action, `action_share` are trained on the action. Exactly
-    one of `steps` and `epochs` says how long; `guidance_scale` is r of Eq. 6 at inference.
-
-    Where the field reads z as knots, `path` says whether the diffusion sees the body's path as places or as the steps
-    between them, and `latent_scale` whether each number of z is standardised by itself or each component by its values
-    at all knots (`nerm.denoiser.latent_space`).
+    `text_dimension` the size its embeddings must have (None: any). A share `drop` of the batch is trained
+    unconditionally; of the windows that have a caption and an action, `action_share` are trained on the action.
     """
+
+    text_encoder: str = "minilm"
+    text_dimension: int | None = None
+    drop: float = 0.1
+    action_share: float = 0.25
+
+    def __post_init__(self) -> None:
+        for name in ("drop", "action_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} must lie in [0, 1], not {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class DenoiserConfig:
+    """The stage `denoiser`; its weights are averaged with a decay of `ema_decay`."""
 
     network: TransformerConfig = field(default_factory=TransformerConfig)
     diffusion: DiffusionConfig = field(default_factory=DiffusionConfig)
-    path: PathNumbers = "places"
-    latent_scale: LatentScale = "number"
-    text_encoder: str = "minilm"
-    text_dimension: int | None = None
-    condition_drop: float = 0.1
-    action_share: float = 0.25
-    guidance_scale: float = 7.5
-    batch: int = 64
-    steps: int | None = None
-    epochs: int | None = 3000
-    rate: float = 1e-4
+    latents: LatentSpaceConfig = field(default_factory=LatentSpaceConfig)
+    conditions: ConditionsConfig = field(default_factory=ConditionsConfig)
+    schedule: Schedule = field(default_factory=lambda: Schedule(epochs=3000))
     weight_decay: float = 0.01
-    schedule: Literal["constant", "cosine"] = "constant"
-    rate_warmup_fraction: float = 0.0
     ema_decay: float = 0.9999
     precision: Precision = "float32"
     compile: bool = False
 
+    MOVED: ClassVar[Mapping[str, str]] = {
+        **moved("latents", "path", latent_scale="scale"),
+        **moved("conditions", "text_encoder text_dimension action_share", condition_drop="drop"),
+        **moved("diffusion", "guidance_scale"),
+        **SCHEDULE_MOVED,
+    }
+
     def __post_init__(self) -> None:
-        if (self.steps is None) == (self.epochs is None):
-            raise ValueError(f"exactly one of steps and epochs must be given, not {self.steps} and {self.epochs}")
-        for name in ("steps", "epochs", "batch"):
-            if (value := getattr(self, name)) is not None and value <= 0:
-                raise ValueError(f"{name} must be positive, not {value}")
-        for name in ("condition_drop", "action_share"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} must lie in [0, 1], not {getattr(self, name)}")
         if not 0.0 <= self.ema_decay < 1.0:
             raise ValueError(f"ema_decay must lie in [0, 1), not {self.ema_decay}")
-
-    def num_steps(self, num_windows: int) -> int:
-        """Training steps on a corpus of `num_windows` latents."""
-        if self.steps is not None:
-            return self.steps
-        assert self.epochs is not None
-        return -(-self.epochs * num_windows // self.batch)

@@ -47,7 +47,7 @@ FULL_SETTINGS = (
     "network.num_sines=16",
     "network.shared_activation=false",
     "network.frames_per_scale=2,6,14",
-    "training.velocity_weight=0.5",
+    "training.loss.velocity_weight=0.5",
 )
 FULL = Variant("full")
 
@@ -65,7 +65,7 @@ def _scales(count: int) -> Variant:
 
 
 def _velocity(weight: str) -> Variant:
-    return FULL if weight == "0.5" else Variant(f"velocity-{weight}", (f"training.velocity_weight={weight}",))
+    return FULL if weight == "0.5" else Variant(f"velocity-{weight}", (f"training.loss.velocity_weight={weight}",))
 
 
 OWN, SHARED = "own parameters in every layer", "one activation shared by all layers"

@@ -1,10 +1,10 @@
 """PA-HiRes's settings and named recipes (`nano`, `base`, `paper`, `demo`)."""
 
-import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 from motionkit.clips.temporal.settings import TemporalSettings, base_training, nano_training
+from motionkit.training.config import Schedule
 from pahires.settings import NetworkSettings
 
 
@@ -12,24 +12,22 @@ from pahires.settings import NetworkSettings
 class PaHiResConfig:
     """The stage `pahires`: its network and its training."""
 
-    network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
-    training: TemporalSettings = dataclasses.field(default_factory=TemporalSettings)
+    network: NetworkSettings = field(default_factory=NetworkSettings)
+    training: TemporalSettings = field(default_factory=TemporalSettings)
 
 
 def paper() -> PaHiResConfig:
     """The paper's figures (§4.1), with what ../docs/deviations.md says where it is silent."""
     return PaHiResConfig(
         network=NetworkSettings(code=256, embedding=128),
-        training=TemporalSettings(
-            form="plain", steps=None, epochs=1000, batch=256, rate=1e-4, schedule="steps", rate_warmup_fraction=0.0
-        ),
+        training=TemporalSettings(schedule=Schedule(epochs=1000, batch_size=256, learning_rate=1e-4, kind="steps")),
     )
 
 
 def nano() -> PaHiResConfig:
     """One CPU core, a quarter of an hour: every task, corrections of an interpolation that leave given frames alone."""
-    training = dataclasses.replace(_with_curves(nano_training()), steps=12_000)
-    return PaHiResConfig(network=NetworkSettings(code=96, hidden=192, decoder_layers=4), training=training)
+    network = NetworkSettings(code=96, hidden=192, decoder_layers=4)
+    return PaHiResConfig(network, _with_steps(_with_curves(nano_training()), 12_000))
 
 
 def base() -> PaHiResConfig:
@@ -39,12 +37,20 @@ def base() -> PaHiResConfig:
 
 def _with_curves(training: TemporalSettings) -> TemporalSettings:
     """What PA-HiRes alone has: weights of other curves, and corrections sized by the motion."""
-    return dataclasses.replace(training, sizing="motion", blended=("catmull-rom", "linear"), balance_floor=0.05)
+    return replace(
+        training,
+        answer=replace(training.answer, sizing="motion", blended=("catmull-rom", "linear")),
+        loss=replace(training.loss, balance_floor=0.05),
+    )
+
+
+def _with_steps(training: TemporalSettings, steps: int) -> TemporalSettings:
+    return replace(training, schedule=replace(training.schedule, steps=steps))
 
 
 def demo() -> PaHiResConfig:
     """A minute on the embedded corpus: `nano` with fewer steps."""
-    return dataclasses.replace(nano(), training=dataclasses.replace(nano().training, steps=600))
+    return replace(nano(), training=_with_steps(nano().training, 600))
 
 
 RECIPES: dict[str, Callable[[], PaHiResConfig]] = {"nano": nano, "demo": demo, "base": base, "paper": paper}

@@ -30,7 +30,7 @@ def _network(config: PaHiResConfig, num_numbers: int) -> "PaHiRes":
     from motionkit.clips.temporal.prediction import num_answers
     from pahires.model import PaHiRes
 
-    return PaHiRes(config.network, num_numbers, num_answers(config.training, num_numbers))
+    return PaHiRes(config.network, num_numbers, num_answers(config.training.answer, num_numbers))
 
 
 def load(run: Path) -> "NetworkEncoder":

@@ -29,8 +29,8 @@ def network_of(config: PeerConfig, numbers: int) -> nn.Module:
 
     Raises `UsageError` for blended curves, whose weights no peer answers.
     """
-    if config.training.curves:
-        raise UsageError("peers answer rows alone, not weights of curves: leave training.blended empty")
+    if config.training.answer.curves:
+        raise UsageError("peers answer rows alone, not weights of curves: leave training.answer.blended empty")
     match config:
         case LiifConfig():
             return Liif(config.network, numbers)

@@ -10,7 +10,14 @@ half the width. Networks of `nano` are small.
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from motionkit.clips.temporal.settings import TaskSettings, TemporalSettings, base_training, nano_training
+from motionkit.clips.temporal.settings import (
+    AnswerSettings,
+    TaskSettings,
+    TemporalSettings,
+    base_training,
+    nano_training,
+)
+from motionkit.training.config import Schedule
 from peers.settings import (
     ALiifNetworkConfig,
     DeltaInterpNetworkConfig,
@@ -106,14 +113,22 @@ IN_BETWEENING = TaskSettings(interpolate=0.0, gap=1.0, scattered=0.0, extend=0.0
 
 def _on(task: TaskSettings, training: TemporalSettings) -> TemporalSettings:
     """Those steps of a training of all tasks that are of one task."""
-    assert training.steps is not None
+    assert training.schedule.steps is not None
     kept = sum(share for share, wanted in zip(training.tasks.shares, task.shares, strict=True) if wanted)
     interpolate, gap, scattered, extend = task.shares
     return replace(
         training,
         tasks=replace(training.tasks, interpolate=interpolate, gap=gap, scattered=scattered, extend=extend),
-        steps=round(training.steps * kept / sum(training.tasks.shares)),
+        schedule=replace(training.schedule, steps=round(training.schedule.steps * kept / sum(training.tasks.shares))),
     )
+
+
+def _at_rate(training: TemporalSettings, learning_rate: float) -> TemporalSettings:
+    return replace(training, schedule=replace(training.schedule, learning_rate=learning_rate))
+
+
+def _correcting_slerp(training: TemporalSettings) -> TemporalSettings:
+    return replace(training, answer=replace(training.answer, form="residual", base="slerp"))
 
 
 def _nano(task: TaskSettings) -> TemporalSettings:
@@ -128,11 +143,7 @@ def _image_paper() -> TemporalSettings:
     """What all four published: Adam at 1e-4, halved every 200 of 1,000 epochs, batches of 16 windows of 48 frames."""
     return TemporalSettings(
         tasks=replace(INTERPOLATION, num_frames=48, num_queries=48),
-        steps=None,
-        epochs=1000,
-        batch=16,
-        rate=1e-4,
-        schedule="steps",
+        schedule=Schedule(epochs=1000, batch_size=16, learning_rate=1e-4, kind="steps", warmup_fraction=0.02),
     )
 
 
@@ -185,7 +196,7 @@ def a_liif_paper() -> ALiifConfig:
 def lmf_nano() -> LmfConfig:
     """A small network, 64 wide, minutes on one core."""
     # At 1e-3 scales that multiply through six layers run away: the plain form is lost within 500 steps.
-    training = replace(_nano(INTERPOLATION), rate=MODULATED_RATE)
+    training = _at_rate(_nano(INTERPOLATION), MODULATED_RATE)
     return LmfConfig(LmfNetworkConfig(NANO_ENCODER, width=FAIR_WIDTH), training)
 
 
@@ -202,12 +213,12 @@ def lmf_paper() -> LmfConfig:
 def delta_interp_nano() -> DeltaInterpConfig:
     """A small network, minutes on one core."""
     network = DeltaInterpNetworkConfig(width=96, blocks=3, layers=2, heads=4, dropout=0.0)
-    return DeltaInterpConfig(network, replace(_nano(IN_BETWEENING), form="residual", base="slerp"))
+    return DeltaInterpConfig(network, _correcting_slerp(_nano(IN_BETWEENING)))
 
 
 def delta_interp_base() -> DeltaInterpConfig:
     """Half the published width, an hour on a GPU."""
-    training = replace(_base(IN_BETWEENING), form="residual", base="slerp", rate=2e-4)
+    training = _correcting_slerp(_at_rate(_base(IN_BETWEENING), 2e-4))
     return DeltaInterpConfig(DeltaInterpNetworkConfig(width=512), training)
 
 
@@ -215,14 +226,10 @@ def delta_interp_paper() -> DeltaInterpConfig:
     """Network as published; 300 epochs at 2e-4, a tenth of it after 200; gaps of 5 to 39 frames."""
     training = TemporalSettings(
         tasks=replace(IN_BETWEENING, longest_gap=39),
-        form="residual",
-        steps=None,
-        epochs=300,
-        batch=64,
-        rate=2e-4,
-        schedule="steps",
-        rate_drop=0.1,
-        drop_every=2 / 3,
+        answer=AnswerSettings(form="residual"),
+        schedule=Schedule(
+            epochs=300, learning_rate=2e-4, kind="steps", warmup_fraction=0.02, drop=0.1, drop_every=2 / 3
+        ),
     )
     return DeltaInterpConfig(training=training)
 
@@ -235,7 +242,7 @@ def ts_former_nano() -> TsFormerConfig:
 
 def ts_former_base() -> TsFormerConfig:
     """Half the published width, an hour on a GPU."""
-    training = replace(_base(IN_BETWEENING), rate=2e-4)
+    training = _at_rate(_base(IN_BETWEENING), 2e-4)
     return TsFormerConfig(TsFormerNetworkConfig(width=256, head_width=32, inner=256), training)
 
 
@@ -243,11 +250,7 @@ def ts_former_paper() -> TsFormerConfig:
     """Network as published; 2,000 epochs at the 3.1e-5 that the published schedule peaks at; gaps of 5 to 30 frames."""
     training = TemporalSettings(
         tasks=replace(IN_BETWEENING, longest_gap=30),
-        steps=None,
-        epochs=2000,
-        batch=32,
-        rate=3.1e-5,
-        schedule="cosine",
+        schedule=Schedule(epochs=2000, batch_size=32, learning_rate=3.1e-5, kind="cosine", warmup_fraction=0.02),
     )
     return TsFormerConfig(training=training)
 

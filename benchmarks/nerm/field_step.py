@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 import torch
 
+from motionkit.training.config import apply_overrides
 from nerm.field.network import EncodedCoordinates, FieldNetwork
 from nerm.settings import FieldConfig
 
@@ -68,9 +69,11 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    network = FieldNetwork(FieldConfig(hidden=arguments.hidden), 66, torch.randn(512, 512))
-    coordinates, fps = draw_clips(arguments.clips, arguments.poses, network.config.max_duration_seconds)
-    latents = torch.randn(arguments.clips, network.config.latent_dimension)
+    network = FieldNetwork(
+        apply_overrides(FieldConfig(), [f"decoder.width={arguments.hidden}"]), 66, torch.randn(512, 512)
+    )
+    coordinates, fps = draw_clips(arguments.clips, arguments.poses, network.config.windows.max_duration_seconds)
+    latents = torch.randn(arguments.clips, network.config.latents.dimension)
 
     def loss_of(encode: Callable[[], EncodedCoordinates]) -> torch.Tensor:
         network.zero_grad()

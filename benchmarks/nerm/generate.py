@@ -48,11 +48,11 @@ def random_model(recipe: str) -> NermModel:
     """A model of a recipe's sizes with random weights."""
     config = RECIPES[recipe]()
     torch.manual_seed(0)
-    codes = torch.randn(config.codebook.num_codes, config.codebook.code_dimension)
+    codes = torch.randn(config.codebook.network.num_codes, config.codebook.network.code_dimension)
     network = FieldNetwork(config.field, NUM_NUMBERS, codes).eval().requires_grad_(False)
     one = np.ones(1, dtype=np.int64)
     windows = Windows(
-        config.field.max_duration_seconds,
+        config.field.windows.max_duration_seconds,
         sequence_index=0 * one,
         start_row=0 * one,
         start_frame=0 * one,
@@ -63,7 +63,7 @@ def random_model(recipe: str) -> NermModel:
         origin=np.zeros((1, 2), np.float32),
         mirrored=np.zeros(1, bool),
     )
-    size = config.field.latent_dimension
+    size = config.field.latents.dimension
     field = TrainedField(
         network=network,
         scaling=VectorScaling(torch.zeros(NUM_NUMBERS), torch.ones(NUM_NUMBERS)),
@@ -78,9 +78,9 @@ def random_model(recipe: str) -> NermModel:
     denoiser = TrainedDenoiser(
         config=config.denoiser,
         denoiser=Denoiser(config.denoiser.network, reach, layout).eval().requires_grad_(False),
-        space=LatentSpace(banks, config.denoiser.path, torch.zeros(size), torch.ones(size)),
+        space=LatentSpace(banks, config.denoiser.latents.path, torch.zeros(size), torch.ones(size)),
         layout=layout,
-        durations=torch.tensor([SECONDS / config.field.max_duration_seconds]),
+        durations=torch.tensor([SECONDS / config.field.windows.max_duration_seconds]),
         text_encoder="",
         text_fingerprint="",
         field_sha256="",
@@ -127,9 +127,9 @@ def decoding_rate(model: NermModel, repeats: int) -> dict[str, object]:
     times = np.arange(round(SECONDS * float(fps))) / float(fps)
     latent = field.posterior_mean[:1]
     encoded = field.encode_times(times[None], fps)
-    hidden = torch.randn(len(times), config.hidden)
-    weights = [torch.randn(config.hidden, config.hidden) for _ in range(config.layers - 1)]
-    inner = 2 * len(times) * config.hidden**2 * (config.layers - 1)
+    hidden = torch.randn(len(times), config.decoder.width)
+    weights = [torch.randn(config.decoder.width, config.decoder.width) for _ in range(config.decoder.num_layers - 1)]
+    inner = 2 * len(times) * config.decoder.width**2 * (config.decoder.num_layers - 1)
     with FlopCounterMode(display=False) as counter:
         field.decode_vectors(latent, encoded, fps)
     flops = counter.get_total_flops()

@@ -60,7 +60,7 @@ def train_here(store: Path, runs: Path, settings: list[str]) -> dict[str, float]
     peak = OwnMemory()
     with peak:
         train_field(StageContext(store, RunFolder(runs), "nano", device="cpu"), config)
-    batch = config.field.batch * config.field.num_poses * (3 * 22 * 4 + 8)
+    batch = config.field.schedule.batch_size * config.field.clips.num_poses * (3 * 22 * 4 + 8)
     return {
         "own_mb": peak.highest_mb,
         "resident_mb": status_mb("VmHWM"),
@@ -127,7 +127,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--run", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    settings = [f"field.steps={arguments.steps}", "field.time_encoding=fourier", *arguments.settings]
+    settings = [f"field.schedule.steps={arguments.steps}", "field.encoder.kind=fourier", *arguments.settings]
     if arguments.store is not None:
         print(json.dumps(train_here(arguments.store, arguments.runs / arguments.run, arguments.settings)))
         return

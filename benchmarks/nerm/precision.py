@@ -19,7 +19,7 @@ from motionkit.clips.poses import WindowPoses
 from motionkit.core.skeleton import SMPL22
 from motionkit.store.cache.positions import open_cache
 from motionkit.store.reader import Store
-from motionkit.training.config import Precision
+from motionkit.training.config import Precision, apply_overrides
 from motionkit.training.schedule import step_generator
 from nerm.field.training import FieldTraining, training_windows
 from nerm.recipes import RECIPES
@@ -50,10 +50,12 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     recipe = RECIPES[arguments.recipe]()
-    config = dataclasses.replace(recipe.field, batch=arguments.batch or recipe.field.batch)
+    config = apply_overrides(
+        recipe.field, [f"schedule.batch_size={arguments.batch or recipe.field.schedule.batch_size}"]
+    )
     source = open_cache(Store.open(arguments.store), layout="smpl22", where=config.where or None)
     poses = WindowPoses(source, training_windows(source, config), SMPL22.left_right_pairs)
-    codes = torch.randn(recipe.codebook.num_codes, recipe.codebook.code_dimension)
+    codes = torch.randn(recipe.codebook.network.num_codes, recipe.codebook.network.code_dimension)
     figures = {
         f"{precision}{', compiled' if compiled else ''}": seconds_a_step(
             poses, dataclasses.replace(config, precision=precision, compile=compiled), codes, arguments.steps
@@ -62,9 +64,17 @@ def main() -> None:
         for compiled in (False, True)
     }
     if arguments.json:
-        print(json.dumps({"recipe": arguments.recipe, "batch": config.batch, "cpu_seconds_a_step": figures}, indent=2))
+        print(
+            json.dumps(
+                {"recipe": arguments.recipe, "batch": config.schedule.batch_size, "cpu_seconds_a_step": figures},
+                indent=2,
+            )
+        )
         return
-    print(f"recipe {arguments.recipe}, {config.batch} × {config.num_poses} poses, hidden {config.hidden}")
+    print(
+        f"recipe {arguments.recipe}, {config.schedule.batch_size} × {config.clips.num_poses} poses, "
+        f"width {config.decoder.width}"
+    )
     for name, seconds in figures.items():
         print(f"{name:22} {1000 * seconds:8.1f} CPU ms a step")
 

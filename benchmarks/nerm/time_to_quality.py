@@ -12,7 +12,7 @@ Writes time-to-quality.json and time-to-quality.png to DIR.
 import argparse
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from motionkit.clips.reconstruction import comparable, reconstructions, separate
 from motionkit.core.skeleton import SMPL22
 from motionkit.store.cache.positions import open_cache
 from motionkit.store.reader import Store
+from motionkit.training.config import apply_overrides
 from motionkit.training.schedule import step_generator
 from nerm.field.trained import TrainedField
 from nerm.field.training import FieldTraining, training_windows
@@ -51,9 +52,10 @@ class Point:
 def settings(ours_steps: int) -> dict[str, FieldConfig]:
     """Both sides' settings."""
     return {
-        "ours": replace(nano().field, steps=ours_steps, time_encoding="fourier"),
-        "the paper's, scaled": replace(
-            paper().field, stride_seconds=2.0, hidden=256, batch=128, time_encoding="fourier"
+        "ours": apply_overrides(nano().field, [f"schedule.steps={ours_steps}", "encoder.kind=fourier"]),
+        "the paper's, scaled": apply_overrides(
+            paper().field,
+            ["windows.stride_seconds=2.0", "decoder.width=256", "schedule.batch_size=128", "encoder.kind=fourier"],
         ),
     }
 

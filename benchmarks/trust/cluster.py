@@ -109,7 +109,7 @@ def ranks_case(drill: Drill, generator: np.random.Generator) -> Case:
 def ranks_command(*options: str) -> list[str]:
     """Train the field with two ranks, saving often."""
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "--"]
-    steps = ("--set", f"field.steps={NUM_STEPS}")
+    steps = ("--set", f"field.schedule.steps={NUM_STEPS}")
     return [*torchrun, "benchmarks.trust.often", *train("field"), *steps, *options]
 
 

@@ -13,16 +13,40 @@ EVERY = "operation", "bytes", "moment", "limit", "full", "read-only", "interrupt
 
 SETTINGS: dict[str, tuple[str, ...]] = {
     "codebook": (
-        *("codebook.steps=8", "codebook.batch=2", "codebook.width=8", "codebook.code_dimension=8"),
-        *("codebook.num_codes=8", "codebook.window_frames=16", "codebook.residual_layers=1"),
+        *(
+            "codebook.schedule.steps=8",
+            "codebook.schedule.batch_size=2",
+            "codebook.network.width=8",
+            "codebook.network.code_dimension=8",
+        ),
+        *("codebook.network.num_codes=8", "codebook.window_frames=16", "codebook.network.residual_layers=1"),
     ),
     "field": (
-        *("field.precision=float32", "field.max_duration_seconds=3", "field.hidden=16", "field.layers=2"),
-        *("field.steps=8", "field.batch=4", "field.attention_layers=1", "field.num_queries=8"),
+        *(
+            "field.precision=float32",
+            "field.windows.max_duration_seconds=3",
+            "field.decoder.width=16",
+            "field.decoder.num_layers=2",
+        ),
+        *(
+            "field.schedule.steps=8",
+            "field.schedule.batch_size=4",
+            "field.encoder.num_layers=1",
+            "field.encoder.num_queries=8",
+        ),
     ),
     "denoiser": (
-        *("denoiser.steps=8", "denoiser.batch=4", "denoiser.network.num_layers=1", "denoiser.network.width=16"),
-        *("denoiser.network.ffn_width=16", "denoiser.diffusion.sampling_steps=2", "denoiser.text_encoder=none"),
+        *(
+            "denoiser.schedule.steps=8",
+            "denoiser.schedule.batch_size=4",
+            "denoiser.network.num_layers=1",
+            "denoiser.network.width=16",
+        ),
+        *(
+            "denoiser.network.ffn_width=16",
+            "denoiser.diffusion.sampling_steps=2",
+            "denoiser.conditions.text_encoder=none",
+        ),
     ),
     "evaluator": (
         *("training.steps=8", "training.batch_size=4", "training.max_poses=24", "training.statistics_batches=1"),
@@ -30,7 +54,13 @@ SETTINGS: dict[str, tuple[str, ...]] = {
         *("training.framerates=20,60", "network.convolution=8", "network.recurrent=8", "network.embedding=8"),
     ),
     "pahires": (
-        *("training.steps=8", "training.batch=4", "training.tasks.gap=0", "network.hidden=8", "network.code=8"),
+        *(
+            "training.schedule.steps=8",
+            "training.schedule.batch_size=4",
+            "training.tasks.gap=0",
+            "network.hidden=8",
+            "network.code=8",
+        ),
         *("training.tasks.longest_gap=10", "training.tasks.num_frames=8", "training.tasks.largest_factor=2"),
         *("network.attention_tokens=4", "network.embedding=8", "network.decoder_layers=1", "network.num_sines=4"),
     ),

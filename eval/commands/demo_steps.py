@@ -46,7 +46,7 @@ FULL = DemoSize(num_sequences=320, overrides=(), num_clips=1024, replications=5,
 # Enough to see that every step works; its numbers mean nothing.
 SMALLEST = DemoSize(
     num_sequences=64,
-    overrides=("codebook.steps=8", "field.steps=40", "denoiser.steps=40"),
+    overrides=("codebook.schedule.steps=8", "field.schedule.steps=40", "denoiser.schedule.steps=40"),
     num_clips=128,
     replications=2,
     max_motions=16,

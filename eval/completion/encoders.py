@@ -21,6 +21,7 @@ from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.training.run import RunFolder, commit, versions
+from motionkit.training.stage import recorded_settings
 
 
 @dataclass(frozen=True)
@@ -91,29 +92,29 @@ def completer_of(name: str, run: Path, title: str) -> Completer:
     stage = RunFolder(run).stage(loader.stages[-1])
     digest = hashlib.sha256(stage.model_path.read_bytes()).hexdigest() if stage.model_path.is_file() else str(run)
     begun = stage.read_config() if stage.config_path.is_file() else {}  # other packages' runs may be anything
-    training = begun.get("config", {}).get("training", {})
+    training = recorded_settings(RunFolder(run), loader.stages[-1]).get("training", {}) if begun else {}
     return Completer(
         title,
         encoder,
-        _told_training(run, training),
+        _described_training(run, training),
         # What a network answers depends on the code that asks it: another commit's figures are not this one's.
         f"{name}-{digest}-{code_version()}",
         trained=True,
-        form=str(training.get("form", "")),
+        form=str(training.get("answer", {}).get("form", "")),
         facts={name: begun[name] for name in ("commit", "recipe", "seed", "config") if name in begun},
     )
 
 
-def _told_training(run: Path, training: Mapping[str, Any]) -> str:
+def _described_training(run: Path, training: Mapping[str, Any]) -> str:
     """The run with its steps and the form of the answer, where its settings say them."""
-    told = [f"run {run.name!r}"]
-    if training.get("steps") is not None:
-        told.append(f"{training['steps']:,} steps of {training.get('batch')}")
-    if training.get("form") == "plain":
-        told.append("plain")
-    elif training.get("form") is not None:
-        told.append(f"{training['form']} corrections of {training.get('base')}")
-    return ", ".join(told)
+    described, schedule, answer = [f"run {run.name!r}"], training.get("schedule", {}), training.get("answer", {})
+    if schedule.get("steps") is not None:
+        described.append(f"{schedule['steps']:,} steps of {schedule.get('batch_size')}")
+    if answer.get("form") == "plain":
+        described.append("plain")
+    elif answer.get("form") is not None:
+        described.append(f"{answer['form']} corrections of {answer.get('base')}")
+    return ", ".join(described)
 
 
 @cache

@@ -20,7 +20,8 @@ from eval.native_evaluator.network import TARGETS, NativeNetwork, TextProjection
 from eval.native_evaluator.settings import NativeConfig
 from eval.sets.corruptions import Family, families
 from motionkit.core.motion import Caption
-from motionkit.training.schedule import rate_factor, seeded_initialisation, set_rate
+from motionkit.training.config import rate_factor
+from motionkit.training.schedule import seeded_initialisation, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 
 TARGET_OF_FAMILY: Mapping[str, int] = {

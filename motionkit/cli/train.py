@@ -23,7 +23,7 @@ def train(
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
     run: Annotated[str | None, typer.Option(help="This run's name; the recipe's by default.")] = None,
     overrides: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting: field.steps=100.")
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting: field.schedule.steps=100.")
     ] = None,
     where: Annotated[
         str | None,
@@ -101,12 +101,11 @@ def _check_condition(store: Path, where: str) -> None:
 def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str]) -> list[Any]:
     """Each stage's configuration; an override goes to every stage that has the setting, and one must have it."""
     configs = [stage.recipe(recipe) for stage in stages]
-    known = list(dict.fromkeys(key for config in configs for key in flatten(config)))
     for override in overrides:
         key, _ = parse_override(override)
-        if key not in known:
+        if not any(key in flatten(config) for config in configs):
             of = f" --stage {stages[0].name}" if len(stages) == 1 else ""
-            raise UsageError(f"{unknown_setting(key, known)}; 'motionkit recipe {recipe}{of}' lists all")
+            raise UsageError(f"{unknown_setting(key, configs)}; 'motionkit recipe {recipe}{of}' lists all")
     return [
         apply_overrides(config, [override for override in overrides if parse_override(override)[0] in flatten(config)])
         for config in configs

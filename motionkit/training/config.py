@@ -1,6 +1,9 @@
 """Configurations are nested frozen dataclasses: to and from plain values, and changed by `a.b=c` overrides.
 
-Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]` and further dataclasses.
+Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]` and further dataclasses. A dataclass
+whose settings had other names says so in `MOVED`, from the old name to the dotted key of today: {"hidden":
+"decoder.width"}; what earlier versions wrote is then read under today's names. A name that is in `MOVED` may be a
+part's name today, but not a setting's.
 """
 
 import dataclasses
@@ -28,25 +31,78 @@ ConfigT = TypeVar("ConfigT", bound=ConfigLike)
 T = TypeVar("T")
 
 
+@dataclasses.dataclass(frozen=True)
+class Schedule:
+    """How long a stage is trained, on how many windows a step, and at which learning rate.
+
+    Exactly one of `steps` and `epochs` is given. The learning rate rises over `warmup_fraction` of the steps; from
+    there on it is constant or falls to 0 as half a cosine. With `kind="steps"` it is multiplied by `drop` after every
+    `drop_every` share of the steps instead, without a warm-up.
+    """
+
+    steps: int | None = None
+    epochs: int | None = None
+    batch_size: int = 64
+    learning_rate: float = 1e-4
+    kind: Literal["constant", "cosine", "steps"] = "constant"
+    warmup_fraction: float = 0.0
+    drop: float = 0.5
+    drop_every: float = 0.2
+
+    def __post_init__(self) -> None:
+        if (self.steps is None) == (self.epochs is None):
+            raise ValueError(f"exactly one of steps and epochs must be given, not {self.steps} and {self.epochs}")
+        for name in ("steps", "epochs", "batch_size", "learning_rate", "drop_every"):
+            if (value := getattr(self, name)) is not None and not value > 0:
+                raise ValueError(f"{name} must be positive, not {value}")
+
+    def num_steps(self, visits: int | float) -> int:
+        """Steps of the training where an epoch visits so many windows."""
+        if self.steps is not None:
+            return self.steps
+        assert self.epochs is not None
+        return max(1, math.ceil(self.epochs * visits / self.batch_size))
+
+    def factor(self, step: int, steps: int) -> float:
+        """What the learning rate is multiplied by at a step of so many."""
+        if self.kind == "steps":
+            return float(self.drop ** int(step / (self.drop_every * steps)))
+        return rate_factor(step, steps, schedule=self.kind, warmup_fraction=self.warmup_fraction)
+
+
+def rate_factor(
+    step: int, steps: int, *, schedule: Literal["constant", "cosine"], warmup_fraction: float = 0.0
+) -> float:
+    """What to multiply a base learning rate by at a step: linear warm-up, then constant or half a cosine to 0."""
+    warmup_steps = round(warmup_fraction * steps)
+    if step < warmup_steps:
+        return (step + 1) / warmup_steps
+    if schedule == "constant":
+        return 1.0
+    return 0.5 * (1.0 + math.cos(math.pi * (step - warmup_steps) / max(1, steps - warmup_steps)))
+
+
 def to_plain(config: ConfigLike) -> dict[str, Any]:
     """A configuration as nested dictionaries, lists and scalars, ready for JSON."""
     return {field.name: _plain_value(getattr(config, field.name)) for field in dataclasses.fields(config)}
 
 
 def from_plain(config_type: type[T], values: dict[str, Any]) -> T:
-    """The inverse of `to_plain`; fields that are absent keep their defaults.
+    """The inverse of `to_plain`, also for what an earlier version wrote; fields that are absent keep their defaults.
 
     Raises `UsageError` for a key that the dataclass doesn't have and for a value of another type.
     """
+    values = current_names(config_type, values)
     hints = typing.get_type_hints(config_type)
-    unknown = sorted(set(values) - set(config_type.__dataclass_fields__))  # type: ignore[attr-defined]
+    known = config_type.__dataclass_fields__  # type: ignore[attr-defined]
+    unknown = sorted(set(values) - set(known))
     if unknown:
-        raise UsageError(f"{config_type.__name__} has no {', '.join(unknown)}; it has: {', '.join(sorted(hints))}")
+        raise UsageError(f"{config_type.__name__} has no {', '.join(unknown)}; it has: {', '.join(sorted(known))}")
     return config_type(**{name: _typed_value(value, hints[name], name) for name, value in values.items()})
 
 
 def flatten(config: ConfigLike, prefix: str = "") -> dict[str, Any]:
-    """All leaves by their dotted keys, in the order of declaration: {"field.steps": 2000, …}."""
+    """All leaves by their dotted keys, in the order of declaration: {"field.schedule.steps": 2000, …}."""
     leaves: dict[str, Any] = {}
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
@@ -55,6 +111,42 @@ def flatten(config: ConfigLike, prefix: str = "") -> dict[str, Any]:
         else:
             leaves[prefix + field.name] = value
     return leaves
+
+
+def moved(part: str, names: str = "", **renamed: str) -> dict[str, str]:
+    """Entries of `MOVED` for settings that are in a part now: `names` as they were, others under new names."""
+    return {old: f"{part}.{new}" for old, new in [*((name, name) for name in names.split()), *renamed.items()]}
+
+
+def moved_names(config: ConfigLike, prefix: str = "") -> dict[str, str]:
+    """The dotted keys that settings had in earlier versions, and those that they have today."""
+    found = {prefix + old: prefix + key for old, key in getattr(config, "MOVED", {}).items()}
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            found |= moved_names(value, f"{prefix}{field.name}.")
+    return found
+
+
+def current_names(config_type: type[Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain values that this or an earlier version wrote, each under the name that its setting has today.
+
+    Values that are no setting of `config_type` stay where they are.
+    """
+    hints, moved = typing.get_type_hints(config_type), getattr(config_type, "MOVED", {})
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, dict) and dataclasses.is_dataclass(hints.get(name)):
+            found.setdefault(name, {}).update(current_names(hints[name], value))
+        elif name in moved and not isinstance(value, dict):
+            *parts, setting = moved[name].split(".")
+            place = found
+            for part in parts:
+                place = place.setdefault(part, {})
+            place[setting] = value
+        else:
+            found[name] = value
+    return found
 
 
 def parse_override(override: str) -> tuple[str, str]:
@@ -72,8 +164,12 @@ def setting_text(value: Any) -> str:
     return str(value).lower() if value is None or isinstance(value, bool) else str(value)
 
 
-def unknown_setting(key: str, known: Sequence[str]) -> str:
-    """What to say of a key that is no setting: first those that may have been meant, of a hundred that there are."""
+def unknown_setting(key: str, configs: Sequence[ConfigLike]) -> str:
+    """What to say of a key that is no setting of these: what it is called now, or those that may have been meant."""
+    known = list(dict.fromkeys(setting for config in configs for setting in flatten(config)))
+    moved = {old: new for config in configs for old, new in moved_names(config).items()}
+    if key in moved:
+        return f"no setting is called {key!r}, it is {moved[key]} now"
     of_that_name = [each for each in known if each.rpartition(".")[2] == key.rpartition(".")[2]]
     meant = list(dict.fromkeys([*difflib.get_close_matches(key, known, n=3, cutoff=0.85), *of_that_name]))
     return f"no setting is called {key!r}" + (f", perhaps {' or '.join(meant)}" if meant else "")
@@ -88,7 +184,7 @@ def apply_overrides(config: ConfigT, overrides: Sequence[str]) -> ConfigT:
     changes = dict(parse_override(override) for override in overrides)
     for key in changes:
         if key not in flatten(config):
-            raise UsageError(f"{unknown_setting(key, list(flatten(config)))}; there are: {', '.join(flatten(config))}")
+            raise UsageError(f"{unknown_setting(key, [config])}; there are: {', '.join(flatten(config))}")
     return _replaced(config, changes, "")
 
 
@@ -104,8 +200,8 @@ def _replaced(config: ConfigT, changes: Mapping[str, str], prefix: str) -> Confi
     try:
         return dataclasses.replace(config, **values)
     except ValueError as error:
-        told = ", ".join(f"{key}={text}" for key, text in changes.items() if key.startswith(prefix))
-        raise UsageError(f"{told}: {error}") from None
+        asked = ", ".join(f"{key}={text}" for key, text in changes.items() if key.startswith(prefix))
+        raise UsageError(f"{asked}: {error}") from None
 
 
 def _plain_value(value: Any) -> Any:

@@ -17,7 +17,7 @@ from motionkit.core.checksums import read_json, require_intact_tensors, sha256_o
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import remove_entry, require_no_link, temporary_name, write_whole
 from motionkit.core.plain_text import shown
-from motionkit.training.config import ConfigLike, flatten, to_plain
+from motionkit.training.config import ConfigLike, current_names, flatten, to_plain
 from motionkit.training.metrics_log import MEND, MetricsLog
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
@@ -236,8 +236,8 @@ def check_same(
     """Raise `RunError`, saying what differs and what to do, where a stage was begun with other settings, another seed,
     another store, or upon a stage that has been trained again since.
 
-    Runs of before stages recorded what they build on are taken at their word. A setting that is asked for as "auto" is
-    what was chosen for it.
+    Runs of before stages recorded what they build on are taken at their word. A setting that there was not when the
+    stage was begun had its default; one that is asked for as "auto" is what was chosen for it.
     """
     begun, stage, run = folder.read_config(), folder.path.name, folder.path.parent.name
     again = f"train it again (motionkit train --stage {stage} --run {run} --overwrite), or use another --run"
@@ -255,7 +255,8 @@ def check_same(
         if was != now:
             begun_with = f"{name} {shown(was)}, not {now!r}"
             raise RunError(f"{folder.path} was begun with {begun_with}: ask for the same, or {again}")
-    settings_then, settings_now = _leaves(begun.get("config", {})), _leaves(to_plain(config))
+    settings_then = _leaves(to_plain(type(config)())) | _leaves(current_names(type(config), begun.get("config", {})))
+    settings_now = _leaves(to_plain(config))
     changed = [
         key
         for key in {**settings_then, **settings_now}
@@ -263,11 +264,15 @@ def check_same(
         if concerns(stage, key, config)
     ]
     if changed:
-        told = [f"{key} {settings_then.get(key)!r} → {settings_now.get(key)!r}" for key in changed[:SHOWN_SETTINGS]]
-        told += [f"{len(changed) - SHOWN_SETTINGS} more"] if len(changed) > SHOWN_SETTINGS else []
+        differing = [
+            f"{key} {settings_then.get(key)!r} → {settings_now.get(key)!r}" for key in changed[:SHOWN_SETTINGS]
+        ]
+        if len(changed) > SHOWN_SETTINGS:
+            differing.append(f"{len(changed) - SHOWN_SETTINGS} more")
         recipes = f"recipe {begun.get('recipe')!r} → {recipe!r}: " if begun.get("recipe") != recipe else ""
         raise RunError(
-            f"{folder.path} was begun with other settings ({recipes}{', '.join(told)}): use the same ones, or {again}"
+            f"{folder.path} was begun with other settings ({recipes}{', '.join(differing)}): use the same ones, or "
+            f"{again}"
         )
 
 

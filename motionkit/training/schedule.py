@@ -1,25 +1,11 @@
-"""Learning rates as functions of the step, averages of weights, and seeded randomness of each step."""
+"""Learning rates of optimisers, averages of weights, and seeded randomness of each step."""
 
-import math
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Literal
 
 import numpy as np
 import torch
-
-ScheduleName = Literal["constant", "cosine"]
-
-
-def rate_factor(step: int, steps: int, *, schedule: ScheduleName, warmup_fraction: float = 0.0) -> float:
-    """What to multiply a base learning rate by at a step: linear warm-up, then constant or half a cosine to 0."""
-    warmup_steps = round(warmup_fraction * steps)
-    if step < warmup_steps:
-        return (step + 1) / warmup_steps
-    if schedule == "constant":
-        return 1.0
-    return 0.5 * (1.0 + math.cos(math.pi * (step - warmup_steps) / max(1, steps - warmup_steps)))
 
 
 def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic
 
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.training.config import ConfigLike, ConfigT
+from motionkit.training.config import ConfigLike, ConfigT, current_names
 from motionkit.training.run import RunFolder, StageFolder, begin_stage, check_same
 
 if TYPE_CHECKING:
@@ -130,6 +130,18 @@ def registered_stages() -> dict[str, Stage[Any]]:
     """All installed stages by name, in the order in which `--stage all` trains them."""
     stages: list[Stage[Any]] = [entry.load() for entry in entry_points(group="motionkit.stages")]
     return {stage.name: stage for stage in sorted(stages, key=lambda stage: (stage.order, stage.name))}
+
+
+def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:
+    """What a stage of a run was trained with (its config.json), each setting under the name that it has today.
+
+    Settings of a stage that is not installed are given as they were written.
+    """
+    recorded: dict[str, Any] = run.stage(stage).read_config().get("config", {})
+    known = registered_stages().get(stage)
+    if known is None or not known.recipes:
+        return recorded
+    return current_names(type(next(iter(known.recipes.values()))()), recorded)
 
 
 def choose_stages(name: str, stages: Mapping[str, Stage[Any]]) -> tuple[Stage[Any], ...]:

@@ -13,7 +13,7 @@ from torch import nn
 
 from motionkit.training.run import RunFolder
 from motionkit.training.tensors import CheckpointError, load_tensors
-from nerm.settings import CodebookConfig
+from nerm.settings import CodebookNetworkConfig
 
 DOWNSAMPLINGS = 2
 DILATION_GROWTH = 3
@@ -38,7 +38,7 @@ def residual_stack(width: int, depth: int) -> nn.Sequential:
     return nn.Sequential(*(ResidualConvolution(width, DILATION_GROWTH**power) for power in reversed(range(depth))))
 
 
-def build_encoder(config: CodebookConfig, num_numbers: int) -> nn.Sequential:
+def build_encoder(config: CodebookNetworkConfig, num_numbers: int) -> nn.Sequential:
     """Pose vectors [batch, numbers, frames] → [batch, code, frames / 4]."""
     width, layers = config.width, [nn.Conv1d(num_numbers, config.width, 3, padding=1), nn.ReLU()]
     for _ in range(DOWNSAMPLINGS):
@@ -46,7 +46,7 @@ def build_encoder(config: CodebookConfig, num_numbers: int) -> nn.Sequential:
     return nn.Sequential(*layers, nn.Conv1d(width, config.code_dimension, 3, padding=1))
 
 
-def build_decoder(config: CodebookConfig, num_numbers: int) -> nn.Sequential:
+def build_decoder(config: CodebookNetworkConfig, num_numbers: int) -> nn.Sequential:
     """[batch, code, frames / 4] → pose vectors [batch, numbers, frames]."""
     width, layers = config.width, [nn.Conv1d(config.code_dimension, config.width, 3, padding=1), nn.ReLU()]
     for _ in range(DOWNSAMPLINGS):
@@ -80,7 +80,7 @@ class Quantiser(nn.Module):
     counts: torch.Tensor
     started: torch.Tensor
 
-    def __init__(self, config: CodebookConfig) -> None:
+    def __init__(self, config: CodebookNetworkConfig) -> None:
         super().__init__()
         self.decay, self.reset_below = config.ema_decay, config.reset_below
         self.register_buffer("codes", torch.zeros(config.num_codes, config.code_dimension))
@@ -146,7 +146,7 @@ class Quantiser(nn.Module):
 class CodebookNetwork(nn.Module):
     """Encoder, quantiser and decoder on standardised pose vectors [batch, frames, numbers]."""
 
-    def __init__(self, config: CodebookConfig, num_numbers: int) -> None:
+    def __init__(self, config: CodebookNetworkConfig, num_numbers: int) -> None:
         super().__init__()
         self.encoder = build_encoder(config, num_numbers)
         self.quantiser = Quantiser(config)

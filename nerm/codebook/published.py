@@ -21,10 +21,10 @@ from motionkit.formats.arrays import npy
 from motionkit.formats.source import source_file
 from motionkit.training.tensors import CheckpointError, fill_checked, foreign_tensors, read_foreign
 from nerm.codebook.network import DOWNSAMPLINGS, CodebookNetwork
-from nerm.settings import CodebookConfig
+from nerm.settings import CodebookNetworkConfig
 
 # T2M-GPT's README, "VQ-VAE training": 512 codes of 512 numbers, width 512, depth 3, two downsamplings, ReLU, no norm.
-PUBLISHED = CodebookConfig()
+PUBLISHED = CodebookNetworkConfig()
 JOINTS_BY_NUMBERS = {263: 22, 251: 21}
 PREFIX = "vqvae."
 CODES = "vqvae.quantizer.codebook"
@@ -44,7 +44,9 @@ class PublishedCodebook:
         return self.network.quantiser.codes
 
 
-def load_published(path: Path, statistics: Path | None = None, config: CodebookConfig = PUBLISHED) -> PublishedCodebook:
+def load_published(
+    path: Path, statistics: Path | None = None, config: CodebookNetworkConfig = PUBLISHED
+) -> PublishedCodebook:
     """Read T2M-GPT's checkpoint, and with `statistics` the folder that holds its mean.npy and std.npy.
 
     Raises `CheckpointError` for a file that isn't such a checkpoint: not readable without unpickling, names missing or

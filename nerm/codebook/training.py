@@ -23,42 +23,45 @@ class CodebookTraining:
     ) -> None:
         self.corpus, self.config, self.device, self.ranks = corpus, config, device, ranks
         with seeded_initialisation(seed, "codebook"):
-            self.network = CodebookNetwork(config, len(corpus.mean)).to(device)
+            self.network = CodebookNetwork(config.network, len(corpus.mean)).to(device)
         self.optimizer = torch.optim.AdamW(
-            self.network.parameters(), lr=config.rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
+            self.network.parameters(),
+            lr=config.schedule.learning_rate,
+            betas=(0.9, 0.99),
+            weight_decay=config.schedule.weight_decay,
         )
         self.positions = joint_positions_block((len(corpus.mean) - 1) // 6)
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
         """SmoothL1 + 0.5·SmoothL1 on the joint positions + 0.02·commitment, then the codes' moving averages."""
-        config, quantiser = self.config, self.network.quantiser
-        starts = torch.randint(len(self.corpus.first_rows), (config.batch,), generator=generator)
-        starts = starts[self.ranks.part(config.batch)]
-        share = len(starts) / config.batch
+        config, schedule, quantiser = self.config, self.config.schedule, self.network.quantiser
+        starts = torch.randint(len(self.corpus.first_rows), (schedule.batch_size,), generator=generator)
+        starts = starts[self.ranks.part(schedule.batch_size)]
+        share = len(starts) / schedule.batch_size
         vectors = self.corpus.windows(starts, config.window_frames).to(self.device)
         with autocast(config.precision, self.device):
             features = self.network.encode(vectors).float()
-        everywhere = self.ranks.all_rows(features.detach(), config.batch)
+        everywhere = self.ranks.all_rows(features.detach(), schedule.batch_size)
         quantiser.start(everywhere, generator)
         quantised = quantiser(features)
         with autocast(config.precision, self.device):
             decoded = self.network.decode(quantised.values).float()
         reconstruction = smooth_l1_loss(decoded, vectors)
         positions = smooth_l1_loss(decoded[..., self.positions], vectors[..., self.positions])
-        terms = reconstruction + config.position_weight * positions + config.commitment_weight * quantised.commitment
-        loss = share * terms
+        terms = reconstruction + config.loss.position_weight * positions
+        loss = share * (terms + config.loss.commitment_weight * quantised.commitment)
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        set_rate(self.optimizer, config.rate * (config.rate_drop if step >= config.rate_drop_at else 1.0))
+        set_rate(self.optimizer, schedule.learning_rate * (schedule.drop if step >= schedule.drop_at else 1.0))
         self.ranks.add_up_gradients(self.network.parameters())
         self.optimizer.step()
-        which = self.ranks.all_rows(quantised.which, config.batch)
+        which = self.ranks.all_rows(quantised.which, schedule.batch_size)
         quantiser.update(everywhere, which, generator)
         return {
             "loss": loss,
             "reconstruction": share * reconstruction,
             "commitment": share * quantised.commitment,
-            "perplexity": share * perplexity(which, config.num_codes),
+            "perplexity": share * perplexity(which, config.network.num_codes),
         }
 
     def state_tensors(self) -> dict[str, torch.Tensor]:

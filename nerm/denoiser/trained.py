@@ -71,7 +71,8 @@ class TrainedDenoiser:
             found.append(self._sample_batch(config, conditions.rows(rows), generators[rows]))
         latents = torch.cat(found)
         if not torch.isfinite(latents).all():
-            raise UsageError(f"sampling ran off to infinity: a guidance scale of {config.guidance_scale:g} is too much")
+            scale = config.diffusion.guidance_scale
+            raise UsageError(f"sampling ran off to infinity: a guidance scale of {scale:g} is too much")
         return latents
 
     def with_sampling(self, sampling: SamplingOptions) -> DenoiserConfig:
@@ -82,16 +83,15 @@ class TrainedDenoiser:
             raise UsageError(f"{steps} sampling steps: this model's diffusion has 1 … {own.num_steps}")
         if sampling.sampler not in (None, *SAMPLERS):
             raise UsageError(f"no sampler is called {sampling.sampler!r}; there are {', '.join(SAMPLERS)}")
-        guidance_scale = self.config.guidance_scale if sampling.guidance_scale is None else sampling.guidance_scale
+        guidance_scale = own.guidance_scale if sampling.guidance_scale is None else sampling.guidance_scale
         if not math.isfinite(guidance_scale):
             raise UsageError(
                 f"a guidance scale is a finite number (1 follows the condition as the data does), not {guidance_scale}"
             )
-        return replace(
-            self.config,
-            diffusion=replace(own, sampler=sampling.sampler or own.sampler, sampling_steps=steps),
-            guidance_scale=guidance_scale,
+        diffusion = replace(
+            own, sampler=sampling.sampler or own.sampler, sampling_steps=steps, guidance_scale=guidance_scale
         )
+        return replace(self.config, diffusion=diffusion)
 
     @torch.inference_mode()
     def _sample_batch(
@@ -108,7 +108,7 @@ class TrainedDenoiser:
 
         def predict_noise(latents: Tensor, steps: Tensor) -> Tensor:
             noisy = latents.to(device, torch.float32)
-            output = guided(self.denoiser, noisy, steps.to(device), on_device, config.guidance_scale)
+            output = guided(self.denoiser, noisy, steps.to(device), on_device, diffusion.guidance_scale)
             alpha = float(alphas[int(steps[0])])
             return predicted_noise(diffusion.prediction, output.to("cpu", torch.float64), latents, alpha)
 
@@ -167,7 +167,7 @@ def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> T
     config = from_plain(DenoiserConfig, description["config"])
     layout = ConditionLayout(int(description["text_dimension"]), tuple(description["actions"]))
     banks = None if description["banks"] is None else from_plain(LocalLatents, description["banks"])
-    space = LatentSpace(banks, config.path, tensors["latent_mean"], tensors["latent_deviation"])
+    space = LatentSpace(banks, config.latents.path, tensors["latent_mean"], tensors["latent_deviation"])
     with seeded_initialisation(0, STAGE_NAME):
         denoiser = Denoiser(config.network, tensors["denoiser.first_read"], layout)
     denoiser.load_state_dict(unprefixed("denoiser", tensors))

@@ -10,7 +10,6 @@ from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.schedule import (
     WeightAverage,
     dropout_from,
-    rate_factor,
     seeded_initialisation,
     set_rate,
     step_generator,
@@ -42,31 +41,30 @@ class DenoiserTraining:
         self.first_read = corpus.first_read
         drawn = corpus.draw(torch.arange(len(corpus)), step_generator(seed, "latent space", 0))
         used = in_use(self.first_read, corpus.duration)
-        self.space = measured_space(drawn, used, corpus.banks, config.path, config.latent_scale)
+        self.space = measured_space(drawn, used, corpus.banks, config.latents.path, config.latents.scale)
         self.alphas = cumulative_alphas(config.diffusion)
         self.weights = loss_weights(config.diffusion.prediction, config.diffusion.loss, self.alphas)
-        self.num_steps = config.num_steps(len(corpus))
+        self.num_steps = config.schedule.num_steps(len(corpus))
         with seeded_initialisation(seed, "denoiser"):
             self.denoiser = Denoiser(config.network, self.first_read, corpus.layout).to(device)
         if config.compile:
             compile_each(self.denoiser.layers)
         self.average = WeightAverage(self.denoiser, config.ema_decay)
-        self.optimizer = torch.optim.AdamW(self.denoiser.parameters(), lr=config.rate, weight_decay=config.weight_decay)
+        self.optimizer = torch.optim.AdamW(
+            self.denoiser.parameters(), lr=config.schedule.learning_rate, weight_decay=config.weight_decay
+        )
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
         """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over the numbers in use)."""
-        config, diffusion = self.config, self.config.diffusion
-        factor = rate_factor(
-            step, self.num_steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction
-        )
-        set_rate(self.optimizer, factor * config.rate)
-        mine = self.ranks.part(config.batch)
-        rows = torch.randint(len(self.corpus), (config.batch,), generator=generator)
+        config, diffusion, schedule = self.config, self.config.diffusion, self.config.schedule
+        set_rate(self.optimizer, schedule.factor(step, self.num_steps) * schedule.learning_rate)
+        mine = self.ranks.part(schedule.batch_size)
+        rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
         latents = self.space.standardise(self.corpus.draw(rows, generator))
         conditions = self.corpus.draw_conditions(
-            rows, generator, drop=config.condition_drop, action_share=config.action_share
+            rows, generator, drop=config.conditions.drop, action_share=config.conditions.action_share
         )
-        steps = torch.randint(diffusion.num_steps, (config.batch,), generator=generator)
+        steps = torch.randint(diffusion.num_steps, (schedule.batch_size,), generator=generator)
         noise = torch.randn(latents.shape, generator=generator)
         noisy = add_noise(latents, noise, steps, self.alphas)
         target = prediction_target(diffusion.prediction, latents, noise, steps, self.alphas)
@@ -94,7 +92,7 @@ class DenoiserTraining:
             space=self.space,
             layout=self.corpus.layout,
             durations=self.corpus.duration,
-            text_encoder=self.config.text_encoder,
+            text_encoder=self.config.conditions.text_encoder,
             text_fingerprint=text_fingerprint,
             field_sha256=field_sha256,
         )

@@ -34,7 +34,7 @@ def encode_by_optimisation(
     without distributions has none (Eq. 9). On the CPU in the end.
     """
     config, device = trained.config, trained.device
-    kl_weight = config.kl_weight if config.variational else 0.0
+    kl_weight = config.loss.kl_weight if config.latents.variational else 0.0
     target = trained.scaling.apply(batch.vectors.to(device))
     start = starting_latents(trained, batch).to(device)
     fps = batch.fps.to(device)

@@ -70,7 +70,7 @@ class NermEncoder:
         windows = cut_windows(
             source,
             max_duration_seconds=trained.max_duration_seconds,
-            min_duration_seconds=trained.config.min_duration_seconds,
+            min_duration_seconds=trained.config.windows.min_duration_seconds,
         )
 
         def fields(rows: Int64[np.ndarray, "chosen"]) -> list[MotionField]:

@@ -93,21 +93,21 @@ class FieldNetwork(nn.Module):
         self.config = config
         self.local = local_latents(config)
         self.fourier, self.attention = self._time_encoding(codebook)
-        width, hidden = self._feature_width(), config.hidden
-        self.from_latent = nn.Linear(config.latent_dimension if self.local is None else self.local.num_seen, hidden)
+        width, hidden = self._feature_width(), config.decoder.width
+        self.from_latent = nn.Linear(config.latents.dimension if self.local is None else self.local.num_seen, hidden)
         self.from_coordinate = nn.Linear(width, hidden, bias=False) if width else None
         self.from_framerate = nn.Linear(1, hidden, bias=False)
         layers = [
-            ResidualLayer(hidden, config.activation)
-            if config.decoder == "mlp"
-            else TransformerLayer(hidden, config.attention_heads)
-            for _ in range(config.layers - 1)
+            ResidualLayer(hidden, config.decoder.activation)
+            if config.decoder.kind == "mlp"
+            else TransformerLayer(hidden, config.encoder.num_heads)
+            for _ in range(config.decoder.num_layers - 1)
         ]
         self.layers = nn.ModuleList(layers)
         self.linear = None
-        if config.linear_path and self.local is not None:
+        if config.decoder.linear_path and self.local is not None:
             self.linear = nn.Linear(self.local.num_seen, num_numbers, bias=False)
-        self.finish = nn.Sequential(nn.LayerNorm(hidden), ACTIVATIONS[config.activation]())
+        self.finish = nn.Sequential(nn.LayerNorm(hidden), ACTIVATIONS[config.decoder.activation]())
         self.output = nn.Linear(hidden, num_numbers)
 
     @torch.no_grad()
@@ -125,35 +125,35 @@ class FieldNetwork(nn.Module):
         self, codebook: torch.Tensor | None
     ) -> tuple[FourierFeatures | None, CodebookCoordinateAttention | None]:
         config = self.config
-        if config.time_encoding in ("none", "raw"):
+        if config.encoder.kind in ("none", "raw"):
             return None, None
         period = None if self.local is None else self.local.phase_period
-        fourier = FourierFeatures(config.num_frequencies, config.frequency_scale, period)
-        if config.time_encoding == "fourier":
+        fourier = FourierFeatures(config.encoder.num_frequencies, config.encoder.frequency_scale, period)
+        if config.encoder.kind == "fourier":
             return fourier, None
         if codebook is None:
             raise ValueError("the time encoding 'codebook' needs a trained codebook")
         attention = CodebookCoordinateAttention(
             codebook,
-            width=config.query_width,
-            num_queries=config.num_queries,
-            heads=config.attention_heads,
-            layers=config.attention_layers,
+            width=config.encoder.query_width,
+            num_queries=config.encoder.num_queries,
+            heads=config.encoder.num_heads,
+            layers=config.encoder.num_layers,
         )
         return fourier, attention
 
     def _feature_width(self) -> int:
         if self.fourier is not None:
             return self.fourier.width
-        return 1 if self.config.time_encoding == "raw" else 0
+        return 1 if self.config.encoder.kind == "raw" else 0
 
     def encode_coordinates(
         self, coordinates: Float64[torch.Tensor, "batch poses"], fps: Float64[torch.Tensor, "batch"]
     ) -> EncodedCoordinates:
         """The whole coordinate branch, once per distinct coordinate."""
         read = coordinates
-        if self.config.coordinates == "frames":
-            read = frame_numbers(coordinates, fps, self.config.max_duration_seconds)
+        if self.config.encoder.coordinates == "frames":
+            read = frame_numbers(coordinates, fps, self.config.windows.max_duration_seconds)
         values, which = distinct(read)
         values = rounded_up(values)
         weights = None if self.local is None else self.local.weights(values)
@@ -162,7 +162,7 @@ class FieldNetwork(nn.Module):
     def _features(self, values: Float64[torch.Tensor, "distinct"]) -> Float[torch.Tensor, "distinct width"] | None:
         """γ(t), enriched by CCA; with local latents of the phase between knots, of which there are far fewer."""
         if self.fourier is None:
-            return values[:, None].float() if self.config.time_encoding == "raw" else None
+            return values[:, None].float() if self.config.encoder.kind == "raw" else None
         if self.local is None:
             read, which = values, torch.arange(len(values), device=values.device)
         else:
@@ -184,7 +184,7 @@ class FieldNetwork(nn.Module):
 
         A transformer decoder lets all poses of a row attend to one another, or with `num_context` to its first ones.
         """
-        hidden = self.from_framerate(framerate_number(fps, self.config.framerate_scale)[:, None])[:, None]
+        hidden = self.from_framerate(framerate_number(fps, self.config.encoder.framerate_scale)[:, None])[:, None]
         reading = None
         if self.local is not None and encoded.weights is not None:
             reading = self.local.read(latents, encoded.weights, encoded.which)
@@ -192,7 +192,7 @@ class FieldNetwork(nn.Module):
         if self.from_coordinate is not None and encoded.features is not None:
             hidden = hidden + self.from_coordinate(encoded.features)[encoded.which]
         hidden_from: tuple[torch.Tensor, ...] = ()
-        if num_context and self.config.decoder == "transformer":
+        if num_context and self.config.decoder.kind == "transformer":
             hidden_from = (seen_through(num_context, hidden.shape[1], hidden.device),)
         for layer in self.layers:
             hidden = layer(hidden, *hidden_from)

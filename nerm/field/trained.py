@@ -59,7 +59,7 @@ class TrainedField:
     @property
     def latent_dimension(self) -> int:
         """d."""
-        return self.config.latent_dimension
+        return self.config.latents.dimension
 
     @property
     def skeleton(self) -> Skeleton:
@@ -72,18 +72,18 @@ class TrainedField:
         banks = self.network.local
         if banks is None or self.components is None:
             return None
-        return LinearModel(banks, self.scaling.to(torch.device("cpu")), self.components, self.config.ridge)
+        return LinearModel(banks, self.scaling.to(torch.device("cpu")), self.components, self.config.latents.ridge)
 
     @property
     def max_duration_seconds(self) -> float:
         """l_max: the span of [−1, 1]."""
-        return self.config.max_duration_seconds
+        return self.config.windows.max_duration_seconds
 
     @property
     def max_training_fps(self) -> Fraction:
         """Highest framerate that the training saw: the fastest window's, or the one of fixed-framerate training."""
-        if self.config.fixed_framerate is not None:
-            return self.config.fixed_framerate
+        if self.config.clips.fixed_framerate is not None:
+            return self.config.clips.fixed_framerate
         fastest = int(np.argmax(self.windows.fps))
         return self.windows.exact_fps(fastest)
 
@@ -187,7 +187,7 @@ class TrainedField:
 
     def __repr__(self) -> str:
         return (
-            f"TrainedField({self.config.latent_layout} latents of {self.latent_dimension} numbers, {self.windows!r}, "
+            f"TrainedField({self.config.latents.layout} latents of {self.latent_dimension} numbers, {self.windows!r}, "
             f"trained up to {self.max_training_fps} fps)"
         )
 
@@ -215,7 +215,7 @@ class LatentMotionField:
         """Poses at any times in [0, end_seconds], whichever are asked for together; raises `ValueError` outside it."""
         check_times(self, times_seconds)
         context = None
-        if self.field.config.decoder == "transformer":
+        if self.field.config.decoder.kind == "transformer":
             context = np.linspace(0.0, self.end_seconds, CONTEXT_INSTANTS)
         return self.field.poses(self.latent[None], times_seconds, self.fps, context)[0]
 
@@ -269,7 +269,7 @@ def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]
     network.load_state_dict(unprefixed("network", tensors))
     arrays = {name: tensor.numpy() for name, tensor in unprefixed("windows", tensors).items()}
     components = None
-    if config.latent_layout == "local":
+    if config.latents.layout == "local":
         components = PoseComponents(tensors["components.mean"], tensors["components.directions"])
     return TrainedField(
         network=network.to(where).eval().requires_grad_(False),
@@ -277,7 +277,7 @@ def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]
         components=components,
         posterior_mean=tensors["posterior.mean"],
         posterior_log_variance=tensors["posterior.log_variance"],
-        windows=Windows(config.max_duration_seconds, **arrays),
+        windows=Windows(config.windows.max_duration_seconds, **arrays),
         store_fingerprint=str(description["store_fingerprint"]),
         vectors=restored(config.pose_vectors, tensors),
     )

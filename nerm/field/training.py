@@ -14,7 +14,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
 from motionkit.training.precision import autocast, compile_each
 from motionkit.training.ranks import ALONE, DealtRows, Ranks
-from motionkit.training.schedule import rate_factor, scale_rates, seeded_initialisation, step_generator
+from motionkit.training.schedule import scale_rates, seeded_initialisation, step_generator
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 from nerm.field.network import FieldNetwork
 from nerm.latents.linear_fit import LinearModel, fit_windows, measure_components
@@ -30,7 +30,8 @@ def linear_model(poses: WindowPoses, scaling: VectorScaling, config: FieldConfig
     banks = local_latents(config)
     if banks is None:
         return None
-    return LinearModel(banks, scaling, measure_components(poses, banks, scaling, config.ridge), config.ridge)
+    ridge = config.latents.ridge
+    return LinearModel(banks, scaling, measure_components(poses, banks, scaling, ridge), ridge)
 
 
 def initial_means(
@@ -41,9 +42,9 @@ def initial_means(
     windows: Int64[torch.Tensor, "chosen"],
 ) -> Float32[torch.Tensor, "chosen latent"]:
     """μ of some windows before training: N(0, 1), or the linear model's fit."""
-    if config.initialisation == "ridge" and model is not None:
+    if config.latents.initialisation == "ridge" and model is not None:
         return fit_windows(poses, model, windows.numpy())
-    return torch.randn(len(poses.windows), config.latent_dimension, generator=step_generator(seed, "latents"))[windows]
+    return torch.randn(len(poses.windows), config.latents.dimension, generator=step_generator(seed, "latents"))[windows]
 
 
 class FieldTraining:
@@ -80,31 +81,32 @@ class FieldTraining:
             self.network.start_linear_path(self.components.mean, self.components.inverse())
         if config.compile:
             compile_each(self.network.layers)
-        self.visits = torch.from_numpy(rows_by_duration(poses.windows, config.seconds_per_visit))
-        self.steps = config.num_steps(len(self.visits))
-        self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.weight_decay)
+        self.visits = torch.from_numpy(rows_by_duration(poses.windows, config.clips.seconds_per_visit))
+        self.steps = config.schedule.num_steps(len(self.visits))
+        self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.optimizer.weight_decay)
         self.mean = RowAdam(means.to(device))
         # Eq. 9 has no Σ: what stage 2 draws from such a posterior is μ, as nearly as a log-variance can say it.
-        start = config.initial_log_variance if config.variational else LOG_VARIANCE_RANGE[0]
+        start = config.latents.initial_log_variance if config.latents.variational else LOG_VARIANCE_RANGE[0]
         self.log_variance = RowAdam(torch.full_like(self.mean.table, start))
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
         """θ in two groups: attention, in CCA or in a transformer decoder, diverges at rates that suit an MLP."""
         attention = [] if self.network.attention is None else list(self.network.attention.parameters())
-        if self.config.decoder == "transformer":
+        if self.config.decoder.kind == "transformer":
             attention += self.network.layers.parameters()
         ours = {id(parameter) for parameter in attention}
         decoder = [parameter for parameter in self.network.parameters() if id(parameter) not in ours]
-        groups: list[dict[str, Any]] = [{"params": decoder, "lr": self.config.rate, "base_lr": self.config.rate}]
+        rate = self.config.schedule.learning_rate
+        groups: list[dict[str, Any]] = [{"params": decoder, "lr": rate, "base_lr": rate}]
         if attention:
-            rate = self.config.attention_rate
+            rate = self.config.optimizer.attention_learning_rate
             groups.append({"params": attention, "lr": rate, "base_lr": rate})
         return groups
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
         """One step on θ and on the latents of the batch."""
         config = self.config
-        windows = self.visits[shuffled_batches(len(self.visits), config.batch, step, self.seed)]
+        windows = self.visits[shuffled_batches(len(self.visits), config.schedule.batch_size, step, self.seed)]
         mine = self.own.mine(windows)
         batch = self._draw(step, windows, mine, generator)
         distinct, which = torch.unique(windows[mine], return_inverse=True)
@@ -112,7 +114,7 @@ class FieldTraining:
         mean = self.mean.table[rows].requires_grad_()
         log_variance = self.log_variance.table[rows].requires_grad_()
         latents = mean[which]
-        if config.variational:
+        if config.latents.variational:
             noise = torch.randn(len(windows), latents.shape[1], generator=generator)[mine].to(self.device)
             latents = sample_posterior(latents, log_variance[which], noise)
         with autocast(config.precision, self.device):
@@ -121,7 +123,7 @@ class FieldTraining:
         squares = (predicted.float() - self.scaling.apply(batch.vectors)).square()
         reconstruction = squares.sum() / (len(windows) * squares.shape[1:].numel())
         kl = kl_divergence(mean, log_variance, len(torch.unique(windows)))
-        loss = reconstruction + config.kl_weight * kl if config.variational else reconstruction
+        loss = reconstruction + config.loss.kl_weight * kl if config.latents.variational else reconstruction
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         self._update(step, rows, mean, log_variance)
@@ -135,15 +137,15 @@ class FieldTraining:
         generator: torch.Generator,
     ) -> PoseBatch:
         """The clips of a step: at one fixed framerate during warm-up, then at all native ones (or at `fixed_fps`)."""
-        config = self.config
-        warming_up = step < config.warmup_fraction * self.steps and config.fixed_fps is None
+        clips = self.config.clips
+        warming_up = step < clips.warmup_fraction * self.steps and clips.fixed_fps is None
         batch = self.poses.draw(
             windows,
-            config.num_poses,
+            clips.num_poses,
             generator,
-            contiguous=config.contiguous,
-            fps=Fraction(config.warmup_fps) if warming_up else None,
-            lowest_fps=config.lowest_fps,
+            contiguous=clips.contiguous,
+            fps=Fraction(clips.warmup_fps) if warming_up else None,
+            lowest_fps=clips.lowest_fps,
             part=mine,
         )
         return batch.to(self.device)
@@ -152,14 +154,14 @@ class FieldTraining:
         self, step: int, rows: Int64[torch.Tensor, "rows"], mean: torch.Tensor, log_variance: torch.Tensor
     ) -> None:
         config = self.config
-        factor = rate_factor(step, self.steps, schedule=config.schedule, warmup_fraction=config.rate_warmup_fraction)
+        factor = config.schedule.factor(step, self.steps)
         scale_rates(self.optimizer, factor)
         self.ranks.add_up_gradients(self.network.parameters())
         self.optimizer.step()
         assert mean.grad is not None
-        self.mean.update(rows, mean.grad, config.latent_rate * factor)
+        self.mean.update(rows, mean.grad, config.optimizer.latent_learning_rate * factor)
         if log_variance.grad is not None:
-            self.log_variance.update(rows, log_variance.grad, config.latent_rate * factor)
+            self.log_variance.update(rows, log_variance.grad, config.optimizer.latent_learning_rate * factor)
             self.log_variance.table[rows] = self.log_variance.table[rows].clamp(*LOG_VARIANCE_RANGE)
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
@@ -192,17 +194,18 @@ def training_windows(source: PositionSource, config: FieldConfig) -> Windows:
     """
     windows = cut_windows(
         source,
-        max_duration_seconds=config.max_duration_seconds,
-        stride_seconds=config.stride_seconds,
-        min_duration_seconds=config.min_duration_seconds,
-        mirror_pairs=SMPL22.left_right_pairs if config.mirrored else None,
+        max_duration_seconds=config.windows.max_duration_seconds,
+        stride_seconds=config.windows.stride_seconds,
+        min_duration_seconds=config.windows.min_duration_seconds,
+        mirror_pairs=SMPL22.left_right_pairs if config.windows.mirrored else None,
     )
-    if config.fixed_framerate is None:
+    fixed = config.clips.fixed_framerate
+    if fixed is None:
         return windows
-    fast = windows.fps >= float(config.fixed_framerate) - 1e-6
+    fast = windows.fps >= float(fixed) - 1e-6
     if not fast.any():
         raise UsageError(
-            f"no training sequence has {float(config.fixed_framerate):g} fps (field.fixed_fps); the fastest has "
+            f"no training sequence has {float(fixed):g} fps (field.clips.fixed_fps); the fastest has "
             f"{windows.fps.max():g}"
         )
     return windows.select(fast)
@@ -210,39 +213,39 @@ def training_windows(source: PositionSource, config: FieldConfig) -> Windows:
 
 def remarks(source: PositionSource, windows: Windows, config: FieldConfig) -> list[str]:
     """What limits a training on these windows, a sentence each; empty where nothing does."""
-    found = []
+    found, clips = [], config.clips
     fps = source.fps_numerator / source.fps_denominator
-    if config.fixed_framerate is not None:
-        slow = int((fps < float(config.fixed_framerate) - 1e-6).sum())
+    if clips.fixed_framerate is not None:
+        slow = int((fps < float(clips.fixed_framerate) - 1e-6).sum())
         if slow:
-            found.append(f"{slow} of {len(fps)} sequences are slower than field.fixed_fps and are left out")
+            found.append(f"{slow} of {len(fps)} sequences are slower than field.clips.fixed_fps and are left out")
     elif len(np.unique(windows.fps)) == 1:
         found.append(
             f"every training sequence has {windows.fps[0]:g} fps: the field cannot learn what other framerates hold"
         )
-    if config.fixed_framerate is None:
+    if clips.fixed_framerate is None:
         found += _rate_remarks(windows, config)
-    short = windows.duration_seconds * _slowest_rate(windows, config) + 1 < config.num_poses - 1e-6
-    if config.contiguous and short.any():
+    short = windows.duration_seconds * _slowest_rate(windows, config) + 1 < clips.num_poses - 1e-6
+    if clips.contiguous and short.any():
         found.append(
-            f"{int(short.sum())} of {len(windows)} windows are shorter than a clip of field.num_poses="
-            f"{config.num_poses} poses; their last pose is repeated"
+            f"{int(short.sum())} of {len(windows)} windows are shorter than a clip of field.clips.num_poses="
+            f"{clips.num_poses} poses; their last pose is repeated"
         )
     return found
 
 
 def _rate_remarks(windows: Windows, config: FieldConfig) -> list[str]:
     """What is said of framerates that the windows do not have."""
-    found = []
-    slower = int((windows.fps < config.warmup_fps - 1e-6).sum())
-    if config.warmup_fraction > 0 and slower:
+    found, clips = [], config.clips
+    slower = int((windows.fps < clips.warmup_fps - 1e-6).sum())
+    if clips.warmup_fraction > 0 and slower:
         found.append(
-            f"{slower} of {len(windows)} windows are slower than field.warmup_fps={config.warmup_fps}: during the "
-            "warm-up their poses are interpolated between their own"
+            f"{slower} of {len(windows)} windows are slower than field.clips.warmup_fps={clips.warmup_fps}: during "
+            "the warm-up their poses are interpolated between their own"
         )
-    if config.lowest_fps is not None and config.lowest_fps > windows.fps.max() + 1e-6:
+    if clips.lowest_fps is not None and clips.lowest_fps > windows.fps.max() + 1e-6:
         found.append(
-            f"field.lowest_fps={config.lowest_fps:g} has no effect: the fastest training sequence has "
+            f"field.clips.lowest_fps={clips.lowest_fps:g} has no effect: the fastest training sequence has "
             f"{windows.fps.max():g} fps, and each is drawn at its own"
         )
     return found
@@ -250,7 +253,8 @@ def _rate_remarks(windows: Windows, config: FieldConfig) -> list[str]:
 
 def _slowest_rate(windows: Windows, config: FieldConfig) -> Float64[np.ndarray, "windows"]:
     """The lowest framerate at which clips of each window are drawn."""
-    if config.fixed_framerate is not None:
-        return np.full(len(windows), float(config.fixed_framerate))
-    slowest = config.warmup_fps if config.warmup_fraction > 0 else np.inf
+    clips = config.clips
+    if clips.fixed_framerate is not None:
+        return np.full(len(windows), float(clips.fixed_framerate))
+    slowest = clips.warmup_fps if clips.warmup_fraction > 0 else np.inf
     return np.asarray(np.minimum(windows.fps, slowest))

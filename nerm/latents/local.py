@@ -162,15 +162,15 @@ class LocalLatents:
 
 def local_latents(config: FieldConfig) -> LocalLatents | None:
     """The banks of a configuration; None for the paper's global latents."""
-    if config.latent_layout != "local":
+    if config.latents.layout != "local":
         return None
 
     def knots(count: int, modes: int) -> KnotLayout:
-        return KnotLayout(count, config.knot_kernel, config.knot_radius, modes)
+        return KnotLayout(count, config.latents.kernel, config.latents.radius, modes)
 
     pose = tuple(
-        Bank(knots(count, config.knot_modes), numbers)
-        for count, numbers in zip(config.knots, config.knot_numbers, strict=True)
+        Bank(knots(count, config.latents.modes), numbers)
+        for count, numbers in zip(config.latents.knots, config.latents.knot_numbers, strict=True)
     )
-    path = Bank(knots(config.path_knots, 0), NUM_PATH_NUMBERS) if config.path_knots else None
-    return LocalLatents(pose, path, config.root_weight)
+    path = Bank(knots(config.latents.path_knots, 0), NUM_PATH_NUMBERS) if config.latents.path_knots else None
+    return LocalLatents(pose, path, config.loss.root_weight)

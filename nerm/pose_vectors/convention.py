@@ -104,13 +104,13 @@ def measure_scaling(
         count += len(some)
         total, squares = total + some.sum(0), squares + some.square().sum(0)
     mean = total / count
-    if config.latent_layout == "local" and config.path_knots:
+    if config.latents.has_path:
         mean.view(-1, 3)[:, [0, 2]] = 0.0
     variance = squares / count - mean.square()
     groups = [list(group) for group in vectors.groups]
-    if config.scaling == "group":
+    if config.loss.scaling == "group":
         for group in groups:
             variance[group] = variance[group].mean()
     scale = variance.clamp(min=SMALLEST_SCALE**2).sqrt()
-    scale[groups[0]] /= config.root_weight
+    scale[groups[0]] /= config.loss.root_weight
     return VectorScaling(mean.float(), scale.float())

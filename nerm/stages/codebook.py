@@ -34,7 +34,7 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
         folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
         if ranks.is_first:
             save_tensors(folder.model_path, _tensors(published), {**description, **facts})
-            folder.finish({"codes": len(published.codes), "from": settings.published_weights, **facts})
+            folder.finish({"codes": len(published.codes), "from": settings.published.weights, **facts})
         return
     started = time.perf_counter()
     source = _source(store, settings)
@@ -45,7 +45,12 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     training = CodebookTraining(corpus, settings, seed=context.seed, device=device, ranks=ranks)
     with float32_products(settings.precision):
         figures = train_loop(
-            training, folder, steps=settings.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
+            training,
+            folder,
+            steps=settings.schedule.steps,
+            seed=context.seed,
+            ranks=ranks,
+            on_progress=context.on_progress,
         )
     if not ranks.is_first:
         return
@@ -59,10 +64,10 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
 
 def _published(settings: CodebookConfig) -> PublishedCodebook | None:
     """T2M-GPT's own VQ-VAE where the settings name it; looked at before anything is written."""
-    if not settings.published_weights:
+    if not settings.published.weights:
         return None
-    statistics = Path(settings.published_statistics) if settings.published_statistics else None
-    return load_published(Path(settings.published_weights), statistics)
+    statistics = Path(settings.published.statistics) if settings.published.statistics else None
+    return load_published(Path(settings.published.weights), statistics)
 
 
 def _tensors(published: PublishedCodebook) -> dict[str, torch.Tensor]:

@@ -82,21 +82,22 @@ def check_denoiser(context: StageContext, config: NermConfig) -> None:
 
 
 def _encoder(settings: DenoiserConfig) -> TextEncoder | None:
-    if settings.text_encoder == "none":
+    if settings.conditions.text_encoder == "none":
         return None
-    name, expected = settings.text_encoder, settings.text_dimension
+    name, expected = settings.conditions.text_encoder, settings.conditions.text_dimension
     encoder = load_text_encoder(name)
     if expected is not None and encoder.dimension != expected:
         raise MotionkitError(
             f"the text encoder {name!r} gives {encoder.dimension} numbers, {expected} are expected (the paper's CLIP "
-            f"ViT-L/14 has 768): give another with denoiser.text_encoder, or set denoiser.text_dimension="
-            f"{encoder.dimension}"
+            f"ViT-L/14 has 768): give another with denoiser.conditions.text_encoder, or set "
+            f"denoiser.conditions.text_dimension={encoder.dimension}"
         )
     return encoder
 
 
 def _without_captions(who: str, settings: DenoiserConfig) -> UsageError:
     return UsageError(
-        f"{who} has a caption, and denoiser.text_encoder={settings.text_encoder} learns from texts: ingest with "
-        f"--captions, or train on actions and unconditionally (--set denoiser.text_encoder=none)"
+        f"{who} has a caption, and denoiser.conditions.text_encoder={settings.conditions.text_encoder} learns from "
+        "texts: ingest with --captions, or train on actions and unconditionally "
+        "(--set denoiser.conditions.text_encoder=none)"
     )

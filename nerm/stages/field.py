@@ -40,7 +40,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     for remark in remarks(source, windows, settings) if ranks.is_first else []:
         warn(remark)
     training = FieldTraining(
-        WindowPoses(source, windows, SMPL22.left_right_pairs, settings.fixed_framerate, frames),
+        WindowPoses(source, windows, SMPL22.left_right_pairs, settings.clips.fixed_framerate, frames),
         settings,
         codebook=codes,
         seed=context.seed,
@@ -84,11 +84,11 @@ def _corpus(store: Store, settings: FieldConfig) -> tuple[PoseVectors, PositionC
 
 
 def _codes(context: StageContext, settings: FieldConfig) -> Float32[torch.Tensor, "codes dimension"] | None:
-    if settings.time_encoding != "codebook":
+    if settings.encoder.kind != "codebook":
         return None
     if not context.run.stage("codebook").is_complete:
         raise RunError(
             f"the time encoding 'codebook' needs the stage codebook of {context.run.path}: train it first "
-            f"(motionkit train --stage codebook), or use --set field.time_encoding=fourier"
+            f"(motionkit train --stage codebook), or use --set field.encoder.kind=fourier"
         )
     return load_codes(context.run)

@@ -41,7 +41,7 @@ def _check_denoiser(context: StageContext, config: NermConfig) -> None:
 
 
 def _codebook_where_used(config: NermConfig) -> tuple[str, ...]:
-    return ("codebook",) if config.field.time_encoding == "codebook" else ()
+    return ("codebook",) if config.field.encoder.kind == "codebook" else ()
 
 
 def _field(config: NermConfig) -> tuple[str, ...]:

@@ -72,7 +72,7 @@ def trained_run(run: Path) -> Path:
 def install_models(monkeypatch: pytest.MonkeyPatch, *scripted: Callable[[Path], ScriptedModel]) -> None:
     """Let these be the installed models: functions of a run."""
     loaders = {
-        f"model-{number}": ModelLoader("NeRM", STAGES, load, fixed_fps_setting="field.fixed_fps")
+        f"model-{number}": ModelLoader("NeRM", STAGES, load, fixed_fps_setting="field.clips.fixed_fps")
         for number, load in enumerate(scripted)
     }
     for module in ("eval.tables.models", "eval.tables.nerm.table1"):

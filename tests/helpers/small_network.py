@@ -9,6 +9,7 @@ from motionkit.clips.temporal.base_curves import located, seconds_beyond
 from motionkit.clips.temporal.network import ObservedWindow
 from motionkit.clips.temporal.settings import TaskSettings, TemporalSettings
 from motionkit.clips.temporal.trained import TrainedNetwork, load_network, train_network
+from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from tests.helpers.tiny import write_store
@@ -31,7 +32,10 @@ TASKS = TaskSettings(
 class SmallConfig:
     width: int = 32
     training: TemporalSettings = field(
-        default_factory=lambda: TemporalSettings(tasks=TASKS, steps=30, batch=8, rate=3e-3, mirrored=False)
+        default_factory=lambda: apply_overrides(
+            TemporalSettings(tasks=TASKS, mirrored=False),
+            ["schedule.steps=30", "schedule.batch_size=8", "schedule.learning_rate=0.003"],
+        )
     )
 
 

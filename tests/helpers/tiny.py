@@ -13,6 +13,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
+from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import Stage, StageContext
 from nerm.recipes import NermConfig
@@ -22,50 +23,66 @@ from tests.helpers.nerm_corpus import analytic_positions
 
 STEPS = 60
 NERM = NermConfig(
-    codebook=CodebookConfig(
-        width=16, code_dimension=16, num_codes=16, batch=8, window_frames=32, steps=STEPS, rate=1e-3, rate_drop_at=50
+    codebook=apply_overrides(
+        CodebookConfig(window_frames=32),
+        [
+            "network.width=16",
+            "network.code_dimension=16",
+            "network.num_codes=16",
+            "schedule.batch_size=8",
+            f"schedule.steps={STEPS}",
+            "schedule.learning_rate=0.001",
+            "schedule.drop_at=50",
+        ],
     ),
-    field=FieldConfig(
-        max_duration_seconds=3.0,
-        stride_seconds=1.0,
-        latent_layout="local",
-        latent_dimension=64,
-        knots=(8,),
-        knot_numbers=(8,),
-        initialisation="ridge",
-        ridge=0.1,
-        num_frequencies=8,
-        num_queries=8,
-        attention_layers=1,
-        hidden=32,
-        layers=3,
-        activation="silu",
-        linear_path=True,
-        framerate_scale=0.05,
-        scaling="group",
-        epochs=None,
-        steps=STEPS,
-        batch=8,
-        num_poses=8,
-        contiguous=False,
-        seconds_per_visit=2.5,
-        warmup_fraction=0.1,
-        lowest_fps=20.0,
-        rate=2e-3,
-        attention_rate=1e-3,
-        latent_rate=2e-2,
-        weight_decay=0.0,
-        schedule="cosine",
+    field=apply_overrides(
+        FieldConfig(),
+        [
+            "windows.max_duration_seconds=3.0",
+            "windows.stride_seconds=1.0",
+            "latents.layout=local",
+            "latents.dimension=64",
+            "latents.knots=8",
+            "latents.knot_numbers=8",
+            "latents.initialisation=ridge",
+            "latents.ridge=0.1",
+            "encoder.num_frequencies=8",
+            "encoder.num_queries=8",
+            "encoder.num_layers=1",
+            "decoder.width=32",
+            "decoder.num_layers=3",
+            "decoder.activation=silu",
+            "decoder.linear_path=true",
+            "encoder.framerate_scale=0.05",
+            "loss.scaling=group",
+            "schedule.epochs=none",
+            f"schedule.steps={STEPS}",
+            "schedule.batch_size=8",
+            "clips.num_poses=8",
+            "clips.contiguous=false",
+            "clips.seconds_per_visit=2.5",
+            "clips.warmup_fraction=0.1",
+            "clips.lowest_fps=20.0",
+            "schedule.learning_rate=0.002",
+            "optimizer.attention_learning_rate=0.001",
+            "optimizer.latent_learning_rate=0.02",
+            "optimizer.weight_decay=0.0",
+            "schedule.kind=cosine",
+        ],
     ),
-    denoiser=DenoiserConfig(
-        network=TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0, latent_tokens=8),
-        text_encoder="none",
-        batch=16,
-        steps=STEPS,
-        epochs=None,
-        rate=2e-3,
-        schedule="cosine",
-        ema_decay=0.9,
+    denoiser=apply_overrides(
+        DenoiserConfig(
+            network=TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0, latent_tokens=8),
+            ema_decay=0.9,
+        ),
+        [
+            "conditions.text_encoder=none",
+            "schedule.batch_size=16",
+            f"schedule.steps={STEPS}",
+            "schedule.epochs=none",
+            "schedule.learning_rate=0.002",
+            "schedule.kind=cosine",
+        ],
     ),
 )
 NATIVE = NativeConfig(

@@ -26,22 +26,22 @@ from motionkit.store.writer import StoreWriter
 from tests.helpers.nerm_corpus import analytic_positions
 
 TINY = (
-    "codebook.steps=3",
-    "codebook.width=8",
-    "codebook.code_dimension=8",
-    "codebook.num_codes=8",
-    "codebook.batch=4",
+    "codebook.schedule.steps=3",
+    "codebook.network.width=8",
+    "codebook.network.code_dimension=8",
+    "codebook.network.num_codes=8",
+    "codebook.schedule.batch_size=4",
     "codebook.window_frames=32",
-    "field.steps=4",
-    "field.batch=4",
-    "field.hidden=16",
-    "field.layers=2",
-    "field.num_queries=4",
-    "field.num_frequencies=4",
-    "field.max_duration_seconds=3",
-    "denoiser.text_encoder=none",
-    "denoiser.steps=3",
-    "denoiser.batch=4",
+    "field.schedule.steps=4",
+    "field.schedule.batch_size=4",
+    "field.decoder.width=16",
+    "field.decoder.num_layers=2",
+    "field.encoder.num_queries=4",
+    "field.encoder.num_frequencies=4",
+    "field.windows.max_duration_seconds=3",
+    "denoiser.conditions.text_encoder=none",
+    "denoiser.schedule.steps=3",
+    "denoiser.schedule.batch_size=4",
     "denoiser.diffusion.sampling_steps=3",
     "denoiser.network.num_layers=3",
     "denoiser.network.width=16",
@@ -117,7 +117,7 @@ def test_what_was_trained_with_other_settings_does_not_stop_the_others(project: 
     arguments = ("8", "--run", "mixed", "--stage", "field", "--only")
     command(project, *arguments, "global")
     with pytest.raises(MotionkitError, match="1 of 2 variants failed"):
-        command(project, *arguments, "global,global-d-128", settings=(*TINY, "field.steps=5"))
+        command(project, *arguments, "global,global-d-128", settings=(*TINY, "field.schedule.steps=5"))
     assert "mixed-global-d-128/field" in summaries(project)
     assert "mixed-global-d-128/denoiser" not in summaries(project)
 
@@ -127,7 +127,7 @@ def test_a_list_trains_nothing(tmp_path: Path) -> None:
     app.command()(ablate)
     result = CliRunner().invoke(app, ["--list", "--runs", str(tmp_path)], catch_exceptions=False)
     assert "global-fourier" in result.stdout
-    assert "field.time_encoding=fourier" in result.stdout
+    assert "field.encoder.kind=fourier" in result.stdout
     assert "not trained" in result.stdout
     assert not list(tmp_path.iterdir())
 
@@ -141,7 +141,7 @@ def test_a_list_trains_nothing(tmp_path: Path) -> None:
         (("5", "--stage", "codebook"), "--stage codebook: all or field"),
         (("5", "--recipe", "giant"), "no recipe 'giant': nano"),
         (("5", "--set", "field.nothing=1"), "no setting is called 'field.nothing'"),
-        (("5", "--set", "field.time_encoding=none"), "varies"),
+        (("5", "--set", "field.encoder.kind=none"), "varies"),
         (("5", "--store", "nowhere"), "nowhere"),
     ],
 )
@@ -213,7 +213,9 @@ def test_what_was_measured_is_kept_until_the_run_is_trained_again(project: Path)
     kept_9 = table(project, "9", "kept", "results-8")
     assert kept_9.blocks[0].rows[1].cells == first.blocks[0].rows[1].cells
     assert parts[0].stat().st_mtime_ns == written
-    command(project, "8", "--run", "kept", "--only", "global", "--overwrite", settings=(*TINY, "field.num_poses=3"))
+    command(
+        project, "8", "--run", "kept", "--only", "global", "--overwrite", settings=(*TINY, "field.clips.num_poses=3")
+    )
     again = table(project, "8", "kept", "results-8")
     assert again.blocks[0].rows[1].cells != first.blocks[0].rows[1].cells
     # One run, two rows of the paper.
@@ -225,7 +227,7 @@ def test_what_was_measured_is_kept_until_the_run_is_trained_again(project: Path)
 def test_several_seeds_are_a_mean_with_its_range_and_unequal_trainings_are_told(project: Path) -> None:
     command(project, "8", "--run", "seeds", "--only", "global")
     command(project, "8", "--run", "seeds", "--only", "global", "--seed", "1")
-    command(project, "8", "--run", "seeds", "--only", "global-d-128", settings=(*TINY, "field.steps=5"))
+    command(project, "8", "--run", "seeds", "--only", "global-d-128", settings=(*TINY, "field.schedule.steps=5"))
     result = table(project, "8", "seeds", "results-s")
     row = rows(result.blocks[0])["global: d = 256"]
     assert row.note == "mean of 2 seeds"
@@ -233,7 +235,7 @@ def test_several_seeds_are_a_mean_with_its_range_and_unequal_trainings_are_told(
     assert cell.details[LOWEST] < cell.value < cell.details[HIGHEST]
     assert cell.value == pytest.approx((cell.details[LOWEST] + cell.details[HIGHEST]) / 2)
     assert result.notes == (
-        "These runs differ in more than the table varies: field.steps is 5 in seeds-global-d-128, "
+        "These runs differ in more than the table varies: field.schedule.steps is 5 in seeds-global-d-128, "
         "4 in seeds-global and seeds-global-seed1.",
     )
 

@@ -10,7 +10,7 @@ from motionkit.core.errors import LinkError, UsageError
 
 TINY = DemoSize(
     num_sequences=64,
-    overrides=("codebook.steps=2", "field.steps=3", "denoiser.steps=2"),
+    overrides=("codebook.schedule.steps=2", "field.schedule.steps=3", "denoiser.schedule.steps=2"),
     num_clips=64,
     replications=1,
     max_motions=4,

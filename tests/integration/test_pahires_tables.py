@@ -11,7 +11,13 @@ from motionkit.store.ingest.ingest import ingest
 from motionkit.synthetic.demo_corpus import write_demo_corpus
 
 TINY = (
-    *("training.steps=2", "training.batch=8", "training.tasks.gap=0", "network.hidden=16", "network.code=16"),
+    *(
+        "training.schedule.steps=2",
+        "training.schedule.batch_size=8",
+        "training.tasks.gap=0",
+        "network.hidden=16",
+        "network.code=16",
+    ),
     *("network.attention_tokens=4", "network.embedding=8", "network.decoder_layers=1"),
 )
 # All tests choose the same takes, so that the store's caches are written once.

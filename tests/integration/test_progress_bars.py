@@ -51,7 +51,7 @@ def test_training_and_tables(drawn: Draw, tmp_path: Path) -> None:
     ]
     text = drawn(
         "train", "--stage", "field", "--store", store, "--runs", runs, "--run", "tiny", *settings,
-        "--set=field.time_encoding=fourier",
+        "--set=field.encoder.kind=fourier",
     )  # fmt: skip
     assert "cache smpl22" in text and "0/60" in text
     text = drawn(

@@ -30,12 +30,12 @@ def test_its_lines_make_the_recipe_of_another(stage: str) -> None:
 
 def test_where_two_recipes_differ() -> None:
     differences = json.loads(told("nano", "paper", "--stage", "field", "--json"))
-    assert differences["nano"]["field.steps"] == 8000
-    assert differences["paper"]["field.steps"] is None
-    assert "field.kl_weight" not in differences["nano"]
+    assert differences["nano"]["field.schedule.steps"] == 8000
+    assert differences["paper"]["field.schedule.steps"] is None
+    assert "field.loss.kl_weight" not in differences["nano"]
     head, *rows = told("nano", "paper", "--stage", "field").splitlines()
     assert head.split() == ["nano", "paper"]
-    assert ["field.steps", "8000", "none"] in [row.split() for row in rows]
+    assert ["field.schedule.steps", "8000", "none"] in [row.split() for row in rows]
     assert len(rows) == len(differences["nano"])
 
 

@@ -19,7 +19,7 @@ from tests.helpers.tiny import train_stage, write_store
 STAGES = ("codebook", "field", "denoiser")
 RANK = """
 import os, signal, sys
-from dataclasses import replace
+from motionkit.training.config import apply_overrides
 from pathlib import Path
 import torch
 from motionkit.training import loop
@@ -40,7 +40,7 @@ with joined_ranks() as ranks:
         ranks.wait()  # as the command does: the next stage reads what the first rank saves at last
     # One clip a batch: at every step one of the ranks has nothing to do.
     stage, config = STAGES["field"]
-    STAGES["field"] = (stage, replace(config, field=replace(config.field, batch=1, steps=6)))
+    STAGES["field"] = (stage, apply_overrides(config, ["field.schedule.batch_size=1", "field.schedule.steps=6"]))
     train_stage("field", store, lonely, shared=True)
     STAGES["field"] = (stage, config)
     loop.step_generator = interrupting

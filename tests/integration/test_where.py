@@ -22,12 +22,12 @@ from motionkit.training.stage import registered_stages
 
 CLEAN = "NOT list_contains(quality_flags, 'teleport')"
 TINY = (
-    "field.steps=3",
-    "field.batch=4",
-    "field.hidden=32",
-    "field.layers=2",
-    "field.time_encoding=fourier",
-    "field.max_duration_seconds=3",
+    "field.schedule.steps=3",
+    "field.schedule.batch_size=4",
+    "field.decoder.width=32",
+    "field.decoder.num_layers=2",
+    "field.encoder.kind=fourier",
+    "field.windows.max_duration_seconds=3",
 )
 
 

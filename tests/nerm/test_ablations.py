@@ -22,17 +22,17 @@ from tests.helpers.nerm_corpus import MemorySource, analytic_source
 
 CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
 SMALLER = (
-    "field.max_duration_seconds=4",
-    "field.stride_seconds=4",
-    "field.hidden=24",
-    "field.layers=3",
-    "field.num_queries=8",
-    "field.num_frequencies=8",
-    "field.batch=8",
-    "field.epochs=none",
-    "field.steps=12",
-    "field.rate=2e-3",
-    "field.latent_rate=2e-2",
+    "field.windows.max_duration_seconds=4",
+    "field.windows.stride_seconds=4",
+    "field.decoder.width=24",
+    "field.decoder.num_layers=3",
+    "field.encoder.num_queries=8",
+    "field.encoder.num_frequencies=8",
+    "field.schedule.batch_size=8",
+    "field.schedule.epochs=none",
+    "field.schedule.steps=12",
+    "field.schedule.learning_rate=2e-3",
+    "field.optimizer.latent_learning_rate=2e-2",
     "field.precision=float32",
 )
 LAYOUTS = ("global", "local")
@@ -47,7 +47,7 @@ def _settings(recipe: str, *changes: str) -> FieldConfig:
 def _training(config: FieldConfig, source: MemorySource | None = None) -> FieldTraining:
     source = source or analytic_source()
     windows = training_windows(source, config)
-    poses = WindowPoses(source, windows, SMPL22.left_right_pairs, config.fixed_framerate)
+    poses = WindowPoses(source, windows, SMPL22.left_right_pairs, config.clips.fixed_framerate)
     return FieldTraining(poses, config, codebook=CODES, seed=3, device=torch.device("cpu"))
 
 
@@ -69,7 +69,7 @@ def test_every_variant_trains(variant: Variant, recipe: str) -> None:
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("encoding", ["none", "raw", "fourier", "codebook"])
 def test_every_time_encoding_trains_with_either_layout(encoding: str, layout: str) -> None:
-    losses = _losses(_training(_settings("paper", f"field.time_encoding={encoding}", f"field.latent_layout={layout}")))
+    losses = _losses(_training(_settings("paper", f"field.encoder.kind={encoding}", f"field.latents.layout={layout}")))
     assert np.mean(losses[-3:]) < np.mean(losses[:3])
 
 
@@ -85,7 +85,7 @@ def test_the_rows_are_those_of_the_paper_s_tables(table: str) -> None:
 def test_a_variant_differs_from_its_layout_in_what_it_says(variant: Variant, recipe: str) -> None:
     base = Variant("base", variant.layout).configure(RECIPES[recipe]())
     ours = variant.configure(RECIPES[recipe]())
-    assert ours.field.latent_layout == variant.layout
+    assert ours.field.latents.layout == variant.layout
     was, now = flatten(base), flatten(ours)
     changed = {key for key in now if now[key] != was[key]}
     assert changed <= {parse_override(setting)[0] for setting in variant.change}
@@ -119,11 +119,11 @@ def test_the_local_layout_of_nano_is_nano() -> None:
 
 def test_overrides_are_shared_but_not_those_of_what_is_varied() -> None:
     non_variational = next(variant for variant in VARIANTS if variant.name == "global-non-variational")
-    config = non_variational.configure(nano(), ["field.steps=7"], "fps >= 60")
-    assert config.field.steps == 7
+    config = non_variational.configure(nano(), ["field.schedule.steps=7"], "fps >= 60")
+    assert config.field.schedule.steps == 7
     assert config.field.where == config.codebook.where == "(split = 'train') AND (fps >= 60)"
-    with pytest.raises(UsageError, match=r"field\.variational.*what 'global-non-variational' varies"):
-        non_variational.configure(nano(), ["field.variational=true"])
+    with pytest.raises(UsageError, match=r"field\.latents\.variational.*what 'global-non-variational' varies"):
+        non_variational.configure(nano(), ["field.latents.variational=true"])
 
 
 def test_an_unknown_table_is_told_with_those_there_are() -> None:
@@ -132,15 +132,15 @@ def test_an_unknown_table_is_told_with_those_there_are() -> None:
 
 
 def test_frame_numbers_and_knots_exclude_each_other() -> None:
-    with pytest.raises(UsageError, match="need latent_layout=global"):
-        _settings("nano", "field.coordinates=frames")
+    with pytest.raises(UsageError, match=r"need latents\.layout=global"):
+        _settings("nano", "field.encoder.coordinates=frames")
 
 
 class TestFixedFramerate:
     """Table 1's "NeRM-fixed"."""
 
     def test_every_pose_is_taken_at_that_framerate(self) -> None:
-        training = _training(_settings("nano", "field.fixed_fps=20"))
+        training = _training(_settings("nano", "field.clips.fixed_fps=20"))
         for step in (0, 5, 11):
             windows = torch.arange(len(training.poses.windows))
             batch = training._draw(step, windows, windows, step_generator(3, "field", step))
@@ -149,7 +149,7 @@ class TestFixedFramerate:
             assert batch.fps.unique().tolist() == [20.0]
 
     def test_scales_and_starting_latents_see_that_framerate_only(self) -> None:
-        config = _settings("nano", "field.fixed_fps=20")
+        config = _settings("nano", "field.clips.fixed_fps=20")
         whole = _training(config)
         source = analytic_source()
         between = source.positions.copy()
@@ -167,23 +167,25 @@ class TestFixedFramerate:
         torch.testing.assert_close(spoilt.mean.table, whole.mean.table)
 
     def test_slower_sequences_are_left_out_and_told(self) -> None:
-        config = _settings("nano", "field.fixed_fps=60")
+        config = _settings("nano", "field.clips.fixed_fps=60")
         source = analytic_source()
         windows = training_windows(source, config)
         assert sorted(windows.fps) == [60.0, 120.0, 120.0]
-        assert remarks(source, windows, config) == ["1 of 4 sequences are slower than field.fixed_fps and are left out"]
+        assert remarks(source, windows, config) == [
+            "1 of 4 sequences are slower than field.clips.fixed_fps and are left out"
+        ]
         with pytest.raises(UsageError, match=r"no training sequence has 250 fps .* the fastest has 120"):
-            training_windows(source, _settings("nano", "field.fixed_fps=250"))
+            training_windows(source, _settings("nano", "field.clips.fixed_fps=250"))
 
     def test_the_framerate_is_exact(self) -> None:
-        assert _settings("nano", "field.fixed_fps=30000/1001").fixed_framerate == Fraction(30000, 1001)
-        assert _settings("nano", "field.fixed_fps=12.5").fixed_framerate == Fraction(25, 2)
-        assert _settings("nano").fixed_framerate is None
+        assert _settings("nano", "field.clips.fixed_fps=30000/1001").clips.fixed_framerate == Fraction(30000, 1001)
+        assert _settings("nano", "field.clips.fixed_fps=12.5").clips.fixed_framerate == Fraction(25, 2)
+        assert _settings("nano").clips.fixed_framerate is None
 
     @pytest.mark.parametrize("fps", ["0", "-20", "1000000", "fast", "20/0"])
     def test_what_is_no_framerate_is_refused(self, fps: str) -> None:
-        with pytest.raises(UsageError, match=f"field.fixed_fps={fps}.*framerate"):
-            _settings("nano", f"field.fixed_fps={fps}")
+        with pytest.raises(UsageError, match=f"field.clips.fixed_fps={fps}.*framerate"):
+            _settings("nano", f"field.clips.fixed_fps={fps}")
 
 
 def test_one_framerate_and_short_windows_are_told() -> None:
@@ -192,15 +194,18 @@ def test_one_framerate_and_short_windows_are_told() -> None:
     windows = training_windows(source, config)
     one, short = remarks(source, windows, config)
     assert "every training sequence has 30 fps" in one
-    assert "2 of 2 windows are shorter than a clip of field.num_poses=32" in short
+    assert "2 of 2 windows are shorter than a clip of field.clips.num_poses=32" in short
     assert remarks(analytic_source(), training_windows(analytic_source(), config), config) == []
 
 
 @pytest.mark.parametrize(
     ("setting", "told"),
     [
-        ("field.warmup_fps=40", "1 of 4 windows are slower than field.warmup_fps=40: during the warm-up"),
-        ("field.lowest_fps=500", "field.lowest_fps=500 has no effect: the fastest training sequence has 120 fps"),
+        ("field.clips.warmup_fps=40", "1 of 4 windows are slower than field.clips.warmup_fps=40: during the warm-up"),
+        (
+            "field.clips.lowest_fps=500",
+            "field.clips.lowest_fps=500 has no effect: the fastest training sequence has 120 fps",
+        ),
     ],
 )
 def test_framerates_that_the_windows_do_not_have_are_told(setting: str, told: str) -> None:

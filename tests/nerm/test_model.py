@@ -12,6 +12,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.motion_field import Poses, check_times, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunError
 from motionkit.training.schedule import seeded_initialisation
 from nerm.conditions import ConditionLayout
@@ -63,7 +64,10 @@ def known_model(text_fingerprint: str = "") -> NermModel:
     with seeded_initialisation(0, "test"):
         denoiser = Denoiser(NETWORK, torch.full((4,), ALWAYS), layout)
     trained = TrainedDenoiser(
-        config=DenoiserConfig(network=NETWORK, diffusion=DiffusionConfig(sampling_steps=5), guidance_scale=2.0),
+        config=apply_overrides(
+            DenoiserConfig(network=NETWORK, diffusion=DiffusionConfig(sampling_steps=5)),
+            ["diffusion.guidance_scale=2.0"],
+        ),
         denoiser=denoiser.eval(),
         space=LatentSpace(None, "places", torch.full((4,), 5.0), torch.ones(4)),
         layout=layout,

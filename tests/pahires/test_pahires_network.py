@@ -10,7 +10,9 @@ import torch
 
 from motionkit.clips.temporal.encoder import NetworkEncoder
 from motionkit.clips.temporal.network import ObservedWindow, TemporalNetwork
+from motionkit.clips.temporal.settings import AnswerSettings
 from motionkit.fields.motion_field import MotionEncoder
+from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.schedule import seeded_initialisation
 from motionkit.training.stage import StageContext
@@ -105,13 +107,17 @@ def test_recipes_say_what_they_are() -> None:
     assert set(RECIPES) == {"nano", "demo", "base", "paper"}
     paper = RECIPES["paper"]()
     assert (paper.network.hidden, paper.network.decoder_layers, paper.network.num_sines) == (256, 5, 16)
-    assert len(paper.network.frames_per_scale) == 3 and paper.training.velocity_weight == 0.5
-    assert (paper.training.epochs, paper.training.batch, paper.training.rate) == (1000, 256, 1e-4)
-    assert nano().training.form == "exact"
+    assert len(paper.network.frames_per_scale) == 3 and paper.training.loss.velocity_weight == 0.5
+    schedule = paper.training.schedule
+    assert (schedule.epochs, schedule.batch_size, schedule.learning_rate) == (1000, 256, 1e-4)
+    assert nano().training.answer.form == "exact"
 
 
 def tiny_config() -> PaHiResConfig:
-    training = replace(nano().training, tasks=TASKS, steps=40, batch=8, mirrored=False, ema_decay=0.0)
+    training = apply_overrides(
+        replace(nano().training, tasks=TASKS, mirrored=False, ema_decay=0.0),
+        ["schedule.steps=40", "schedule.batch_size=8"],
+    )
     return PaHiResConfig(network=SMALL, training=training)
 
 
@@ -144,7 +150,7 @@ def test_one_motion_is_learnt_better_than_any_interpolation_of_it() -> None:
 
     asked = ObservedWindow(rows(times), times[None], queries[None], torch.full((1,), 1 / 30))
     made = network()
-    predictor = Predictor(made, Scaling(torch.zeros(135), torch.ones(135)), "exact", "eased", 1.0)
+    predictor = Predictor(made, Scaling(torch.zeros(135), torch.ones(135)), AnswerSettings("exact", "eased"))
     optimizer = torch.optim.Adam(made.parameters(), lr=3e-3)
     for _ in range(120):
         optimizer.zero_grad()

@@ -17,7 +17,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.completion import inbetween, upsample
 from motionkit.fields.motion_field import Observation
-from motionkit.training.config import apply_overrides, to_plain
+from motionkit.training.config import apply_overrides, flatten
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import Stage, StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors
@@ -39,7 +39,10 @@ from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.tiny import write_store
 
 EDSR = EdsrConfig(blocks=1, features=8)
-ON_GRIDS = TemporalSettings(tasks=TaskSettings(num_frames=6, num_queries=8), steps=60, batch=8, rate=3e-3)
+ON_GRIDS = apply_overrides(
+    TemporalSettings(tasks=TaskSettings(num_frames=6, num_queries=8)),
+    ["schedule.steps=60", "schedule.batch_size=8", "schedule.learning_rate=0.003"],
+)
 WITH_GAPS = replace(
     ON_GRIDS, tasks=TaskSettings(0.0, 1.0, past_frames=4, future_frames=2, longest_gap=9, num_queries=8)
 )
@@ -159,8 +162,8 @@ def test_grid_peers_refuse_to_be_trained_on_gaps(name: str) -> None:
 
 def test_weights_of_curves_are_pa_hires_alone() -> None:
     config = LIIF.recipe("nano")
-    with pytest.raises(UsageError, match=r"leave training\.blended empty"):
-        network_of(replace(config, training=replace(config.training, blended=("linear",))), 135)
+    with pytest.raises(UsageError, match=r"leave training\.answer\.blended empty"):
+        network_of(replace(config, training=apply_overrides(config.training, ["answer.blended=linear"])), 135)
 
 
 def test_recipes_have_published_sizes_and_say_which_width_is_fair() -> None:
@@ -168,29 +171,25 @@ def test_recipes_have_published_sizes_and_say_which_width_is_fair() -> None:
         assert (stage.name, stage.in_all) == (name, False)
         assert set(stage.recipes) == {"nano", "base", "paper"}
         if name in ON_GRIDS_ONLY:
-            paper = stage.recipe("paper").training
-            assert (paper.epochs, paper.batch, paper.rate, paper.rate_drop, paper.drop_every) == (
-                1000,
-                16,
-                1e-4,
-                0.5,
-                0.2,
-            )
+            paper = stage.recipe("paper").training.schedule
+            assert (paper.epochs, paper.batch_size, paper.learning_rate) == (1000, 16, 1e-4)
+            assert (paper.kind, paper.drop, paper.drop_every) == ("steps", 0.5, 0.2)
             for recipe in ("base", "paper"):
                 assert stage.recipe(recipe).network.encoder == EdsrConfig(16, 64)
         for recipe, same in (("nano", pahires_nano()), ("base", pahires_base())):
             training = stage.recipe(recipe).training
             # But for rates, for what PA-HiRes alone has, and for what Δ-Interp published.
-            kept = {"rate", "rate_warmup_fraction", "sizing", "blended", "balance_floor"}
-            kept |= {"form", "base"} if stage is DELTA_INTERP else set()
-            assert (training.sizing, training.blended, training.balance_floor) == ("gap", (), 1.0)
-            for key, value in to_plain(same.training).items():
-                if key not in {"tasks", "steps", *kept}:
-                    assert to_plain(training)[key] == value, (name, recipe, key)
+            kept = {"schedule.learning_rate", "answer.sizing", "answer.blended", "loss.balance_floor"}
+            kept |= {"answer.form", "answer.base"} if stage is DELTA_INTERP else set()
+            answer, loss = training.answer, training.loss
+            assert (answer.sizing, answer.blended, loss.balance_floor) == ("gap", (), 1.0)
+            for key, value in flatten(same.training).items():
+                if not key.startswith("tasks.") and key not in {"schedule.steps", *kept}:
+                    assert flatten(training)[key] == value, (name, recipe, key)
             assert sum(training.tasks.shares) == 1 == max(training.tasks.shares)
             share = np.dot(training.tasks.shares, same.training.tasks.shares) / sum(same.training.tasks.shares)
-            steps = 8000 if recipe == "nano" else same.training.steps
-            assert training.steps == round(steps * share)
+            steps = 8000 if recipe == "nano" else same.training.schedule.steps
+            assert training.schedule.steps == round(steps * share)
             assert (training.tasks.num_frames, training.tasks.num_queries) == (
                 same.training.tasks.num_frames,
                 same.training.tasks.num_queries,

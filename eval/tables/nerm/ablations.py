@@ -27,6 +27,7 @@ from motionkit.generate.models import ModelLoader, model_loader
 from motionkit.training.ablations import Ablation, Entry, find_ablations, run_name
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunFolder
+from motionkit.training.stage import recorded_settings
 
 NERM = find_ablations("nerm")
 VERSION = "ablation/1"
@@ -247,7 +248,7 @@ def _differences(rows: Sequence[_Trained]) -> tuple[str, ...]:
         for stage in _model().stages:
             folder = RunFolder(run).stage(stage)
             if folder.is_complete:
-                for key, value in _leaves(folder.read_config()["config"][stage], f"{stage}."):
+                for key, value in _leaves(recorded_settings(RunFolder(run), stage)[stage], f"{stage}."):
                     values.setdefault(key, {}).setdefault(str(value), []).append(run.name)
     return tuple(
         f"These runs differ in more than the table varies: {key} is "

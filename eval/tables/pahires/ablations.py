@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import partial
 from statistics import fmean
-from typing import Any
 
 from eval.completion.blocks import Scope, shown_measure, value, with_pools
 from eval.completion.encoders import INTERPOLATION, completer_of
@@ -25,6 +24,7 @@ from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
 from motionkit.training.ablations import Ablation, Variant, find_ablations, run_name
 from motionkit.training.run import RunFolder
+from motionkit.training.stage import recorded_settings
 
 PAHIRES = find_ablations("pahires")
 STAGE = next(iter(PAHIRES.stages))
@@ -44,7 +44,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     store, protocol = request.open_store(), InterpolationProtocol()
     store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
     all_runs = list({run.path: run for runs in trained.values() for run in runs.values()}.values())
-    rates = {Fraction(_settings(run)["training"]["fps"]) for run in all_runs}
+    rates = {Fraction(recorded_settings(run, STAGE)["training"]["fps"]) for run in all_runs}
     completers = [completer_of(PAHIRES.paper, run.path, run.path.name) for run in all_runs]
     data_sets = [each for each in data_sets_of(store) if each.fps in rates]
     if not data_sets:
@@ -61,7 +61,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         title=f"PA-HiRes, {_place(ablation)}: {ablation.title}",
         caption=(
             f"What one setting does to interpolation at {scale_label(SCALE)}; all else is the same, "
-            f"{_told_training(all_runs)}. {caption(measured, protocol, request)}"
+            f"{_described_training(all_runs)}. {caption(measured, protocol, request)}"
         ),
         blocks=(
             *(block for scope in scopes for block in _blocks(ablation, scope, trained)),
@@ -117,21 +117,24 @@ def _trained(ablation: Ablation, request: TableRequest) -> _Trained:
     return {label: of_label for label, of_label in found.items() if of_label}
 
 
-def _settings(run: RunFolder) -> dict[str, Any]:
-    settings: dict[str, Any] = run.stage(STAGE).read_config()["config"]
-    return settings
-
-
 def _command(ablation: Ablation, request: TableRequest, variant: Variant) -> str:
     assert request.run is not None
     return f"not trained ({PAHIRES.command_for(ablation.table, request.run.name, variant)})"
 
 
-def _told_training(runs: Sequence[RunFolder]) -> str:
+def _described_training(runs: Sequence[RunFolder]) -> str:
     """Steps, form and batch of the runs; those that differ are all named."""
-    training = [_settings(run)["training"] for run in runs]
-    told = {name: sorted({str(each[name]) for each in training}) for name in ("steps", "batch", "form", "base")}
-    return ", ".join(f"{name} {' and '.join(values)}" for name, values in told.items())
+    training = [recorded_settings(run, STAGE)["training"] for run in runs]
+    values = {
+        name: sorted({str(each[part][setting]) for each in training})
+        for name, part, setting in (
+            ("steps", "schedule", "steps"),
+            ("batch", "schedule", "batch_size"),
+            ("form", "answer", "form"),
+            ("base", "answer", "base"),
+        )
+    }
+    return ", ".join(f"{name} {' and '.join(found)}" for name, found in values.items())
 
 
 def _blocks(ablation: Ablation, scope: Scope, trained: _Trained) -> list[Block]:

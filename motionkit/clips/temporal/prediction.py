@@ -7,7 +7,7 @@ from jaxtyping import Float32
 
 from motionkit.clips.temporal.base_curves import Scaling, interpolated, located, seconds_beyond
 from motionkit.clips.temporal.network import ObservedWindow, TemporalNetwork
-from motionkit.clips.temporal.settings import Base, Form, Sizing, TemporalSettings
+from motionkit.clips.temporal.settings import AnswerSettings, Sizing
 
 HALF_SIZE_SECONDS = 0.35
 # A cubic misses about a sixth of (gap · change of velocity) half-way; twice that leaves a network's answers near ½.
@@ -87,17 +87,13 @@ class Predictor:
 
     network: TemporalNetwork
     scaling: Scaling
-    form: Form
-    base: Base
-    correction_scale: float
-    sizing: Sizing = "gap"
-    blended: tuple[Base, ...] = ()
+    answer: AnswerSettings
 
     def __call__(self, window: ObservedWindow) -> Rows:
         """Standardised rows at the queries, as training compares them with what was there."""
-        if self.form == "plain":
+        if self.answer.form == "plain":
             return self.network(window).float()
-        base = interpolated(window, self.base, self.scaling)
+        base = interpolated(window, self.answer.base, self.scaling)
         return base + self._correction(window, base)
 
     def smooth(self, window: ObservedWindow) -> Rows:
@@ -108,21 +104,21 @@ class Predictor:
         observed frames' spacing apart; in the form `exact` what that leaves at observed frames is taken away again by
         the curve through it. Plain answers stay as they are.
         """
-        if self.form == "plain" or window.times_seconds.shape[1] == 1:
+        if self.answer.form == "plain" or window.times_seconds.shape[1] == 1:
             return self(window)
         base, averaged = self._averaged(window)
-        if self.form == "exact":
+        if self.answer.form == "exact":
             _, left = self._averaged(window.asked(window.times_seconds))
             averaged = averaged - interpolated(replace(window, frames=left), "eased", self.scaling)
         return base + averaged
 
     def _correction(self, window: ObservedWindow, base: Rows) -> Rows:
         """What is added to `base`, the interpolation at the queries."""
-        added, *weights = self.network(window).float().chunk(1 + len(self.blended), dim=-1)
-        correction = self.correction_scale * size(window, self.sizing) * added
-        if self.form == "exact":
+        added, *weights = self.network(window).float().chunk(1 + len(self.answer.curves), dim=-1)
+        correction = self.answer.scale * size(window, self.answer.sizing) * added
+        if self.answer.form == "exact":
             correction = gate(window) * correction
-        for curve, weight in zip(self.blended, weights, strict=True):
+        for curve, weight in zip(self.answer.curves, weights, strict=True):
             correction = correction + weight * (interpolated(window, curve, self.scaling) - base)
         return correction
 
@@ -131,24 +127,11 @@ class Predictor:
         apart = window.times_seconds.diff(dim=1).median(dim=1, keepdim=True).values / 4.0
         here = window.queries_seconds
         three = window.asked(torch.cat((here - apart, here, here + apart), dim=1))
-        bases = interpolated(three, self.base, self.scaling)
+        bases = interpolated(three, self.answer.base, self.scaling)
         before, middle, after = self._correction(three, bases).chunk(3, dim=1)
         return bases.chunk(3, dim=1)[1], 0.25 * before + 0.5 * middle + 0.25 * after
 
 
-def predictor_of(network: TemporalNetwork, scaling: Scaling, settings: TemporalSettings) -> Predictor:
-    """A network with the form of answer that its training has."""
-    return Predictor(
-        network,
-        scaling,
-        settings.form,
-        settings.base,
-        settings.correction_scale,
-        settings.sizing,
-        settings.curves,
-    )
-
-
-def num_answers(settings: TemporalSettings, num_numbers: int) -> int:
+def num_answers(settings: AnswerSettings, num_numbers: int) -> int:
     """Numbers that a network answers for each query: a row, and a row of weights for each blended curve."""
     return num_numbers * (1 + len(settings.curves))

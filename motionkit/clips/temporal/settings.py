@@ -1,12 +1,13 @@
 """How any temporal network is trained: corpus and framerate, tasks, form of the answer, optimiser."""
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Literal
+from typing import ClassVar, Literal
 
 from motionkit.core.timegrid import parse_fps
-from motionkit.training.config import Precision
+from motionkit.training.config import Precision, Schedule, moved
 
 Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic", "eased"]
 # What becomes of a network's answer: the poses themselves; a correction of the interpolation; a correction that
@@ -61,6 +62,47 @@ class TaskSettings:
 
 
 @dataclass(frozen=True)
+class AnswerSettings:
+    """What becomes of a network's answer (`motionkit.clips.temporal.prediction`); `scale` is that of corrections."""
+
+    form: Form = "plain"
+    base: Base = "slerp"
+    blended: tuple[Base, ...] = ()
+    sizing: Sizing = "gap"
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.scale > 0:
+            raise ValueError(f"scale must be positive, not {self.scale}")
+
+    @property
+    def curves(self) -> tuple[Base, ...]:
+        """The curves whose weights a network answers: those `blended`, in forms that correct one."""
+        return () if self.form == "plain" else self.blended
+
+
+@dataclass(frozen=True)
+class LossSettings:
+    """MSE + `velocity_weight` · MSE of differences between neighbouring frames (Eq. 8 to 10, as means), or with
+    `distance` absolute both of absolute errors.
+
+    `balanced` divides each window's by that of the interpolation, so that gaps and dashes do not drown the rest, plus
+    `balance_floor` of its mean over the batch, so that windows in which hardly anything moves do not count without
+    bound.
+    """
+
+    distance: Distance = "squared"
+    velocity_weight: float = 0.5
+    balanced: bool = False
+    balance_floor: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("velocity_weight", "balance_floor"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} is 0 or more, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
 class TemporalSettings:
     """Training of a temporal network, the same for all of them.
 
@@ -68,13 +110,8 @@ class TemporalSettings:
     takes of other framerates are left out. With `finer` a window of such a take has one of the framerates from `fps` up
     to its own, so that what lies between the table's frames is learnt where it was captured. A source's share of the
     windows grows with its frames to the power 1 − `source_evenness`: 0 takes every frame as often as another, 1 every
-    source. `layout` is `smpl22`, or `native` for a corpus of one skeleton.
-
-    `form`, `base`, `sizing` and `blended`: see `motionkit.clips.temporal.prediction`. Loss: MSE + `velocity_weight` ·
-    MSE of differences between neighbouring frames (Eq. 8 to 10, as means), or with `distance` absolute both of absolute
-    errors. `balanced` divides each window's by that of the interpolation, so that gaps and dashes do not drown the
-    rest, plus `balance_floor` of its mean over the batch, so that windows in which hardly anything moves do not count
-    without bound. Schedule `steps` multiplies the rate by `rate_drop` every `drop_every` share of the steps.
+    source. `layout` is `smpl22`, or `native` for a corpus of one skeleton. In an epoch every second of the corpus is
+    the start of a window once. Weights are averaged with a decay of `ema_decay`; 0 keeps the last ones.
     """
 
     where: str = "split = 'train'"
@@ -82,47 +119,29 @@ class TemporalSettings:
     finer: bool = False
     source_evenness: float = 0.0
     layout: Literal["smpl22", "native"] = "smpl22"
-    tasks: TaskSettings = dataclasses.field(default_factory=TaskSettings)
-    form: Form = "plain"
-    base: Base = "slerp"
-    blended: tuple[Base, ...] = ()
-    sizing: Sizing = "gap"
-    correction_scale: float = 1.0
-    distance: Distance = "squared"
-    velocity_weight: float = 0.5
-    balanced: bool = False
-    balance_floor: float = 1.0
     mirrored: bool = True
-    steps: int | None = 2000
-    epochs: int | None = None
-    batch: int = 64
-    rate: float = 1e-3
-    schedule: Literal["constant", "cosine", "steps"] = "cosine"
-    rate_drop: float = 0.5
-    drop_every: float = 0.2
-    rate_warmup_fraction: float = 0.02
+    tasks: TaskSettings = dataclasses.field(default_factory=TaskSettings)
+    answer: AnswerSettings = dataclasses.field(default_factory=AnswerSettings)
+    loss: LossSettings = dataclasses.field(default_factory=LossSettings)
+    schedule: Schedule = dataclasses.field(
+        default_factory=lambda: Schedule(steps=2000, learning_rate=1e-3, kind="cosine", warmup_fraction=0.02)
+    )
     ema_decay: float = 0.0
     precision: Precision = "float32"
 
+    MOVED: ClassVar[Mapping[str, str]] = {
+        **moved("answer", "form base blended sizing", correction_scale="scale"),
+        **moved("loss", "distance velocity_weight balanced balance_floor"),
+        **moved("schedule", "steps epochs drop_every", batch="batch_size", rate="learning_rate", schedule="kind"),
+        **moved("schedule", rate_drop="drop", rate_warmup_fraction="warmup_fraction"),
+    }
+
     def __post_init__(self) -> None:
-        if (self.steps is None) == (self.epochs is None):
-            raise ValueError(f"exactly one of steps and epochs must be given, not {self.steps} and {self.epochs}")
-        for name in ("steps", "epochs", "batch", "rate", "correction_scale", "drop_every"):
-            if (value := getattr(self, name)) is not None and not value > 0:
-                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
-        for name in ("velocity_weight", "balance_floor"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} is 0 or more, not {getattr(self, name)}")
         if not 0 <= self.source_evenness <= 1:
             raise ValueError(f"source_evenness lies in [0, 1], not {self.source_evenness}")
         if not 0 <= self.ema_decay < 1:
             raise ValueError(f"ema_decay lies in [0, 1), not {self.ema_decay}")
         parse_fps(self.fps)
-
-    @property
-    def curves(self) -> tuple[Base, ...]:
-        """The curves whose weights a network answers: those `blended`, in forms that correct one."""
-        return () if self.form == "plain" else self.blended
 
     @property
     def framerate(self) -> Fraction:
@@ -141,25 +160,20 @@ def nano_training() -> TemporalSettings:
         # Of two sources of which one has nine times the other's frames, three of four windows and not nine of ten.
         source_evenness=0.5,
         tasks=ALL_TASKS,
-        form="exact",
-        base="eased",
-        balanced=True,
-        steps=8_000,
-        batch=64,
-        rate=1e-3,
-        rate_warmup_fraction=0.02,
+        answer=AnswerSettings(form="exact", base="eased"),
+        loss=LossSettings(balanced=True),
+        schedule=Schedule(steps=8_000, learning_rate=1e-3, kind="cosine", warmup_fraction=0.02),
         ema_decay=0.995,
     )
 
 
 def base_training() -> TemporalSettings:
     """An hour on a GPU of the H100's kind: `nano_training` with longer windows, larger batches and more steps."""
+    nano = nano_training()
     return dataclasses.replace(
-        nano_training(),
+        nano,
         tasks=dataclasses.replace(ALL_TASKS, num_frames=32, num_queries=32),
-        steps=60_000,
-        batch=512,
-        rate=4e-4,
+        schedule=dataclasses.replace(nano.schedule, steps=60_000, batch_size=512, learning_rate=4e-4),
         ema_decay=0.999,
         precision="auto",
     )

@@ -11,7 +11,7 @@ import torch
 
 from motionkit.clips.temporal.base_curves import Scaling
 from motionkit.clips.temporal.corpus import open_takes
-from motionkit.clips.temporal.prediction import Predictor, predictor_of
+from motionkit.clips.temporal.prediction import Predictor
 from motionkit.clips.temporal.settings import TemporalSettings
 from motionkit.clips.temporal.training import TemporalTraining
 from motionkit.clips.temporal.windows import WindowSampler
@@ -61,8 +61,8 @@ class TrainedNetwork:
 
     def __repr__(self) -> str:
         return (
-            f"TrainedNetwork({self.name}, {self.settings.form}, {self.settings.fps} fps, {self.skeleton.name}, store "
-            f"{self.store_fingerprint[:12]})"
+            f"TrainedNetwork({self.name}, {self.settings.answer.form}, {self.settings.fps} fps, {self.skeleton.name}, "
+            f"store {self.store_fingerprint[:12]})"
         )
 
 
@@ -136,7 +136,7 @@ def load_network(
     network = network.to(where).eval().requires_grad_(False)
     return TrainedNetwork(
         name=name or stage,
-        predictor=predictor_of(network, scaling.to(where), settings),
+        predictor=Predictor(network, scaling.to(where), settings.answer),
         settings=settings,
         skeleton=skeleton,
         store_fingerprint=str(description["store_fingerprint"]),

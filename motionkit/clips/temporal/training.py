@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Float32
 
 from motionkit.clips.temporal.base_curves import interpolated
-from motionkit.clips.temporal.prediction import predictor_of
-from motionkit.clips.temporal.settings import Distance, TemporalSettings
+from motionkit.clips.temporal.prediction import Predictor
+from motionkit.clips.temporal.settings import Distance
 from motionkit.clips.temporal.windows import TrainingBatch, WindowSampler
 from motionkit.training.precision import autocast
-from motionkit.training.schedule import WeightAverage, dropout_from, rate_factor, scale_rates
+from motionkit.training.schedule import WeightAverage, dropout_from, scale_rates
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 
 _Rows = Float32[torch.Tensor, "batch queries numbers"]
@@ -34,10 +34,12 @@ class TemporalTraining:
         self.scaling = sampler.measure(rng)
         settings = self.settings
         # What a network meets when it is made is standardised rows of the corpus; see `base_curves`.
-        self.predictor = predictor_of(network, self.scaling.to(device), settings)
-        self.optimizer = torch.optim.Adam([{"params": list(network.parameters()), "base_lr": settings.rate}])
+        self.predictor = Predictor(network, self.scaling.to(device), settings.answer)
+        rate = settings.schedule.learning_rate
+        self.optimizer = torch.optim.Adam([{"params": list(network.parameters()), "base_lr": rate}])
         self.average = WeightAverage(network, settings.ema_decay) if settings.ema_decay else None
-        self.steps = num_steps(settings, sampler)
+        seconds = float(sampler.takes.num_frames.sum()) / float(settings.framerate)
+        self.steps = settings.schedule.num_steps(seconds)
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
         """One step on a batch of one task."""
@@ -50,7 +52,7 @@ class TemporalTraining:
         loss = (self._weights(batch).to(self.device) * self._loss(predicted, targets)).mean()
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        scale_rates(self.optimizer, self._factor(step))
+        scale_rates(self.optimizer, settings.schedule.factor(step, self.steps))
         self.optimizer.step()
         if self.average is not None:
             self.average.update(self.network, step)
@@ -77,25 +79,17 @@ class TemporalTraining:
         if self.average is not None:
             self.average.load(unprefixed("average", tensors))
 
-    def _factor(self, step: int) -> float:
-        settings = self.settings
-        if settings.schedule != "steps":
-            return rate_factor(
-                step, self.steps, schedule=settings.schedule, warmup_fraction=settings.rate_warmup_fraction
-            )
-        return float(settings.rate_drop ** int(step / (settings.drop_every * self.steps)))
-
     def _weights(self, batch: TrainingBatch) -> Float32[torch.Tensor, "batch"]:
         """1 for every window, or where they are `balanced` the inverse of what the interpolation misses of each."""
-        if not self.settings.balanced:
+        if not self.settings.loss.balanced:
             return torch.ones(len(batch.targets))
-        curve = interpolated(batch.window, self.settings.base, self.scaling)
+        curve = interpolated(batch.window, self.settings.answer.base, self.scaling)
         missed = self._loss(curve, batch.targets)
-        return 1.0 / (missed + self.settings.balance_floor * missed.mean() + 1e-9)
+        return 1.0 / (missed + self.settings.loss.balance_floor * missed.mean() + 1e-9)
 
     def _loss(self, predicted: _Rows, targets: _Rows) -> Float32[torch.Tensor, "batch"]:
-        rows, differences = losses(predicted, targets, self.settings.distance)
-        return rows + self.settings.velocity_weight * differences
+        rows, differences = losses(predicted, targets, self.settings.loss.distance)
+        return rows + self.settings.loss.velocity_weight * differences
 
 
 def losses(
@@ -105,12 +99,3 @@ def losses(
     error = predicted - targets
     measure = torch.square if distance == "squared" else torch.abs
     return measure(error).mean(dim=(1, 2)), measure(error.diff(dim=1)).mean(dim=(1, 2))
-
-
-def num_steps(settings: TemporalSettings, sampler: WindowSampler) -> int:
-    """Training steps: `steps`, or epochs in which every second of the corpus is the start of a window once."""
-    if settings.steps is not None:
-        return settings.steps
-    assert settings.epochs is not None
-    seconds = float(sampler.takes.num_frames.sum()) / float(settings.framerate)
-    return max(1, int(np.ceil(settings.epochs * seconds / settings.batch)))

@@ -178,7 +178,7 @@ class WindowSampler:
     def batch(self, rng: np.random.Generator, scaling: Scaling) -> TrainingBatch:
         """A batch of one task, in the windows' frames, standardised."""
         task = self.task(rng)
-        return self.standardised(self.draw(rng, task, self.settings.batch), task, scaling)
+        return self.standardised(self.draw(rng, task, self.settings.schedule.batch_size), task, scaling)
 
     def standardised(self, raw: RawWindows, task: Task, scaling: Scaling) -> TrainingBatch:
         """World rows as a network sees them."""

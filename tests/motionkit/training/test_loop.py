@@ -10,11 +10,11 @@ from safetensors.torch import save_file
 
 from motionkit.core.errors import DamagedFileError
 from motionkit.core.progress import Progress
+from motionkit.training.config import rate_factor
 from motionkit.training.loop import train_loop
 from motionkit.training.run import RunError, StageFolder
 from motionkit.training.schedule import (
     WeightAverage,
-    rate_factor,
     scale_rates,
     seeded_initialisation,
     set_rate,

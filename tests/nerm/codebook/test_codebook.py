@@ -8,6 +8,7 @@ import torch
 
 from motionkit.core.errors import UsageError
 from motionkit.fields.resample import resample_positions
+from motionkit.training.config import apply_overrides
 from motionkit.training.schedule import step_generator
 from motionkit.training.tensors import save_tensors
 from nerm.codebook.network import CodebookNetwork, Quantiser, load_codes
@@ -17,8 +18,17 @@ from nerm.recipes import paper
 from nerm.settings import CodebookConfig
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 
-SMALL = CodebookConfig(
-    width=24, code_dimension=16, num_codes=32, batch=16, steps=40, window_frames=16, rate=2e-3, rate_drop_at=1000
+SMALL = apply_overrides(
+    CodebookConfig(window_frames=16),
+    [
+        "network.width=24",
+        "network.code_dimension=16",
+        "network.num_codes=32",
+        "schedule.batch_size=16",
+        "schedule.steps=40",
+        "schedule.learning_rate=0.002",
+        "schedule.drop_at=1000",
+    ],
 )
 
 
@@ -33,8 +43,9 @@ def _training(path: Path) -> CodebookTraining:
 
 def test_the_paper_s_codebook_is_t2m_gpt_s() -> None:
     config = paper().codebook
-    assert (config.num_codes, config.code_dimension, config.width, config.window_frames) == (512, 512, 512, 64)
-    network = CodebookNetwork(config, 263)
+    sizes = config.network
+    assert (sizes.num_codes, sizes.code_dimension, sizes.width, config.window_frames) == (512, 512, 512, 64)
+    network = CodebookNetwork(sizes, 263)
     # T2M-GPT's VQVAE_251 with these widths: 3 + 1 residual depth, counted from its published layer shapes.
     convolutions = [module for module in network.modules() if isinstance(module, torch.nn.Conv1d)]
     assert len(convolutions) == 2 * (2 * (1 + 2 * 3)) + 2 + 3
@@ -44,14 +55,14 @@ def test_the_paper_s_codebook_is_t2m_gpt_s() -> None:
 
 @pytest.mark.parametrize("frames", [16, 64])
 def test_time_is_shortened_four_times_and_brought_back(frames: int) -> None:
-    network = CodebookNetwork(SMALL, 133)
+    network = CodebookNetwork(SMALL.network, 133)
     features = network.encode(torch.randn(2, frames, 133))
     assert features.shape == (2, 16, frames // 4)
     assert network.decode(features).shape == (2, frames, 133)
 
 
 def test_features_become_their_nearest_codes_and_gradients_pass() -> None:
-    quantiser = Quantiser(SMALL)
+    quantiser = Quantiser(SMALL.network)
     quantiser.start(torch.randn(8, 16, 10), torch.Generator().manual_seed(0))
     features = torch.randn(3, 16, 5, requires_grad=True)
     quantised = quantiser(features)
@@ -64,7 +75,7 @@ def test_features_become_their_nearest_codes_and_gradients_pass() -> None:
 
 
 def test_codes_move_to_the_mean_of_what_chooses_them_and_unused_ones_are_reset() -> None:
-    quantiser = Quantiser(replace(SMALL, num_codes=3, code_dimension=2, ema_decay=0.5))
+    quantiser = Quantiser(replace(SMALL.network, num_codes=3, code_dimension=2, ema_decay=0.5))
     quantiser.codes.copy_(torch.tensor([[0.0, 0.0], [10.0, 10.0], [99.0, 99.0]]))
     quantiser.sums.copy_(quantiser.codes)
     features = torch.tensor([[1.0, 1.0], [1.0, 1.0], [9.0, 9.0], [9.0, 9.0]]).T[None]
@@ -109,7 +120,7 @@ def test_sequences_that_are_all_too_short_are_explained(tmp_path: Path) -> None:
 
 def test_the_loss_falls_and_many_codes_are_used(tmp_path: Path) -> None:
     training = _training(tmp_path)
-    figures = [training.step(step, step_generator(0, "codebook", step)) for step in range(SMALL.steps)]
+    figures = [training.step(step, step_generator(0, "codebook", step)) for step in range(SMALL.schedule.steps)]
     losses = [float(each["reconstruction"].detach()) for each in figures]
     assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
     assert float(figures[-1]["perplexity"]) > 8

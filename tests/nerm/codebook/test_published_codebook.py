@@ -14,16 +14,17 @@ import nerm.stages.codebook
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import make_body, perform
+from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors
 from nerm.codebook.network import CodebookNetwork, load_codes
 from nerm.codebook.published import PUBLISHED, load_published
 from nerm.recipes import nano
-from nerm.settings import CodebookConfig
+from nerm.settings import CodebookNetworkConfig
 from nerm.stages.codebook import train_codebook
 
-SMALL = CodebookConfig(width=10, code_dimension=8, num_codes=24)
+SMALL = CodebookNetworkConfig(width=10, code_dimension=8, num_codes=24)
 
 
 def convolution(out: int, channels: int, size: int, rng: np.random.Generator) -> dict[str, torch.Tensor]:
@@ -31,7 +32,7 @@ def convolution(out: int, channels: int, size: int, rng: np.random.Generator) ->
     return {"weight": torch.tensor(weight).float(), "bias": torch.tensor(rng.normal(0, 0.1, out)).float()}
 
 
-def published_state(config: CodebookConfig, numbers: int = 263) -> dict[str, torch.Tensor]:
+def published_state(config: CodebookNetworkConfig, numbers: int = 263) -> dict[str, torch.Tensor]:
     """A state dict with the names and shapes of models/vqvae.py (HumanVQVAE), down_t 2, depth 3, no norm."""
     rng, width = np.random.default_rng(0), config.width
     layers = {"encoder.model.0": (width, numbers, 3), "encoder.model.4": (config.code_dimension, width, 3)}
@@ -224,8 +225,10 @@ def test_the_stage_takes_it_in_place_of_training(
     loads = load_published
     monkeypatch.setattr(nerm.stages.codebook, "load_published", lambda *places: loads(*places, config=SMALL))
     statistics = write_statistics(tmp_path / "meta", 25.0)
-    codebook = replace(nano().codebook, published_weights=str(checkpoint), published_statistics=str(statistics))
-    refused = replace(nano(), codebook=replace(codebook, published_weights=str(tmp_path / "absent.pth")))
+    codebook = apply_overrides(
+        nano().codebook, [f"published.weights={checkpoint!s}", f"published.statistics={statistics!s}"]
+    )
+    refused = replace(nano(), codebook=apply_overrides(codebook, [f"published.weights={tmp_path / 'absent.pth'!s}"]))
     context = StageContext(store=tmp_path / "store", run=RunFolder(tmp_path / "run"), recipe="nano")
     with pytest.raises(CheckpointError, match="no such file"):
         train_codebook(context, refused)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.core.errors import MotionkitError
+from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.generate.models import SamplingOptions
+from motionkit.training.config import Schedule, apply_overrides
 from motionkit.training.loop import train_loop
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.tensors import load_tensors, save_tensors
@@ -19,16 +20,17 @@ from nerm.settings import DenoiserConfig, TransformerConfig
 
 TEXTS = ("a person walks", "someone is walking", "a jump")
 NETWORK = TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0, latent_tokens=2)
-CONFIG = DenoiserConfig(
-    network=NETWORK,
-    text_encoder="none",
-    guidance_scale=2.0,
-    batch=64,
-    steps=350,
-    epochs=None,
-    rate=3e-3,
-    schedule="cosine",
-    ema_decay=0.98,
+CONFIG = apply_overrides(
+    DenoiserConfig(network=NETWORK, ema_decay=0.98),
+    [
+        "conditions.text_encoder=none",
+        "diffusion.guidance_scale=2.0",
+        "schedule.batch_size=64",
+        "schedule.steps=350",
+        "schedule.epochs=none",
+        "schedule.learning_rate=0.003",
+        "schedule.kind=cosine",
+    ],
 )
 WALK_MEAN, JUMP_MEAN = torch.full((8,), 3.0), torch.tensor([-1.0, 5.0] * 4)
 
@@ -132,7 +134,7 @@ def test_a_file_of_something_else_is_explained(tmp_path):
 
 
 def test_resuming_equals_not_stopping(tmp_path):
-    config = replace(CONFIG, steps=12, network=replace(NETWORK, dropout=0.2))
+    config = apply_overrides(CONFIG, ["network.dropout=0.2", "schedule.steps=12"])
     paths = [tmp_path / name / "denoiser" for name in ("whole", "halves")]
     for path in paths:
         path.mkdir(parents=True)
@@ -177,14 +179,12 @@ def test_a_corpus_without_captions_or_actions():
     assert corpus.layout.actions == ()
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"steps": 5, "epochs": 5}, {"epochs": None}, {"condition_drop": 1.5}, {"ema_decay": 1.0}]
-)
+@pytest.mark.parametrize("wrong", ["schedule.steps=5", "schedule.epochs=none", "conditions.drop=1.5", "ema_decay=1.0"])
 def test_impossible_settings_are_refused(wrong):
-    with pytest.raises(ValueError, match="must"):
-        DenoiserConfig(**wrong)
+    with pytest.raises(UsageError, match=f"{wrong}: .*must"):
+        apply_overrides(DenoiserConfig(), [wrong])
 
 
 def test_epochs_count_windows():
-    assert DenoiserConfig(epochs=3, batch=64).num_steps(100) == 5
-    assert DenoiserConfig(steps=7, epochs=None).num_steps(100) == 7
+    assert Schedule(epochs=3, batch_size=64).num_steps(100) == 5
+    assert Schedule(steps=7).num_steps(100) == 7

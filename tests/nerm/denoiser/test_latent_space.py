@@ -8,19 +8,23 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from motionkit.training.config import apply_overrides
 from nerm.denoiser.latent_space import kinds_of_numbers, measured_space, places_of, steps_of
 from nerm.latents.local import local_latents
 from nerm.latents.posterior import first_read, in_use
 from nerm.settings import FieldConfig
 
-CONFIG = FieldConfig(
-    latent_layout="local",
-    latent_dimension=8 * 2 + 4 * 3 + 4 * 3,
-    knots=(8, 4),
-    knot_numbers=(2, 3),
-    path_knots=4,
-    scaling="group",
-    root_weight=3.0,
+CONFIG = apply_overrides(
+    FieldConfig(),
+    [
+        "latents.layout=local",
+        f"latents.dimension={8 * 2 + 4 * 3 + 4 * 3}",
+        "latents.knots=8,4",
+        "latents.knot_numbers=2,3",
+        "latents.path_knots=4",
+        "loss.scaling=group",
+        "loss.root_weight=3.0",
+    ],
 )
 BANKS = local_latents(CONFIG)
 assert BANKS is not None

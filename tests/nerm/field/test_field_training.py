@@ -1,4 +1,3 @@
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import cut_windows
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import field as field_vectors
+from motionkit.training.config import apply_overrides
 from motionkit.training.run import StageFolder
 from motionkit.training.schedule import step_generator
 from motionkit.training.tensors import CheckpointError, save_tensors
@@ -19,40 +19,43 @@ from nerm.field.training import FieldTraining
 from nerm.settings import FieldConfig
 from tests.helpers.nerm_corpus import FPS, analytic_positions, analytic_source
 
-SMALL = FieldConfig(
-    max_duration_seconds=4.0,
-    latent_layout="local",
-    initialisation="ridge",
-    latent_dimension=128,
-    linear_path=True,
-    initial_log_variance=-9.0,
-    framerate_scale=0.05,
-    knots=(16,),
-    knot_numbers=(8,),
-    time_encoding="fourier",
-    num_frequencies=8,
-    hidden=64,
-    layers=4,
-    activation="silu",
-    scaling="group",
-    root_weight=8.0,
-    epochs=None,
-    steps=300,
-    batch=4,
-    num_poses=32,
-    contiguous=False,
-    warmup_fraction=0.1,
-    lowest_fps=20.0,
-    rate=5e-3,
-    latent_rate=2e-2,
-    schedule="cosine",
-    weight_decay=0.0,
+SMALL = apply_overrides(
+    FieldConfig(),
+    [
+        "windows.max_duration_seconds=4.0",
+        "latents.layout=local",
+        "latents.initialisation=ridge",
+        "latents.dimension=128",
+        "decoder.linear_path=true",
+        "latents.initial_log_variance=-9.0",
+        "encoder.framerate_scale=0.05",
+        "latents.knots=16",
+        "latents.knot_numbers=8",
+        "encoder.kind=fourier",
+        "encoder.num_frequencies=8",
+        "decoder.width=64",
+        "decoder.num_layers=4",
+        "decoder.activation=silu",
+        "loss.scaling=group",
+        "loss.root_weight=8.0",
+        "schedule.epochs=none",
+        "schedule.steps=300",
+        "schedule.batch_size=4",
+        "clips.num_poses=32",
+        "clips.contiguous=false",
+        "clips.warmup_fraction=0.1",
+        "clips.lowest_fps=20.0",
+        "schedule.learning_rate=0.005",
+        "optimizer.latent_learning_rate=0.02",
+        "schedule.kind=cosine",
+        "optimizer.weight_decay=0.0",
+    ],
 )
 
 
 def _poses(config: FieldConfig = SMALL) -> WindowPoses:
     source = analytic_source()
-    windows = cut_windows(source, max_duration_seconds=config.max_duration_seconds)
+    windows = cut_windows(source, max_duration_seconds=config.windows.max_duration_seconds)
     return WindowPoses(source, windows, SMPL22.left_right_pairs)
 
 
@@ -64,14 +67,16 @@ def _losses(training: FieldTraining, steps: int) -> list[float]:
     return [float(training.step(step, step_generator(3, "field", step))["loss"].detach()) for step in range(steps)]
 
 
-BANKED = replace(
+BANKED = apply_overrides(
     SMALL,
-    latent_dimension=16 * 6 + 8 * 4 + 8 * 3,
-    knots=(16, 8),
-    knot_numbers=(6, 4),
-    path_knots=8,
-    knot_kernel="lanczos",
-    latent_rate=1e-2,
+    [
+        f"latents.dimension={16 * 6 + 8 * 4 + 8 * 3}",
+        "latents.knots=16,8",
+        "latents.knot_numbers=6,4",
+        "latents.path_knots=8",
+        "latents.kernel=lanczos",
+        "optimizer.latent_learning_rate=0.01",
+    ],
 )
 
 
@@ -196,7 +201,9 @@ def test_a_latent_is_a_motion_field(trained: TrainedField) -> None:
 
 
 def test_a_transformer_decoders_motion_is_a_function_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    training = _training(replace(SMALL, decoder="transformer", attention_rate=1e-3))
+    training = _training(
+        apply_overrides(SMALL, ["decoder.kind=transformer", "optimizer.attention_learning_rate=0.001"])
+    )
     _losses(training, 3)
     field = _finished(training)
     motion = field.as_motion_field(field.posterior_mean[1], 3.0)
@@ -224,7 +231,7 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
 
 
 def test_only_the_batch_s_latents_move() -> None:
-    training = _training(replace(SMALL, batch=1, seconds_per_visit=10.0))
+    training = _training(apply_overrides(SMALL, ["schedule.batch_size=1", "clips.seconds_per_visit=10.0"]))
     before = training.mean.table.clone()
     _losses(training, 1)
     moved = (training.mean.table != before).any(dim=1)
@@ -232,7 +239,7 @@ def test_only_the_batch_s_latents_move() -> None:
 
 
 def test_training_without_distributions_leaves_variances_alone() -> None:
-    training = _training(replace(SMALL, variational=False))
+    training = _training(apply_overrides(SMALL, ["latents.variational=false"]))
     before = training.log_variance.table.clone()
     figures = training.step(0, step_generator(3, "field", 0))
     assert torch.equal(training.log_variance.table, before)
@@ -240,12 +247,17 @@ def test_training_without_distributions_leaves_variances_alone() -> None:
 
 
 def test_without_distributions_stage_2_draws_what_stage_1_found() -> None:
-    training = _training(replace(SMALL, variational=False))
+    training = _training(apply_overrides(SMALL, ["latents.variational=false"]))
     assert float(torch.exp(0.5 * training.log_variance.table).max()) < 0.01
 
 
 def test_a_transformer_decoder_has_the_rate_of_attention() -> None:
-    training = _training(replace(SMALL, decoder="transformer", rate=1e-2, attention_rate=1e-3))
+    training = _training(
+        apply_overrides(
+            SMALL,
+            ["decoder.kind=transformer", "schedule.learning_rate=0.01", "optimizer.attention_learning_rate=0.001"],
+        )
+    )
     rates = {id(parameter): group["lr"] for group in training.optimizer.param_groups for parameter in group["params"]}
     assert {rates[id(parameter)] for parameter in training.network.layers.parameters()} == {1e-3}
     assert rates[id(training.network.output.weight)] == 1e-2
@@ -253,7 +265,7 @@ def test_a_transformer_decoder_has_the_rate_of_attention() -> None:
 
 
 def test_a_linear_path_begins_as_the_ridge_fit() -> None:
-    training = _training(replace(SMALL, linear_path=True))
+    training = _training(apply_overrides(SMALL, ["decoder.linear_path=true"]))
     batch = training.poses.evenly(np.arange(4), 50)
     with torch.no_grad():
         vectors = training.network(training.mean.table, batch.coordinates, batch.fps)

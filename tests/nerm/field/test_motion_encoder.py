@@ -30,7 +30,7 @@ SECONDS = 11.0
 def trained() -> TrainedField:
     """Trained on overlapping windows of one long motion, so that windows anywhere in it are known ground."""
     source = analytic_source(rates=(60,), seconds=SECONDS)
-    windows = cut_windows(source, max_duration_seconds=SMALL.max_duration_seconds, stride_seconds=0.5)
+    windows = cut_windows(source, max_duration_seconds=SMALL.windows.max_duration_seconds, stride_seconds=0.5)
     poses = WindowPoses(source, windows, SMPL22.left_right_pairs)
     training = FieldTraining(poses, SMALL, codebook=None, seed=3, device=torch.device("cpu"))
     for step in range(training.steps):

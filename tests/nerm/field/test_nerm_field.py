@@ -1,8 +1,7 @@
-from dataclasses import replace
-
 import pytest
 import torch
 
+from motionkit.training.config import apply_overrides
 from nerm.coordinates import (
     CodebookCoordinateAttention,
     FourierFeatures,
@@ -15,67 +14,71 @@ from nerm.field.network import FieldNetwork
 from nerm.recipes import RECIPES
 from nerm.settings import FieldConfig
 
-TINY = FieldConfig(
-    latent_dimension=32,
-    knots=(8,),
-    knot_numbers=(4,),
-    num_queries=8,
-    num_frequencies=8,
-    hidden=24,
-    layers=3,
-    epochs=None,
-    steps=1,
+TINY = apply_overrides(
+    FieldConfig(),
+    [
+        "latents.dimension=32",
+        "latents.knots=8",
+        "latents.knot_numbers=4",
+        "encoder.num_queries=8",
+        "encoder.num_frequencies=8",
+        "decoder.width=24",
+        "decoder.num_layers=3",
+        "schedule.epochs=none",
+        "schedule.steps=1",
+    ],
 )
 CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
+LOCAL = "latents.layout=local"
 VARIANTS = {
-    "paper": {},
-    "local": {"latent_layout": "local"},
-    "no time encoding": {"time_encoding": "none"},
-    "no time encoding, local": {"time_encoding": "none", "latent_layout": "local"},
-    "raw time": {"time_encoding": "raw"},
-    "raw time, local": {"time_encoding": "raw", "latent_layout": "local"},
-    "fourier": {"time_encoding": "fourier"},
-    "frame numbers": {"coordinates": "frames"},
-    "transformer": {"decoder": "transformer"},
-    "linear path": {"linear_path": True, "latent_layout": "local"},
-    "banks": {
-        "latent_layout": "local",
-        "latent_dimension": 8 * 3 + 4 * 5,
-        "knots": (8, 4),
-        "knot_numbers": (3, 5),
-        "knot_kernel": "lanczos",
-        "linear_path": True,
-    },
-    "body path": {
-        "latent_layout": "local",
-        "latent_dimension": 8 * 3 + 4 * 3,
-        "knot_numbers": (3,),
-        "path_knots": 4,
-        "scaling": "group",
-        "linear_path": True,
-    },
+    "paper": (),
+    "local": (LOCAL,),
+    "no time encoding": ("encoder.kind=none",),
+    "no time encoding, local": ("encoder.kind=none", LOCAL),
+    "raw time": ("encoder.kind=raw",),
+    "raw time, local": ("encoder.kind=raw", LOCAL),
+    "fourier": ("encoder.kind=fourier",),
+    "frame numbers": ("encoder.coordinates=frames",),
+    "transformer": ("decoder.kind=transformer",),
+    "linear path": ("decoder.linear_path=true", LOCAL),
+    "banks": (
+        LOCAL,
+        f"latents.dimension={8 * 3 + 4 * 5}",
+        "latents.knots=8,4",
+        "latents.knot_numbers=3,5",
+        "latents.kernel=lanczos",
+        "decoder.linear_path=true",
+    ),
+    "body path": (
+        LOCAL,
+        f"latents.dimension={8 * 3 + 4 * 3}",
+        "latents.knot_numbers=3",
+        "latents.path_knots=4",
+        "loss.scaling=group",
+        "decoder.linear_path=true",
+    ),
 }
 
 
-def _network(**changes: object) -> FieldNetwork:
+def _network(*changes: str) -> FieldNetwork:
     torch.manual_seed(0)
-    return FieldNetwork(replace(TINY, **changes), 66, CODES).eval()  # type: ignore[arg-type]
+    return FieldNetwork(apply_overrides(TINY, changes), 66, CODES).eval()
 
 
 def _clips(
-    batch: int = 5, poses: int = 7, dimension: int = TINY.latent_dimension
+    batch: int = 5, poses: int = 7, dimension: int = TINY.latents.dimension
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     generator = torch.Generator().manual_seed(1)
     latents = torch.randn(batch, dimension, generator=generator)
     frames = torch.randint(0, 40, (batch, poses), generator=generator)
     fps = torch.tensor([20.0, 30.0, 60.0, 120.0, 100.0], dtype=torch.float64)[:batch]
-    return latents, -1 + 2 * frames / fps[:, None] / TINY.max_duration_seconds, fps
+    return latents, -1 + 2 * frames / fps[:, None] / TINY.windows.max_duration_seconds, fps
 
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_every_variant_decodes_clips(name: str) -> None:
-    network = _network(**VARIANTS[name])
-    latents, coordinates, fps = _clips(dimension=network.config.latent_dimension)
+    network = _network(*VARIANTS[name])
+    latents, coordinates, fps = _clips(dimension=network.config.latents.dimension)
     vectors = network(latents, coordinates, fps)
     assert vectors.shape == (5, 7, 66)
     vectors.square().mean().backward()
@@ -85,8 +88,8 @@ def test_every_variant_decodes_clips(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in VARIANTS if name != "transformer"])
 def test_a_pose_depends_on_its_own_coordinate_latent_and_framerate_alone(name: str) -> None:
-    network = _network(**VARIANTS[name])
-    latents, coordinates, fps = _clips(dimension=network.config.latent_dimension)
+    network = _network(*VARIANTS[name])
+    latents, coordinates, fps = _clips(dimension=network.config.latents.dimension)
     together = network(latents, coordinates, fps)
     for clip in range(5):
         for pose in range(7):
@@ -97,8 +100,8 @@ def test_a_pose_depends_on_its_own_coordinate_latent_and_framerate_alone(name: s
 
 
 def test_through_a_context_a_transformers_pose_depends_on_nothing_else_either() -> None:
-    network = _network(**VARIANTS["transformer"])
-    latents, coordinates, fps = _clips(dimension=network.config.latent_dimension)
+    network = _network(*VARIANTS["transformer"])
+    latents, coordinates, fps = _clips(dimension=network.config.latents.dimension)
 
     def decoded(poses: list[int], num_context: int) -> torch.Tensor:
         encoded = network.encode_coordinates(coordinates[:, poses], fps)
@@ -114,10 +117,10 @@ def test_through_a_context_a_transformers_pose_depends_on_nothing_else_either() 
 
 
 def test_without_any_time_a_window_is_one_pose() -> None:
-    network = _network(time_encoding="none")
+    network = _network("encoder.kind=none")
     vectors = network(*_clips())
     torch.testing.assert_close(vectors, vectors[:, :1].expand_as(vectors))
-    moving = _network(time_encoding="raw")(*_clips())
+    moving = _network("encoder.kind=raw")(*_clips())
     assert float(moving.detach().std(dim=1).mean()) > 1e-4
 
 
@@ -152,9 +155,11 @@ def test_attention_adds_to_the_features() -> None:
 
 def test_the_decoder_is_the_paper_s() -> None:
     config = RECIPES["paper"]().field
-    assert (config.hidden, config.layers, config.activation, config.latent_dimension) == (1024, 9, "relu", 256)
-    assert (config.num_queries, config.query_width, config.attention_heads, config.attention_layers) == (256, 128, 4, 3)
-    assert (config.batch, config.rate, config.kl_weight, config.latent_layout) == (4096, 1e-4, 1e-4, "global")
+    decoder, encoder = config.decoder, config.encoder
+    assert (decoder.width, decoder.num_layers, decoder.activation, config.latents.dimension) == (1024, 9, "relu", 256)
+    assert (encoder.num_queries, encoder.query_width, encoder.num_heads, encoder.num_layers) == (256, 128, 4, 3)
+    assert (config.schedule.batch_size, config.schedule.learning_rate) == (4096, 1e-4)
+    assert (config.loss.kl_weight, config.latents.layout) == (1e-4, "global")
 
 
 def test_instants_reached_at_two_framerates_are_one_coordinate() -> None:
@@ -183,7 +188,7 @@ def test_periodic_fourier_features_have_no_seam() -> None:
 
 
 def test_a_local_latent_means_the_same_at_every_knot() -> None:
-    network = _network(latent_layout="local")
+    network = _network(LOCAL)
     latents = torch.randn(1, 8, 4)
     spacing = 2 / 8
     t = torch.tensor([[-1 + 2.3 * spacing]], dtype=torch.float64)

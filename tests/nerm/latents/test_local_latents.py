@@ -6,6 +6,7 @@ import torch
 
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import cut_windows
+from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
 from motionkit.training.config import apply_overrides
 from nerm.latents.knots import measured_heading, path_speed, placed, relative_to, turned
@@ -16,19 +17,22 @@ from nerm.recipes import paper
 from nerm.settings import FieldConfig
 from tests.helpers.nerm_corpus import MemorySource, analytic_positions, analytic_source
 
-BANKED = FieldConfig(
-    max_duration_seconds=4.0,
-    latent_layout="local",
-    latent_dimension=16 * 6 + 8 * 5 + 8 * 3,
-    knots=(16, 8),
-    knot_numbers=(6, 5),
-    path_knots=8,
-    knot_kernel="lanczos",
-    scaling="group",
-    root_weight=4.0,
-    initialisation="ridge",
-    ridge=1e-3,
-    linear_path=True,
+BANKED = apply_overrides(
+    FieldConfig(),
+    [
+        "windows.max_duration_seconds=4.0",
+        "latents.layout=local",
+        f"latents.dimension={16 * 6 + 8 * 5 + 8 * 3}",
+        "latents.knots=16,8",
+        "latents.knot_numbers=6,5",
+        "latents.path_knots=8",
+        "latents.kernel=lanczos",
+        "loss.scaling=group",
+        "loss.root_weight=4.0",
+        "latents.initialisation=ridge",
+        "latents.ridge=0.001",
+        "decoder.linear_path=true",
+    ],
 )
 
 
@@ -135,7 +139,7 @@ def test_the_linear_model_with_a_path_describes_somebody_who_walks_in_circles() 
 
     poses = _poses(_circling())
     errors = []
-    for config in (BANKED, replace(BANKED, path_knots=0, latent_dimension=16 * 6 + 8 * 5)):
+    for config in (BANKED, apply_overrides(BANKED, ["latents.path_knots=0", f"latents.dimension={16 * 6 + 8 * 5}"])):
         model = linear_model(poses, measure_scaling(poses, config), config)
         assert model is not None
         errors.append(float(_reconstructed(model, poses, model.fit(poses.evenly(np.array([0]), 128)))))
@@ -165,18 +169,19 @@ def test_what_a_short_window_does_not_reach_holds_its_last_pose() -> None:
 
 
 def test_banks_that_do_not_add_up_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"make latent_dimension=160, not 100"):
-        replace(BANKED, latent_dimension=100)
-    with pytest.raises(ValueError, match="one bank each"):
-        replace(BANKED, knots=(16,))
-    with pytest.raises(ValueError, match="scaling=group"):
-        replace(BANKED, scaling="number")
-    with pytest.raises(ValueError, match="belong to a linear model of local latents"):
-        replace(paper().field, linear_path=True)
+    with pytest.raises(UsageError, match=r"make dimension=160, not 100"):
+        apply_overrides(BANKED, ["latents.dimension=100"])
+    with pytest.raises(UsageError, match="one bank each"):
+        apply_overrides(BANKED, ["latents.knots=16"])
+    with pytest.raises(UsageError, match="scaling=group"):
+        apply_overrides(BANKED, ["loss.scaling=number"])
+    with pytest.raises(UsageError, match="belongs to a linear model of local latents"):
+        apply_overrides(paper().field, ["decoder.linear_path=true"])
 
 
 def test_banks_are_settings_of_the_command_line() -> None:
     changed = apply_overrides(
-        replace(paper(), field=BANKED), ["field.knots=8", "field.knot_numbers=10", "field.latent_dimension=104"]
+        replace(paper(), field=BANKED),
+        ["field.latents.knots=8", "field.latents.knot_numbers=10", "field.latents.dimension=104"],
     )
     assert _banks(changed.field).dimension == 104

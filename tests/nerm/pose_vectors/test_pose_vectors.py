@@ -212,19 +212,19 @@ def test_rows_of_a_cache_are_computed_once(store: Store) -> None:
 
 
 TINY = (
-    "field.time_encoding=fourier",
-    "field.max_duration_seconds=4",
-    "field.stride_seconds=4",
-    "field.hidden=48",
-    "field.layers=3",
-    "field.steps=120",
-    "field.batch=4",
-    "field.num_poses=16",
+    "field.encoder.kind=fourier",
+    "field.windows.max_duration_seconds=4",
+    "field.windows.stride_seconds=4",
+    "field.decoder.width=48",
+    "field.decoder.num_layers=3",
+    "field.schedule.steps=120",
+    "field.schedule.batch_size=4",
+    "field.clips.num_poses=16",
     "field.precision=float32",
-    "field.mirrored=true",
+    "field.windows.mirrored=true",
     # A path of the body is one of positions.
-    "field.path_knots=0",
-    "field.latent_dimension=720",
+    "field.latents.path_knots=0",
+    "field.latents.dimension=720",
 )
 
 

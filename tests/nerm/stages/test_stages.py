@@ -20,20 +20,20 @@ from nerm.stages import CODEBOOK, FIELD
 from tests.helpers.nerm_corpus import analytic_positions
 
 TINY = [
-    "codebook.steps=10",
-    "codebook.width=16",
-    "codebook.code_dimension=16",
-    "codebook.num_codes=16",
-    "codebook.batch=8",
+    "codebook.schedule.steps=10",
+    "codebook.network.width=16",
+    "codebook.network.code_dimension=16",
+    "codebook.network.num_codes=16",
+    "codebook.schedule.batch_size=8",
     "codebook.window_frames=32",
-    "field.steps=40",
-    "field.batch=8",
-    "field.hidden=32",
-    "field.layers=3",
-    "field.num_queries=8",
-    "field.num_frequencies=8",
-    "field.max_duration_seconds=3",
-    "field.stride_seconds=1",
+    "field.schedule.steps=40",
+    "field.schedule.batch_size=8",
+    "field.decoder.width=32",
+    "field.decoder.num_layers=3",
+    "field.encoder.num_queries=8",
+    "field.encoder.num_frequencies=8",
+    "field.windows.max_duration_seconds=3",
+    "field.windows.stride_seconds=1",
     "field.precision=float32",
 ]
 

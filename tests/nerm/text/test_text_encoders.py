@@ -13,6 +13,7 @@ from safetensors.numpy import load_file, save_file
 
 import nerm.text.encoders
 from motionkit.core.errors import MissingExtraError, MotionkitError
+from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.text_encoders import load_text_encoder
@@ -149,9 +150,13 @@ def test_a_sentence_encoder_from_a_folder(sentence_folder, no_network):
 
 
 def test_the_dimension_is_checked(clip_folder, no_network):
-    settings = replace(nano().denoiser, text_encoder=str(clip_folder), text_dimension=768)
+    settings = apply_overrides(
+        nano().denoiser, [f"conditions.text_encoder={clip_folder!s}", "conditions.text_dimension=768"]
+    )
     context = StageContext(clip_folder, RunFolder(clip_folder), "nano")
-    with pytest.raises(MotionkitError, match=r"gives 12 numbers, 768 are expected .* denoiser\.text_dimension=12"):
+    with pytest.raises(
+        MotionkitError, match=r"gives 12 numbers, 768 are expected .* denoiser\.conditions\.text_dimension=12"
+    ):
         DENOISER.check(context, replace(nano(), denoiser=settings))
 
 

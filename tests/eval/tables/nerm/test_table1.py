@@ -191,7 +191,7 @@ def test_what_there_is_not_is_named(store: Path, tmp_path: Path, run: Path, mode
     result = build(store, tmp_path / "results", run.with_name("nowhere"))
     assert set(rows_of(result)) == {ORACLE, FLOOR, "real"}
     assert any("NeRM: there is no run" in line for line in result.missing)
-    assert any("--set field.fixed_fps=20" in line for line in result.missing)
+    assert any("--set field.clips.fixed_fps=20" in line for line in result.missing)
 
     def refuse(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
         raise MotionkitError("this model was trained without texts")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from motionkit.clips.temporal.base_curves import Scaling, interpolated, located, seconds_beyond
 from motionkit.clips.temporal.network import ObservedWindow
 from motionkit.clips.temporal.prediction import Predictor, gate, num_answers, size
-from motionkit.clips.temporal.settings import Base, Form, TemporalSettings
+from motionkit.clips.temporal.settings import AnswerSettings, Base, Form
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.rotation_rows import poses_of, rows_of_poses
 from motionkit.fields.interpolation.curves import curve, rotation_curve
@@ -107,8 +107,8 @@ def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
     window = asked(TIMES, QUERIES, scaling)
     answer = torch.ones(1, len(QUERIES), 135)
 
-    def made(form: str) -> torch.Tensor:
-        return Predictor(lambda _: answer, scaling, form, "slerp", 0.5)(window)  # type: ignore[arg-type]
+    def made(form: Form) -> torch.Tensor:
+        return Predictor(lambda _: answer, scaling, AnswerSettings(form, "slerp", scale=0.5))(window)
 
     curve_alone = interpolated(window, "slerp", scaling)
     torch.testing.assert_close(made("plain"), answer)
@@ -153,18 +153,20 @@ def test_blended_curves_are_what_the_weights_say(scaling: Scaling) -> None:
     def made(weights: tuple[float, float]) -> torch.Tensor:
         rows = torch.tensor([0.0, *weights]).repeat_interleave(135)
         answer = rows.expand(1, len(QUERIES), -1)
-        return Predictor(lambda _: answer, scaling, "exact", "cubic", 1.0, blended=blended)(window)
+        return Predictor(lambda _: answer, scaling, AnswerSettings("exact", "cubic", blended))(window)
 
     for weights, name in (((0.0, 0.0), "cubic"), ((1.0, 0.0), "catmull-rom"), ((0.0, 1.0), "linear")):
         wanted = interpolated(window, name, scaling)  # type: ignore[arg-type]
         torch.testing.assert_close(made(weights), wanted, atol=1e-5, rtol=1e-5)
-    assert num_answers(TemporalSettings(form="exact", blended=blended), 135) == 405
-    assert num_answers(TemporalSettings(form="plain", blended=blended), 135) == 135
+    assert num_answers(AnswerSettings("exact", blended=blended), 135) == 405
+    assert num_answers(AnswerSettings("plain", blended=blended), 135) == 135
 
 
 def test_smooth_corrections_have_half_the_kink_and_leave_frames_alone(scaling: Scaling) -> None:
     times = np.arange(9) * 0.1
-    ones = Predictor(lambda asked: torch.ones(*asked.queries_seconds.shape, 135), scaling, "exact", "eased", 1.0)
+    ones = Predictor(
+        lambda asked: torch.ones(*asked.queries_seconds.shape, 135), scaling, AnswerSettings("exact", "eased")
+    )
     queries = np.linspace(0.0, 0.8, 321)
     window = asked(times, queries, scaling)
     curve = interpolated(window, "eased", scaling)
@@ -178,7 +180,9 @@ def test_smooth_corrections_have_half_the_kink_and_leave_frames_alone(scaling: S
 
 @pytest.mark.parametrize("form", ["plain", "residual", "exact"])
 def test_an_answer_that_does_not_change_in_time_stays_as_it_is(form: Form, scaling: Scaling) -> None:
-    zeros = Predictor(lambda asked: torch.zeros(*asked.queries_seconds.shape, 135), scaling, form, "eased", 1.0)
+    zeros = Predictor(
+        lambda asked: torch.zeros(*asked.queries_seconds.shape, 135), scaling, AnswerSettings(form, "eased")
+    )
     for count in (1, 2, 6):
         window = asked(TIMES[:count], QUERIES, scaling)
         torch.testing.assert_close(zeros.smooth(window), zeros(window))

@@ -31,6 +31,7 @@ from motionkit.fields.motion_field import (
     to_motion,
 )
 from motionkit.store.reader import Store
+from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.schedule import step_generator
 from motionkit.training.tensors import CheckpointError
@@ -38,11 +39,15 @@ from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.small_network import SmallConfig, SmallNetwork, load, train, write_store
 
 CPU = torch.device("cpu")
-EXACT = SmallConfig(training=replace(SmallConfig().training, form="exact", base="cubic", balanced=True, mirrored=True))
+EXACT = SmallConfig(
+    training=apply_overrides(
+        replace(SmallConfig().training, mirrored=True), ["answer.form=exact", "answer.base=cubic", "loss.balanced=true"]
+    )
+)
 
 
 def with_steps(config: SmallConfig, steps: int) -> SmallConfig:
-    return replace(config, training=replace(config.training, steps=steps))
+    return replace(config, training=apply_overrides(config.training, [f"schedule.steps={steps}"]))
 
 
 @pytest.fixture(scope="module")

@@ -15,10 +15,11 @@ from motionkit.clips.temporal.windows import TASKS, WindowSampler, draw_layout, 
 from motionkit.core.errors import UsageError
 from motionkit.features.rotation_rows import rotation_rows
 from motionkit.store.reader import Store
+from motionkit.training.config import apply_overrides
 from tests.helpers.small_network import TASKS as SMALL_TASKS
 from tests.helpers.tiny import write_store
 
-SETTINGS = TemporalSettings(tasks=SMALL_TASKS, batch=16, mirrored=False)
+SETTINGS = apply_overrides(TemporalSettings(tasks=SMALL_TASKS, mirrored=False), ["schedule.batch_size=16"])
 
 
 @pytest.fixture(scope="module")
@@ -151,13 +152,14 @@ def test_settings_that_make_no_sense_are_refused() -> None:
     for wrong in ({"gap": -1.0}, {"interpolate": 0.0}, {"smallest_factor": 0.5}, {"longest_gap": 2}, {"num_frames": 1}):
         with pytest.raises(ValueError):
             TaskSettings(**wrong)  # type: ignore[arg-type]
-    for wrong in (
-        {"epochs": 3},
-        {"batch": 0},
-        {"velocity_weight": -1.0},
-        {"ema_decay": 1.0},
-        {"fps": "fast"},
-        {"source_evenness": 2.0},
+    for setting in (
+        "schedule.epochs=3",
+        "schedule.batch_size=0",
+        "answer.scale=0",
+        "loss.velocity_weight=-1",
+        "ema_decay=1",
+        "fps=fast",
+        "source_evenness=2",
     ):
-        with pytest.raises(ValueError):
-            TemporalSettings(**wrong)  # type: ignore[arg-type]
+        with pytest.raises(UsageError, match=f"{setting}: "):
+            apply_overrides(TemporalSettings(), [setting])
