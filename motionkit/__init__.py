@@ -11,8 +11,8 @@ imported from deeper modules is for those who extend motionkit (docs/extending.m
 
 from typing import TYPE_CHECKING
 
+from motionkit.core import __version__
 from motionkit.core.public_names import give_names, provide
-from motionkit.core.version import __version__
 
 if TYPE_CHECKING:
     from motionkit.complete.motion import complete

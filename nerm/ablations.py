@@ -8,7 +8,7 @@ makes sense there too.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from motionkit.store.conditions import conjunction
+from motionkit.store.sql import conjunction
 from motionkit.training.ablations import Ablation, Ablations, Entry, Sweep, check_not_varied, check_unchanged
 from motionkit.training.config import apply_overrides, parse_override
 from motionkit.training.run import RunFolder, copy_stage

@@ -18,7 +18,7 @@ from motionkit.fields.motion_field import MotionField
 from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunError, RunFolder
-from motionkit.training.text_encoders import TextEncoder, load_text_encoder
+from motionkit.training.text import TextEncoder, load_text_encoder
 from nerm.conditions import Conditions, unit_rows
 from nerm.denoiser.trained import TrainedDenoiser, load_denoiser
 from nerm.field.trained import load_field

@@ -374,7 +374,7 @@ class LatentSpaceConfig:
 class ConditionsConfig:
     """What the denoiser is trained on.
 
-    `text_encoder` is what `motionkit.training.text_encoders.load_text_encoder` takes, or "none" to train without texts;
+    `text_encoder` is what `motionkit.training.text.load_text_encoder` takes, or "none" to train without texts;
     `text_dimension` the size its embeddings must have (None: any). A share `drop` of the batch is trained
     unconditionally; of the windows that have a caption and an action, `action_share` are trained on the action.
     """

@@ -6,7 +6,7 @@ Tables share trainings: the full model (ζ = 16, own activations, λ = 0.5, S = 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from motionkit.store.conditions import conjunction
+from motionkit.store.sql import conjunction
 from motionkit.training.ablations import Ablation, Ablations, Entry, check_not_varied
 from motionkit.training.config import apply_overrides, parse_override
 from pahires.recipes import RECIPES, PaHiResConfig

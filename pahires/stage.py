@@ -15,13 +15,13 @@ NAME = "PA-HiRes"
 
 
 def _train(context: StageContext, config: PaHiResConfig) -> None:
-    from motionkit.clips.temporal.trained import train_network
+    from motionkit.clips.temporal.training import train_network
 
     train_network(context, STAGE_NAME, config, config.training, lambda num_numbers: _network(config, num_numbers))
 
 
 def _check(context: StageContext, config: PaHiResConfig) -> None:
-    from motionkit.clips.temporal.trained import check_corpus
+    from motionkit.clips.temporal.training import check_corpus
 
     check_corpus(context, config.training)
 
@@ -36,7 +36,7 @@ def _network(config: PaHiResConfig, num_numbers: int) -> "PaHiRes":
 def load(run: Path) -> "NetworkEncoder":
     """A run's trained PA-HiRes; raises `RunError` or `CheckpointError` where there is none."""
     from motionkit.clips.temporal.encoder import NetworkEncoder
-    from motionkit.clips.temporal.trained import load_network
+    from motionkit.clips.temporal.training import load_network
 
     trained = load_network(
         run,

@@ -6,7 +6,7 @@ from typing import Any
 from torch import nn
 
 from motionkit.clips.temporal.encoder import NetworkEncoder
-from motionkit.clips.temporal.trained import load_network
+from motionkit.clips.temporal.training import load_network
 from motionkit.core.errors import UsageError
 from motionkit.fields.motion_field import MotionEncoder
 from peers.a_liif import ALiif, Lmf

@@ -17,14 +17,14 @@ from peers.recipes import (
 
 
 def _train(stage: str, context: StageContext, config: PeerConfig) -> None:
-    from motionkit.clips.temporal.trained import train_network
+    from motionkit.clips.temporal.training import train_network
     from peers.networks import network_of
 
     train_network(context, stage, config, config.training, partial(network_of, config))
 
 
 def _check(context: StageContext, config: PeerConfig) -> None:
-    from motionkit.clips.temporal.trained import check_corpus
+    from motionkit.clips.temporal.training import check_corpus
 
     check_corpus(context, config.training)
 

@@ -1,4 +1,4 @@
-"""What it costs that a store, its parts and its caches are compared with their digests.
+"""What it costs that a store, its parts and its caches are compared with their checksums.
 
     python -m benchmarks.store.checks STORE [--sources FOLDER …] [--repeats 5] [--json]
 
@@ -23,13 +23,14 @@ import pyarrow.parquet as pq
 from rich.table import Table
 
 from motionkit.cli.console import stdout
+from motionkit.core import checksums
 from motionkit.core.skeleton import Skeleton
-from motionkit.store import Store, codec, digests
+from motionkit.store import Store, codec
 from motionkit.store.cache.positions import open_cache
 from motionkit.store.ingest.ingest import ingest
 from motionkit.store.manifest import FileEntry, Manifest
+from motionkit.store.parts import SegmentReader
 from motionkit.store.schema import part_writer_options
-from motionkit.store.segment_reader import SegmentReader
 
 Patch = Callable[[], Any]
 
@@ -66,7 +67,7 @@ def first_reads(store: Store, entries: dict[str, FileEntry]) -> None:
 
 
 def fresh_cache(store: Store) -> None:
-    digests._sha256_of_version.cache_clear()
+    checksums._sha256_of_version.cache_clear()
     open_cache(store)
 
 
@@ -80,9 +81,7 @@ def measure(path: Path, sources: list[Path], repeats: int) -> dict[str, dict[str
     of_before = {name: replace(entry, footer_sha256="") for name, entry in entries.items()}
     patch = partial(partial, mock.patch)
     unchecked_cache = patch("motionkit.store.cache.positions.file_fault", lambda *arguments, **options: "")
-    unchecked_pages = patch(
-        "motionkit.store.segment_reader.pq.ParquetFile", lambda source, **options: parquet_file(source)
-    )
+    unchecked_pages = patch("motionkit.store.parts.pq.ParquetFile", lambda source, **options: parquet_file(source))
     works: dict[str, tuple[Callable[[], object], Patch | None]] = {
         "open the store": (
             lambda: Store.open(path),
@@ -101,8 +100,8 @@ def measure(path: Path, sources: list[Path], repeats: int) -> dict[str, dict[str
 def ingest_figures(sources: list[Path]) -> dict[str, float]:
     """An ingest whose pages have checksums, and one whose pages have none."""
     figures = {}
-    for name, checksums in (("checked", True), ("unchecked", False)):
-        options = part_writer_options() | {"write_page_checksum": checksums}
+    for name, wanted in (("checked", True), ("unchecked", False)):
+        options = part_writer_options() | {"write_page_checksum": wanted}
         with (
             tempfile.TemporaryDirectory() as folder,
             mock.patch("motionkit.store.parts.part_writer_options", lambda chosen=options: chosen),

@@ -19,8 +19,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.store.life.removal import remove
-from motionkit.store.life.rewrite import compact
+from motionkit.store.life.rewrite import compact, remove
 from motionkit.store.validate import faults
 
 BUSY = "another process is writing to the store"

@@ -33,7 +33,7 @@ from motionkit.core.errors import MotionkitError
 from motionkit.training.config import from_plain
 from motionkit.training.run import RunFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, rebuilding, unprefixed
-from motionkit.training.text_encoders import TextEncoder, load_text_encoder
+from motionkit.training.text import TextEncoder, load_text_encoder
 
 VERSION = "native/2"
 STAGE_NAME = "evaluator"

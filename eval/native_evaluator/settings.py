@@ -23,7 +23,7 @@ class NativeTrainingConfig:
     are those of `statistics_batches` batches; the embedding's scale is that of `whitening_batches` batches of clean
     clips at every framerate. `bank_seconds` bounds the motion that is
     held in memory per framerate, `where` chooses the store's sequences. `text_encoder` is "" (no text) or a name that
-    `motionkit.training.text_encoders` knows.
+    `motionkit.training.text` knows.
     """
 
     steps: int = 1500

@@ -29,8 +29,7 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     from motionkit.training.loop import train_loop
     from motionkit.training.precision import resolve_device
     from motionkit.training.tensors import save_tensors
-    from motionkit.training.text_embeddings import embed_texts
-    from motionkit.training.text_encoders import load_text_encoder
+    from motionkit.training.text import embed_texts, load_text_encoder
 
     store = context.open_store()
     takes = takes_of_cache(store, open_cache(store, layout=LAYOUT, where=config.training.where or None))

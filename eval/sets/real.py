@@ -11,7 +11,7 @@ from eval.sets.sets import Ragged, SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.resample import resample_positions
-from motionkit.store.conditions import conjunction
+from motionkit.store.sql import conjunction
 
 if TYPE_CHECKING:
     from motionkit.store.cache.positions import PositionCache

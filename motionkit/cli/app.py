@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 
 from motionkit.cli.console import show_warnings, stderr, stdout
+from motionkit.core import __version__
 from motionkit.core.errors import MotionkitError, UsageError, describe
-from motionkit.core.version import __version__
 
 # The exit code of what Ctrl-C has ended.
 INTERRUPTED = 130

@@ -11,7 +11,7 @@ from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.core.errors import MotionkitError, describe
 from motionkit.core.progress import task, tracked
 from motionkit.core.settings import default_path
-from motionkit.training.loaders import loader_names
+from motionkit.training.stage import loader_names
 
 
 class ClipFormat(StrEnum):

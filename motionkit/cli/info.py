@@ -58,8 +58,7 @@ def _place(offender: "Offender") -> str:
 
 if TYPE_CHECKING:
     from motionkit.store.reports.quality import QualityReport
-    from motionkit.store.reports.rigs import Rig
-    from motionkit.store.reports.summary import SourceSummary, StoreSummary
+    from motionkit.store.reports.summary import Rig, SourceSummary, StoreSummary
 
 MEGABYTE = 1e6
 SHOWN_COUNTS = 8
@@ -82,8 +81,7 @@ def info(
     """Say what a store holds: sources, hours, framerates, splits, captions, skeletons, size on disk."""
     from motionkit.store import Store
     from motionkit.store.reports.quality import report_quality
-    from motionkit.store.reports.rigs import rigs
-    from motionkit.store.reports.summary import summarise
+    from motionkit.store.reports.summary import rigs, summarise
 
     if where and not quality:
         raise UsageError("--where goes with --quality; 'motionkit query' answers anything else")

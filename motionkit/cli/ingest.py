@@ -132,7 +132,7 @@ def ingest(
     A store that exists is added to: sequences that it holds from equal files are left alone, and the same id from
     another file is refused. The store is the same whatever the engine and the number of workers.
     """
-    from motionkit.engines.choice import LOCAL
+    from motionkit.engines import LOCAL
     from motionkit.engines.process_engine import start_server
     from motionkit.store.ingest import PRELOADED
 

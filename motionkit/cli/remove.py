@@ -22,7 +22,7 @@ def remove(
 
     They are gone from its tables at once; their frames leave the disk with 'motionkit compact'.
     """
-    from motionkit.store.life.removal import remove as remove_sequences
+    from motionkit.store.life.rewrite import remove as remove_sequences
     from motionkit.store.manifest import read_manifest
 
     if not ids and where is None:

@@ -10,7 +10,7 @@ import typer
 from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.core.errors import UsageError
 from motionkit.core.settings import default_path
-from motionkit.store.conditions import conjunction
+from motionkit.store.sql import conjunction
 from motionkit.training.config import apply_overrides, flatten, parse_override, unknown_setting
 from motionkit.training.run import RunFolder, concerns
 from motionkit.training.stage import Stage, StageContext, choose_stages, registered_stages

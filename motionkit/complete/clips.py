@@ -28,9 +28,8 @@ from motionkit.formats.catalogue import writer_of, writers
 from motionkit.formats.humanml3d import VECTORS_FOLDER
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read_document
-from motionkit.store.named_motions import vectors_npy
-from motionkit.store.named_motions.found import Found, Readers, find_motions
-from motionkit.store.named_motions.holes import ReadClip, read_with_holes
+from motionkit.store.named_motions.holes import ReadClip, read_vectors, read_with_holes, write_vectors
+from motionkit.store.named_motions.reading import Found, Readers, find_motions
 
 FRAMES_AT_ONCE = 2048
 MADE, MADE_FOLDER = ".completed", re.compile(r"completed-[\d.-]+fps")
@@ -96,7 +95,7 @@ def _read(item: SourceItem, options: ReadOptions) -> Clip:
         return clip_of_document(document)
     read = read_with_holes(item, options)
     if item.path.parent.name == VECTORS_FOLDER:
-        return _in_memory(read, ".npy", vectors_npy.write_vectors)
+        return _in_memory(read, ".npy", write_vectors)
     return _as_it_came(read, item.path.suffix.lower(), f"{item.format} cannot be written")
 
 
@@ -181,7 +180,7 @@ def as_format(clip: Clip, suffix: str) -> Clip:
 
 
 def _vectors(path: Path, options: ReadOptions) -> Clip:
-    return _in_memory(vectors_npy.read_vectors(path, options), ".npy", vectors_npy.write_vectors)
+    return _in_memory(read_vectors(path, options), ".npy", write_vectors)
 
 
 def clip_of_motion(motion: Motion) -> Clip:

@@ -1,15 +1,20 @@
-"""Files that appear whole or not at all, and folders that are deleted without following links."""
+"""Files and folders that appear whole or not at all, locks between processes, deleting without following links."""
 
 import errno
 import fcntl
 import os
 import shutil
+import socket
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from motionkit.core.errors import LinkError, UsageError
+from motionkit.core.errors import LinkError, StoreError, UsageError
+
+# In a folder that is being written, and what is read of one to say who writes.
+LOCK = ".lock"
+HOLDER_BYTES = 300
 
 
 @contextmanager
@@ -147,9 +152,6 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-LOCK = ".lock"
-
-
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
     """Yield an empty folder that becomes `path`, which must be absent or empty, when the block ends without an error.
@@ -161,7 +163,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
     partial = path.with_name(f"{path.name}.partial")
     require_no_link(partial, "delete the link")
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = _lock(partial)
+    descriptor = _lock_folder(partial)
     content = partial / path.name
     try:
         _remove_content(partial)
@@ -179,7 +181,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
         os.close(descriptor)
 
 
-def _lock(partial: Path) -> int:
+def _lock_folder(partial: Path) -> int:
     """The locked descriptor of the lock's file in `partial`, which is made where it is absent."""
     lock = partial / LOCK
     while True:
@@ -208,3 +210,32 @@ def _remove_content(partial: Path) -> None:
     for entry in partial.iterdir():
         if entry.name != LOCK:
             remove_entry(entry)
+
+
+@contextmanager
+def exclusive_lock(path: Path, *, busy: str | None) -> Iterator[None]:
+    """Hold an exclusive lock on a file for as long as the block runs; the file is made where it is missing.
+
+    With `busy`, a lock that is held elsewhere raises `StoreError` with that text and the holder's name; without, it is
+    waited for. Raises `LinkError` for a symbolic link.
+    """
+    require_no_link(path, "delete the link")
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    try:
+        with naming(path):
+            _lock(descriptor, busy)
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, busy: str | None) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (fcntl.LOCK_NB if busy is not None else 0))
+    except OSError as error:
+        if error.errno not in (errno.EAGAIN, errno.EACCES):
+            raise
+        holder = os.read(descriptor, HOLDER_BYTES).decode("utf-8", "replace").strip()
+        raise StoreError(f"{busy} (held by {holder or 'an unknown process'})") from None

@@ -1,1 +1,28 @@
-"""A map over many inputs by workers: processes of this machine, or a Ray cluster."""
+"""The same map in order on processes of this machine, or on a Ray cluster."""
+
+from collections.abc import Sequence
+
+from motionkit.core.errors import UsageError
+from motionkit.engines.parallel import Engine
+from motionkit.engines.process_engine import Processes, ThisProcess
+from motionkit.engines.ray_engine import RayEngine
+
+LOCAL, RAY, RAY_ADDRESS = "local", "ray", "ray://"
+
+
+def check_engine(name: str) -> None:
+    """Raises `UsageError` for anything but `local`, `ray` and `ray://HOST:PORT`."""
+    host, _, port = name.removeprefix(RAY_ADDRESS).rpartition(":")
+    if name not in (LOCAL, RAY) and not (name.startswith(RAY_ADDRESS) and host and port.isdecimal()):
+        raise UsageError(f"--engine {name}: expected local, ray (this machine, or RAY_ADDRESS) or ray://HOST:PORT")
+
+
+def make_engine(name: str, num_workers: int | None, preload: Sequence[str] = ()) -> Engine:
+    """The engine of that name, not yet started; Ray without a number of workers uses all that the cluster has.
+
+    `preload` names modules that processes of this machine import once for all.
+    """
+    check_engine(name)
+    if name != LOCAL:
+        return RayEngine(None if name == RAY else name, num_workers)
+    return ThisProcess() if num_workers in (None, 1) else Processes(num_workers, preload)

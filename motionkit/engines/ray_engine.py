@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any
 
+from motionkit.core import __version__
 from motionkit.core.errors import MissingExtraError, MotionkitError
-from motionkit.core.version import __version__
 from motionkit.engines.parallel import WorkerDied, map_in_order
 from motionkit.engines.process_engine import usable_cores
 

@@ -1,13 +1,13 @@
 """Fields that miss the observed frames, led through them: given frames must not move, and must not jump either."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float64
 
-from motionkit.core.blocks import Blocks
 from motionkit.core.kinematics import (
     quaternion_conjugate,
     quaternion_multiply,
@@ -113,11 +113,12 @@ class AnchoredField:
         found = []
         for number in range(first // _FRAMES_AT_ONCE, (last - 1) // _FRAMES_AT_ONCE + 1):
             start = number * _FRAMES_AT_ONCE
-            found.append(self._blocks[number][max(first - start, 0) : last - start])
+            found.append(self._missed(number)[max(first - start, 0) : last - start])
         return np.concatenate(found)
 
     @cached_property
-    def _blocks(self) -> Blocks[Float64[np.ndarray, "frames numbers"]]:
+    def _missed(self) -> Callable[[int], Float64[np.ndarray, "frames numbers"]]:
+        @lru_cache(_BLOCKS_KEPT)
         def missed(number: int) -> Float64[np.ndarray, "frames numbers"]:
             start = number * _FRAMES_AT_ONCE
             some = self.observation.rows(slice(start, start + _FRAMES_AT_ONCE))
@@ -125,7 +126,7 @@ class AnchoredField:
             on_rotations = made.local_rotations is not None and self._rotations_are_observed
             return _missed(made, some, self.skeleton) if on_rotations else _missed_positions(made, some)
 
-        return Blocks(missed, _BLOCKS_KEPT)
+        return missed
 
 
 def anchored(field: MotionField, observation: Observed) -> AnchoredField:

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from motionkit.core.blocks import Blocks
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Observation, Poses, RemakePoses
 
@@ -67,12 +67,12 @@ class _Remade:
         self._source = source
         self._remake = remake
         self._last_poses: list[Poses] = []
-        self._blocks = Blocks(self._block, BLOCKS_KEPT)
+        self._kept_block = lru_cache(BLOCKS_KEPT)(self._block)
 
     def take(self, rows: Int64[np.ndarray, "rows"]) -> Poses:
         numbers = rows // FRAMES_AT_ONCE
         first, *others = [
-            self._blocks[number].rows(rows[numbers == number] - number * FRAMES_AT_ONCE)
+            self._kept_block(number).rows(rows[numbers == number] - number * FRAMES_AT_ONCE)
             for number in np.unique(numbers).tolist() or [0]
         ]
         return first.joined(others)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from motionkit.core.public_names import give_names
 
 if TYPE_CHECKING:
-    from motionkit.store.encode import RefusedMotion
+    from motionkit.store.codec import RefusedMotion
     from motionkit.store.reader import Store
     from motionkit.store.writer import StoreWriter
 
@@ -14,7 +14,7 @@ __all__ = ["RefusedMotion", "Store", "StoreWriter"]
 give_names(
     __name__,
     {
-        "RefusedMotion": "motionkit.store.encode",
+        "RefusedMotion": "motionkit.store.codec",
         "Store": "motionkit.store.reader",
         "StoreWriter": "motionkit.store.writer",
     },

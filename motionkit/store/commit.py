@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 
 from motionkit.core import files
 from motionkit.core.errors import StoreError
+from motionkit.core.files import exclusive_lock
 from motionkit.core.interrupts import held_back
-from motionkit.store.lock import LOCK_FILE, exclusive_lock
 from motionkit.store.manifest import (
     PENDING_SUFFIX,
     TABLES,
@@ -34,6 +34,7 @@ from motionkit.store.schema import (
 _PART = re.compile(
     rf"part-[0-9]{{5,10}}(\.parquet|\.parquet{re.escape(PENDING_SUFFIX)}|-[0-9a-f]{{8}}\.parquet{re.escape(PENDING_SUFFIX)})"
 )
+LOCK_FILE = ".writer.lock"
 EMPTY = Manifest(
     num_sequences=0, num_segments=0, num_frames=0, num_skeletons=0, next_sequence_index=0, next_part=0, files={}
 )

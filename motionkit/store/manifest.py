@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from motionkit.core import files
+from motionkit.core import __version__, files
 from motionkit.core.checksums import read_json, sealed, sha256_of
 from motionkit.core.errors import DamagedFileError, StoreError, describe
-from motionkit.core.version import __version__
 from motionkit.store.schema import (
     FORMAT_NAME,
     FORMAT_VERSION,

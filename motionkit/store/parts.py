@@ -1,23 +1,42 @@
-"""Segments of sequences → one Parquet part: row groups of 16–31 segments, sequences contiguous and within one part."""
+"""Parts: segments of sequences in Parquet files, written in row groups of 16–31 and read by row group."""
 
 import hashlib
 import os
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from jaxtyping import Float32, Int64
 
 from motionkit.core import files
-from motionkit.store.codec import array_of
-from motionkit.store.manifest import FileEntry, describe_file
-from motionkit.store.schema import ROW_GROUP_SEGMENTS, SEGMENTS, part_writer_options
+from motionkit.core.checksums import sha256_of
+from motionkit.core.errors import StoreError
+from motionkit.core.files import require_regular
+from motionkit.store import codec
+from motionkit.store.codec import RUN, array_of
+from motionkit.store.manifest import FileEntry, describe_file, read_manifest
+from motionkit.store.schema import (
+    FLOAT_COLUMNS,
+    KEY_COLUMNS,
+    ROW_GROUP_SEGMENTS,
+    SEGMENT_FRAMES,
+    SEGMENTS,
+    part_name,
+    part_writer_options,
+)
 
 # Behind a Parquet file's metadata: their size, and these four bytes.
 MAGIC = b"PAR1"
 _END_BYTES = 8
+# An open part is its footer: about 500 bytes for each row group. A decoded row group of long takes is 2 to 10 MB.
+KEPT_PARTS = 32
+KEPT_ROW_GROUPS = 4
 
 
 @dataclass(frozen=True)
@@ -102,3 +121,165 @@ def read_footer(path: Path) -> bytes:
             raise ValueError("it does not end as a Parquet file does")
         file.seek(num_bytes - length)
         return file.read()
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    file: pq.ParquetFile
+    row_group_starts: Int64[np.ndarray, "row_groups_and_end"]
+
+
+class SegmentReader:
+    """Owns the open parts and the decoded row groups of one committed state of a store."""
+
+    def __init__(self, store: Path, entries: Mapping[str, FileEntry]) -> None:
+        self._store = store
+        self._entries = entries
+        self._sound: set[str] = set()
+        # Not of methods: with a reader all that it keeps is let go, at once.
+        self._opened = lru_cache(KEPT_PARTS)(_open)
+        self._decoded = lru_cache(KEPT_ROW_GROUPS)(_decode)
+
+    def read(
+        self, row: Mapping[str, Any], wanted: Mapping[str, tuple[int, ...]], decode: tuple[str, ...]
+    ) -> dict[str, Float32[np.ndarray, "frames *channels"]]:
+        """Arrays [num_frames, *shape] of the wanted columns of one sequence; `decode` are the columns to keep decoded.
+
+        Raises `StoreError` where the part is damaged, or gone since the store was opened.
+        """
+        with self._explained(row):
+            self._part(row)  # before so much memory is asked for
+            out = {name: np.empty((row["num_frames"], *shape), np.float32) for name, shape in wanted.items()}
+            for rows in self._rows(row, decode):
+                _copy_segments(rows, out)
+        return out
+
+    def read_runs(self, row: Mapping[str, Any], wanted: Mapping[str, int]) -> list[pa.RecordBatch]:
+        """The segments of one sequence as they are stored, without its number; `wanted` gives the columns' widths."""
+        runs = []
+        with self._explained(row):
+            for rows in self._rows(row, FLOAT_COLUMNS):
+                frames = rows["num_frames"].to_numpy().astype(np.int64)
+                for name in FLOAT_COLUMNS:
+                    _check_lengths(rows, name, frames * wanted[name] if name in wanted else None)
+                runs += rows.select(RUN.names).to_batches()
+        return runs
+
+    def checked_part(self, name: str) -> Path:
+        """Path of a part that is what the manifest says, as far as its pages do not say it of themselves.
+
+        Pages carry checksums, which are compared when they are decoded; here it is the footer, or the whole of a part
+        whose pages have none (earlier versions wrote such), once in a process. Raises `StoreError` where it is damaged,
+        `FileNotFoundError` where it is gone.
+        """
+        path, entry = self._store / name, self._entries[name]
+        if name in self._sound:
+            return path
+        require_regular(path)
+        intact = path.stat().st_size == entry.num_bytes
+        if intact and entry.footer_sha256:
+            intact = hashlib.sha256(read_footer(path)).hexdigest() == entry.footer_sha256
+        elif intact:
+            intact = sha256_of(path) == entry.sha256
+        if not intact:
+            raise StoreError(
+                f"{path} is damaged (it is not the file that the manifest names): 'motionkit validate --store "
+                f"{self._store}' says what is; restore it from a copy, or ingest the sources into a new store"
+            )
+        self._sound.add(name)
+        return path
+
+    def _part(self, row: Mapping[str, Any]) -> _Part:
+        """The part of a sequence; raises `ValueError` where it has fewer rows than the sequence needs."""
+        part = self._opened(self.checked_part(part_name(row["part"])))
+        if not 0 <= row["first_row"] <= part.row_group_starts[-1] - row["num_segments"]:
+            raise ValueError("the part ends before the sequence does")
+        return part
+
+    def _rows(self, row: Mapping[str, Any], columns: tuple[str, ...]) -> Iterator[pa.Table]:
+        """The segments of one sequence, row group by row group."""
+        first, last = row["first_row"], row["first_row"] + row["num_segments"]
+        part = self._part(row)
+        starts = part.row_group_starts
+        while first < last:
+            group = int(np.searchsorted(starts, first, side="right")) - 1
+            table = self._decoded(part.file, group, columns)
+            stop = min(last, int(starts[group + 1]))
+            rows = table.slice(first - int(starts[group]), stop - first)
+            _check_keys(rows, row, first - row["first_row"], stop - first)
+            yield rows
+            first = stop
+
+    @contextmanager
+    def _explained(self, row: Mapping[str, Any]) -> Iterator[None]:
+        name = part_name(row["part"])
+        try:
+            yield
+        except (pa.ArrowException, OSError, ValueError, IndexError, MemoryError) as error:
+            if isinstance(error, FileNotFoundError):
+                check_still_there(self._store, [name])
+            raise StoreError(
+                f"the frames of sequence {row['sequence_id']!r} cannot be read from {name} "
+                f"({' '.join(str(error).split())}): "
+                f"'motionkit validate --store {self._store}' says what is damaged"
+            ) from None
+
+
+def check_still_there(store: Path, parts: Iterable[str]) -> None:
+    """Raise `StoreError` where a later state of the store has no use for these parts, so that they were deleted."""
+    if not set(parts) <= set(read_manifest(store).files):
+        raise StoreError(
+            f"the store {store} was written anew after it was opened (compacted, migrated, overwritten, or sequences "
+            "removed): open it again"
+        )
+
+
+def _open(path: Path) -> _Part:
+    file = pq.ParquetFile(path, page_checksum_verification=True)
+    if not file.schema_arrow.equals(SEGMENTS):
+        raise ValueError("its columns are not those of a part")
+    counts = [file.metadata.row_group(group).num_rows for group in range(file.metadata.num_row_groups)]
+    if min(counts, default=1) < 1:
+        raise ValueError("it has a row group without rows")
+    return _Part(file, np.cumsum([0, *counts], dtype=np.int64))
+
+
+def _decode(file: pq.ParquetFile, group: int, columns: tuple[str, ...]) -> pa.Table:
+    return file.read_row_group(group, columns=[*KEY_COLUMNS, *columns]).combine_chunks()
+
+
+def _check_keys(rows: pa.Table, row: Mapping[str, Any], first_segment: int, num_segments: int) -> None:
+    """Raise `ValueError` where rows are not these segments of a sequence."""
+    start = SEGMENT_FRAMES * np.arange(first_segment, first_segment + num_segments)
+    count = np.minimum(SEGMENT_FRAMES, row["num_frames"] - start)
+    for name, expected in zip(KEY_COLUMNS, (np.full_like(start, row["sequence_index"]), start, count), strict=True):
+        if not np.array_equal(rows[name].to_numpy(), expected):
+            raise ValueError(f"{name} of its segments is not what the table of sequences says")
+
+
+def _check_lengths(rows: pa.Table, name: str, lengths: Int64[np.ndarray, "segments"] | None) -> None:
+    """Raise `ValueError` where a column's lists are not as long as they should be; None is null."""
+    column = rows[name].chunk(0)
+    if lengths is None:
+        wrong = column.null_count != len(column)
+    else:
+        wrong = column.null_count > 0 or not np.array_equal(np.diff(column.offsets.to_numpy()), lengths)
+    if wrong:
+        raise ValueError(f"{name} does not have the numbers that its frames need")
+
+
+def _values(rows: pa.Table, name: str) -> tuple[Float32[np.ndarray, "_"], Int64[np.ndarray, "_"]]:
+    """A column's flat values, and the bounds of each row in them."""
+    column = rows[name].chunk(0)
+    return column.values.to_numpy(zero_copy_only=True), column.offsets.to_numpy()
+
+
+def _copy_segments(rows: pa.Table, out: Mapping[str, Float32[np.ndarray, "frames *channels"]]) -> None:
+    start, count = rows["start_frame"].to_numpy(), rows["num_frames"].to_numpy().astype(np.int64)
+    for name, target in out.items():
+        values, bounds = _values(rows, name)
+        if (np.diff(bounds) != count * target[0].size).any():
+            raise ValueError(f"{name} does not have {target[0].size} numbers for each frame")
+        for i in range(len(start)):
+            frames = target[start[i] : start[i] + count[i]]
+            codec.write_frames(values[bounds[i] : bounds[i + 1]], int(count[i]), frames)

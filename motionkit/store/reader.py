@@ -15,8 +15,9 @@ from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.store import codec
-from motionkit.store.encode import EncodedMotion
+from motionkit.store.codec import EncodedMotion
 from motionkit.store.manifest import Manifest, read_committed, read_manifest
+from motionkit.store.parts import SegmentReader, check_still_there
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
     FORMAT_VERSION,
@@ -28,7 +29,7 @@ from motionkit.store.schema import (
     table_schema,
     upgraded,
 )
-from motionkit.store.segment_reader import SegmentReader, check_still_there
+from motionkit.store.sql import query
 from motionkit.store.table_checks import require_sound
 
 
@@ -245,8 +246,6 @@ class Store:
 
     def query(self, sql: str) -> pa.Table:
         """Result of one SQL statement over `sequences`, `segments`, `skeletons`; raises `UsageError` for bad SQL."""
-        from motionkit.store.sql import query
-
         views: dict[str, Any] = {"sequences": self.sequences_table, "skeletons": self.skeletons_table}
         try:
             # Only where they are asked for: a dataset looks at each of its files.

@@ -1,30 +1,33 @@
-"""SQL over Arrow tables, by duckdb, with no way to touch a file."""
+"""SQL conditions put together, and SQL over Arrow tables by duckdb, with no way to touch a file."""
 
 from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any
-
-import duckdb
-import pyarrow as pa
+from typing import TYPE_CHECKING, Any
 
 from motionkit.core.errors import UsageError
 
-# How duckdb's versions begin to tell that a view's rows did not come, and how Arrow says why.
+if TYPE_CHECKING:
+    import duckdb
+    import pyarrow as pa
+
+# How duckdb's versions report that a view's rows did not come, and how Arrow says why.
 _OF_DAMAGED_VIEWS = ("reading the stream registered as", "get_next failed", "could not verify page integrity")
 # Arrow tables and datasets.
 Views = Mapping[str, Any]
-# How long to wait before telling duckdb again: what it is told between two statements it forgets.
+# How long to wait before interrupting duckdb again: between two statements it forgets an interrupt.
 INTERRUPT_SECONDS = 0.05
 
 
-def query(views: Views, sql: str) -> pa.Table:
+def query(views: Views, sql: str) -> "pa.Table":
     """Result of one SQL statement over the views as an Arrow table; a name that comes again gets _1, _2 …
 
     The statement can neither read nor write files: duckdb's access to them is switched off, and the views live in this
     process. Raises `UsageError` for anything but one reading statement, and with duckdb's words where
     it cannot run; `OSError` where a view cannot be read. Ctrl-C stops a statement that runs.
     """
+    import duckdb
+
     with duckdb.connect() as connection, ThreadPoolExecutor(1, "query") as thread:
         # Within duckdb, Ctrl-C would be ignored until the statement ends, or become an error of the statement.
         running = thread.submit(_query, connection, views, sql)
@@ -37,7 +40,9 @@ def query(views: Views, sql: str) -> pa.Table:
             raise
 
 
-def _query(connection: duckdb.DuckDBPyConnection, views: Views, sql: str) -> pa.Table:
+def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> "pa.Table":
+    import duckdb
+
     for name, view in views.items():
         connection.register(name, view)
     connection.execute("SET enable_external_access = false; SET lock_configuration = true")
@@ -45,7 +50,7 @@ def _query(connection: duckdb.DuckDBPyConnection, views: Views, sql: str) -> pa.
         kinds = [statement.type for statement in connection.extract_statements(sql)]
         if len(kinds) != 1 or kinds[0] not in (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN):
             raise UsageError("one statement that only reads is expected: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE …")
-        return _told_apart(connection.sql(sql).to_arrow_table())
+        return _with_unique_names(connection.sql(sql).to_arrow_table())
     except duckdb.Error as error:
         said = " ".join(str(error).split())
         if any(words in said for words in _OF_DAMAGED_VIEWS):
@@ -53,7 +58,7 @@ def _query(connection: duckdb.DuckDBPyConnection, views: Views, sql: str) -> pa.
         raise UsageError(f"duckdb: {said}") from None
 
 
-def _told_apart(table: pa.Table) -> pa.Table:
+def _with_unique_names(table: "pa.Table") -> "pa.Table":
     # SELECT * over a join repeats names, and whoever reads columns by name would see one of them twice.
     seen: Counter[str] = Counter()
     names = []
@@ -61,3 +66,9 @@ def _told_apart(table: pa.Table) -> pa.Table:
         names.append(f"{name}_{seen[name]}" if seen[name] else name)
         seen[name] += 1
     return table.rename_columns(names)
+
+
+def conjunction(*conditions: str | None) -> str:
+    """The condition that all of those given (neither None nor empty) make together; empty where there is none."""
+    given = [condition for condition in conditions if condition]
+    return given[0] if len(given) == 1 else " AND ".join(f"({condition})" for condition in given)

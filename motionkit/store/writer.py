@@ -17,7 +17,7 @@ from motionkit.core.interrupts import held_back
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.store import codec
-from motionkit.store.codec import table_of
+from motionkit.store.codec import EncodedMotion, RefusedMotion, encode, table_of
 from motionkit.store.commit import (
     EMPTY,
     changing,
@@ -27,7 +27,6 @@ from motionkit.store.commit import (
     require_present_version,
     write_pending,
 )
-from motionkit.store.encode import EncodedMotion, RefusedMotion, encode
 from motionkit.store.manifest import FileEntry, Manifest
 from motionkit.store.parts import PartWriter, PendingPart
 from motionkit.store.reader import not_committed, open_table

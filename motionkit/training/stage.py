@@ -1,15 +1,16 @@
-"""What can be trained: stages, found through the entry point group `motionkit.stages`.
+"""What packages bring to be trained and to be loaded from runs: entry points that name a `Stage` or a `Loader`.
 
-An entry point names a module attribute that is a `Stage`. That module must import lightly (no torch at module level):
-`motionkit train --help` reads every stage.
+The entry point's module must import lightly (no torch at module level), for commands and titles are listed without
+loading anything. A plain function from a run folder does as a loader: its title is then the entry point's name, and so
+is the stage that must be trained.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
@@ -19,6 +20,8 @@ from motionkit.training.run import RunFolder, StageFolder, begin_stage, check_sa
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
     from motionkit.training.ranks import Ranks
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -151,3 +154,50 @@ def choose_stages(name: str, stages: Mapping[str, Stage[Any]]) -> tuple[Stage[An
     if name not in stages:
         raise UsageError(f"no stage is called {name!r}; there are: {', '.join([*stages, 'all'])}")
     return (stages[name],)
+
+
+@dataclass(frozen=True)
+class Loader(Generic[T]):
+    """Something that is loaded from the stages of a run.
+
+    `title` is its name in tables and messages; `stages` are those that it is made of; where there are several loaders,
+    the one of the lowest `order` comes first.
+    """
+
+    title: str
+    stages: tuple[str, ...]
+    load: Callable[[Path], T]
+    order: int = 100
+
+    def begun_in(self, run: Path) -> bool:
+        """Whether a run holds a trained stage of it, though perhaps not all of them."""
+        stages = [RunFolder(run).stage(name) for name in self.stages]
+        return any(stage.is_complete or stage.model_path.is_file() for stage in stages)
+
+    def complete_in(self, run: Path) -> bool:
+        """Whether all its stages are trained in a run."""
+        return all(RunFolder(run).stage(name).is_complete for name in self.stages)
+
+    def train_command(self, run: Path | None = None) -> str:
+        """The command that trains it, its last stage at least."""
+        return f"motionkit train --stage {self.stages[-1]}" + (f" --run {run.name}" if run else "")
+
+
+LoaderT = TypeVar("LoaderT", bound=Loader[Any])
+
+
+def loader_names(group: str) -> tuple[str, ...]:
+    """Names of all loaders of an entry point group, sorted; nothing is imported."""
+    return tuple(sorted({entry.name for entry in entry_points(group=group)}))
+
+
+def installed_loaders(group: str, kind: type[LoaderT]) -> dict[str, LoaderT]:
+    """All loaders of an entry point group by name, sorted by their order; `kind` is what plain functions become."""
+    found = {entry.name: loader_of(entry, kind) for entry in entry_points(group=group)}
+    return dict(sorted(found.items(), key=lambda named: (named[1].order, named[0])))
+
+
+def loader_of(entry: EntryPoint, kind: type[LoaderT]) -> LoaderT:
+    """The loader that an entry point names."""
+    named = entry.load()
+    return named if isinstance(named, kind) else kind(entry.name, (entry.name,), named)

@@ -15,9 +15,8 @@ from motionkit.export.player.page import check_places, write_page
 from motionkit.export.player.takes import Take, take_of
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read_document
-from motionkit.store.named_motions.found import Found, Readers, find_motions, find_stored
-from motionkit.store.named_motions.holes import ReadClip, read_with_holes
-from motionkit.store.named_motions.vectors_npy import read_vectors
+from motionkit.store.named_motions.holes import ReadClip, read_vectors, read_with_holes
+from motionkit.store.named_motions.reading import Found, Readers, find_motions, find_stored
 
 ViewSource = Found[ReadClip]
 

@@ -10,9 +10,8 @@ from motionkit.core.motion import Motion
 from motionkit.export.player.page import page_of
 from motionkit.export.player.takes import packed_bytes, take_of
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.store.named_motions.found import Found
 from motionkit.store.named_motions.holes import ReadClip
-from motionkit.store.named_motions.reading import check_exists
+from motionkit.store.named_motions.reading import Found, check_exists
 from motionkit.view import MOST_MOTIONS
 from motionkit.view.job import Stretch, ViewSource, find_sources, page_path, read_takes, write_view
 

@@ -14,8 +14,7 @@ from torch import Tensor
 from motionkit.clips.windows import Windows
 from motionkit.store.cache.folder import cache_root
 from motionkit.store.reader import Store
-from motionkit.training.text_embeddings import embed_texts
-from motionkit.training.text_encoders import TextEncoder
+from motionkit.training.text import TextEncoder, embed_texts
 from nerm.conditions import NO_ACTION, ConditionLayout, Conditions, mirrored_text, overlapping_captions, unit_rows
 from nerm.latents.local import LocalLatents
 from nerm.latents.posterior import first_read

@@ -11,8 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Float32, Float64, Int, Int64
 
-from motionkit.clips.frame_vectors import FrameVectors
-from motionkit.clips.poses import PoseBatch, WindowPoses
+from motionkit.clips.poses import FrameVectors, PoseBatch, WindowPoses
 from motionkit.clips.reconstruction import ModelWindows
 from motionkit.clips.windows import PositionSource, Windows, cut_windows
 from motionkit.core.skeleton import SMPL22

@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64
 
-from motionkit.clips.frame_vectors import FrameVectors
-from motionkit.clips.poses import WindowPoses
+from motionkit.clips.poses import FrameVectors, WindowPoses
 from motionkit.clips.windows import chunks
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Poses

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from motionkit.clips.frame_vectors import FramePositions, FrameVectors
+from motionkit.clips.poses import FramePositions, FrameVectors
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features import field
 from motionkit.fields.motion_field import Poses

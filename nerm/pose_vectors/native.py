@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from motionkit.clips.frame_vectors import FrameVectors
+from motionkit.clips.poses import FrameVectors
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features import field, native
 from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.fields.motion_field import Poses
-from motionkit.store.cache.derived import derived_rows
 from motionkit.store.cache.positions import PositionCache, open_cache
 from motionkit.store.cache.row_file import RowFile
 from motionkit.store.reader import Store
@@ -88,7 +87,7 @@ class NativeVectors:
                 else:
                     yield native.vectors(positions, SMPL22.name, cache.exact_fps(sequence))
 
-        return cache, NativeRows(derived_rows(cache, NATIVE_ROWS, self.num_numbers, compute))
+        return cache, NativeRows(cache.derived_rows(NATIVE_ROWS, self.num_numbers, compute))
 
     def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "instants"]:
         """All from the window's start, no more than 1/120 s apart: the path is integrated over them."""

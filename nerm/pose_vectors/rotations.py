@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
-from motionkit.clips.frame_vectors import FrameVectors
+from motionkit.clips.poses import FrameVectors
 from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import FLIP, TURN_BACK
@@ -20,11 +20,10 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features import field
 from motionkit.features.rotation_rows import closest_rotations, num_numbers, two_columns
 from motionkit.fields.motion_field import Poses
-from motionkit.store.cache.derived import derived_rows
 from motionkit.store.cache.positions import PositionCache, open_cache
 from motionkit.store.cache.row_file import RowFile
-from motionkit.store.conditions import conjunction
 from motionkit.store.reader import Store
+from motionkit.store.sql import conjunction
 
 NAMES = (*SMPL22.joint_names, "left_hand", "right_hand")
 PARENTS = (*SMPL22.parents, SMPL22.index("left_wrist"), SMPL22.index("right_wrist"))
@@ -110,7 +109,7 @@ class RotationVectors:
         partners = list(range(joints))
         for left, right in self.skeleton.left_right_pairs:
             partners[left], partners[right] = right, left
-        rows = derived_rows(cache, f"rotations-{joints}-1", 3 + 4 * joints, compute)
+        rows = cache.derived_rows(f"rotations-{joints}-1", 3 + 4 * joints, compute)
         return cache, RotationRows(rows, tuple(partners))
 
     def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:

@@ -9,7 +9,7 @@ from motionkit.training.loop import train_loop
 from motionkit.training.precision import float32_products, resolve_device, with_precision_of
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
-from motionkit.training.text_encoders import TextEncoder, load_text_encoder
+from motionkit.training.text import TextEncoder, load_text_encoder
 from nerm.denoiser.corpus import corpus_of
 from nerm.denoiser.trained import STAGE_NAME, save_denoiser
 from nerm.denoiser.training import DenoiserTraining

@@ -6,8 +6,7 @@ import time
 import torch
 from jaxtyping import Float32
 
-from motionkit.clips.frame_vectors import FrameVectors
-from motionkit.clips.poses import WindowPoses
+from motionkit.clips.poses import FrameVectors, WindowPoses
 from motionkit.core.progress import warn
 from motionkit.core.skeleton import SMPL22
 from motionkit.store.cache.positions import PositionCache

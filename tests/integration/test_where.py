@@ -14,7 +14,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.motion_field import to_motion
 from motionkit.quality import measure
-from motionkit.store.conditions import conjunction
+from motionkit.store.sql import conjunction
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import draw_body, perform
 from motionkit.training.config import flatten

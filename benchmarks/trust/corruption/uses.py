@@ -48,7 +48,7 @@ def embeddings(folder: str) -> None:
 
 def texts(folder: str) -> None:
     """Embeddings of texts that are computed once and kept."""
-    from motionkit.training.text_embeddings import embed_texts
+    from motionkit.training.text import embed_texts
 
     _print(embed_texts(_Encoder(), ("a person walks", "somebody jumps"), Path(folder)))  # type: ignore[arg-type]
 

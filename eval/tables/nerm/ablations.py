@@ -11,6 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from motionkit.training.loaders import Loader
+
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, environment, measure
 from eval.sets.found import Found
@@ -25,7 +27,6 @@ from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import OnProgress, task
 from motionkit.generate.models import ModelLoader, model_loader
 from motionkit.training.ablations import Ablation, Entry, find_ablations, run_name
-from motionkit.training.loaders import Loader
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import recorded_settings
 

@@ -12,7 +12,6 @@ from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotation_rows import num_numbers, rotation_rows, rows_of_poses
 from motionkit.fields.motion_field import Poses
-from motionkit.store.cache.derived import derived_rows
 from motionkit.store.cache.positions import PositionCache, open_cache
 from motionkit.store.cache.row_file import RowFile
 from motionkit.store.reader import Store
@@ -81,7 +80,7 @@ def open_takes(store: Store, settings: TemporalSettings) -> Takes:
             f"{', '.join(rates[:8])}): choose another fps, or another where"
         )
     size = num_numbers(skeleton.num_joints)
-    rows = derived_rows(cache, "rotation-rows-1", size, lambda: _vectors(store, cache, skeleton))
+    rows = cache.derived_rows("rotation-rows-1", size, lambda: _vectors(store, cache, skeleton))
     keep_every = np.maximum(keep_every, 1)
     names = store.columns("source")["source"].loc[cache.sequence_index[chosen]].to_numpy(str)
     return Takes(

@@ -5,9 +5,9 @@ and in the middle of an overlap one window's answer gives way to the next. So me
 beyond its own rows, and a pose depends on what is observed and on its time alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -16,8 +16,7 @@ from jaxtyping import Float32, Float64, Int64
 
 from motionkit.clips.temporal.base_curves import WindowFrames
 from motionkit.clips.temporal.network import ObservedWindow
-from motionkit.clips.temporal.trained import TrainedNetwork
-from motionkit.core.blocks import Blocks
+from motionkit.clips.temporal.training import TrainedNetwork
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotation_rows import PoseRows, num_numbers, poses_of, rows_of_poses
 from motionkit.fields.interpolation.joints import with_rotations
@@ -169,25 +168,26 @@ class NetworkField:
     def rows(self, start: int, stop: int) -> PoseRows:
         """The rotation rows of observed poses [start, stop)."""
         numbers = range(start // FRAMES_AT_ONCE, (stop - 1) // FRAMES_AT_ONCE + 1)
-        blocks = [self._blocks[number] for number in numbers]
+        blocks = [self._block(number) for number in numbers]
         here = slice(start - numbers[0] * FRAMES_AT_ONCE, stop - numbers[0] * FRAMES_AT_ONCE)
         vectors = np.concatenate([block.vectors for block in blocks])[here]
         bones = np.concatenate([block.bones for block in blocks])[here]
         return PoseRows(vectors, bones, blocks[0].skeleton)
 
     @cached_property
-    def _blocks(self) -> Blocks[PoseRows]:
+    def _block(self) -> Callable[[int], PoseRows]:
         # In the 22-joint layout rotations are found from that layout's own rest pose, so that rows mean the same.
         observed = self.observation
         if not self._has_rotations and observed.skeleton.joint_names == SMPL22.joint_names:
             observed = observed.remade(lambda some, _: some.poses, SMPL22)
         turned = with_rotations(observed)
 
+        @lru_cache(BLOCKS_KEPT)
         def block(number: int) -> PoseRows:
             start = number * FRAMES_AT_ONCE
             return rows_of_poses(turned.rows(slice(start, start + FRAMES_AT_ONCE)).poses, turned.skeleton)
 
-        return Blocks(block, BLOCKS_KEPT)
+        return block
 
     @cached_property
     def _has_rotations(self) -> bool:

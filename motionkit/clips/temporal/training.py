@@ -1,20 +1,43 @@
-"""The training of any temporal network: one loop, one loss, one corpus, whatever the network (Eq. 8 to 10)."""
+"""The training of any temporal network, and its file: one loss and one corpus for all (Eq. 8 to 10)."""
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from jaxtyping import Float32
 
-from motionkit.clips.temporal.base_curves import interpolated
+from motionkit.clips.temporal.base_curves import Scaling, interpolated
+from motionkit.clips.temporal.corpus import open_takes
 from motionkit.clips.temporal.prediction import Predictor
-from motionkit.clips.temporal.settings import Distance
+from motionkit.clips.temporal.settings import Distance, TemporalSettings
 from motionkit.clips.temporal.windows import TrainingBatch, WindowSampler
-from motionkit.training.precision import autocast
-from motionkit.training.schedule import WeightAverage, dropout_from, scale_rates
-from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from motionkit.core.skeleton import Feet, Skeleton
+from motionkit.training.config import ConfigLike, from_plain, to_plain
+from motionkit.training.loop import train_loop
+from motionkit.training.precision import autocast, float32_products, resolve_device
+from motionkit.training.run import RunFolder
+from motionkit.training.schedule import WeightAverage, dropout_from, scale_rates, seeded_initialisation
+from motionkit.training.stage import StageContext
+from motionkit.training.tensors import (
+    CheckpointError,
+    load_optimizer_tensors,
+    load_tensors,
+    optimizer_tensors,
+    prefixed,
+    rebuilding,
+    save_tensors,
+    unprefixed,
+)
 
 _Rows = Float32[torch.Tensor, "batch queries numbers"]
+FORMAT, FORMAT_VERSION = "temporal-network", 2
+SettingsT = TypeVar("SettingsT")
+# Makes a network for rows of so many numbers, with weights drawn from torch's global generator.
+Factory = Callable[[int], torch.nn.Module]
 
 
 class TemporalTraining:
@@ -99,3 +122,138 @@ def losses(
     error = predicted - targets
     measure = torch.square if distance == "squared" else torch.abs
     return measure(error).mean(dim=(1, 2)), measure(error.diff(dim=1)).mean(dim=(1, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedNetwork:
+    """A trained network with all that is needed to ask it: scales, the form of its answer, the skeleton's joints."""
+
+    name: str
+    predictor: Predictor
+    settings: TemporalSettings
+    skeleton: Skeleton
+    store_fingerprint: str
+
+    @property
+    def spacing_seconds(self) -> float:
+        """Seconds between the frames that training asked for: what networks are told is aimed at."""
+        return 1.0 / float(self.settings.framerate)
+
+    @property
+    def reach_seconds(self) -> float:
+        """How far beyond what is observed training went; 0 where it did not."""
+        tasks = self.settings.tasks
+        return tasks.longest_reach * self.spacing_seconds if tasks.extend > 0 else 0.0
+
+    @property
+    def longest_gap_seconds(self) -> float:
+        """The longest time between neighbouring observed frames in training."""
+        tasks = self.settings.tasks
+        longest = max(np.ceil(tasks.largest_factor), tasks.longest_gap + 1 if tasks.gap > 0 else 0)
+        return float(longest) * self.spacing_seconds
+
+    def __repr__(self) -> str:
+        return (
+            f"TrainedNetwork({self.name}, {self.settings.answer.form}, {self.settings.fps} fps, {self.skeleton.name}, "
+            f"store {self.store_fingerprint[:12]})"
+        )
+
+
+def train_network(
+    context: StageContext, stage: str, config: ConfigLike, settings: TemporalSettings, make: Factory
+) -> None:
+    """Train what `make` makes on the context's store; writes RUN/STAGE/model.safetensors, which `load_network` reads.
+
+    `settings` are a part of `config`, which is recorded whole. Errors are those of `open_takes` and `train_loop`.
+    """
+    started = time.perf_counter()
+    store, device = context.open_store(), resolve_device(context.device)
+    takes = open_takes(store, settings)
+    folder = context.begin(stage, config, store_fingerprint=store.fingerprint)
+    with seeded_initialisation(context.seed, stage):
+        network = make(takes.num_numbers)
+    training = TemporalTraining(network, WindowSampler(takes, settings), seed=context.seed, device=device)
+    with float32_products(settings.precision):
+        figures = train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
+    tensors = prefixed("network", training.trained_tensors()) | prefixed(
+        "scaling", {"mean": training.scaling.mean, "scale": training.scaling.scale}
+    )
+    description = {
+        "format": FORMAT,
+        "version": FORMAT_VERSION,
+        "stage": stage,
+        "config": to_plain(config),
+        "skeleton": _described(takes.skeleton),
+        "store_fingerprint": store.fingerprint,
+    }
+    save_tensors(
+        folder.model_path, tensors | {"skeleton.offsets": torch.from_numpy(takes.skeleton.offsets)}, description
+    )
+    hours = float(takes.num_frames.sum()) / float(settings.framerate) / 3600
+    facts = {"takes": len(takes.num_frames), "takes_skipped": takes.skipped, "hours": round(hours, 3)}
+    folder.finish({**figures, **facts, "wall_seconds": round(time.perf_counter() - started, 1)})
+
+
+def check_corpus(context: StageContext, settings: TemporalSettings) -> None:
+    """Raise what would stop a training: no take at the framerate."""
+    open_takes(context.open_store(), settings)
+
+
+def load_network(
+    run: RunFolder | Path,
+    stage: str,
+    config_type: type[SettingsT],
+    make: Callable[[SettingsT, int], torch.nn.Module],
+    settings_of: Callable[[SettingsT], TemporalSettings],
+    *,
+    name: str | None = None,
+    device: str = "cpu",
+) -> TrainedNetwork:
+    """A run's trained network of a stage; raises `RunError` or `CheckpointError` where there is none of this kind."""
+    folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(stage)
+    if not folder.model_path.is_file():
+        folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    again = f"train it again (motionkit train --stage {stage} --overwrite)"
+    found = tuple(description.get(key) for key in ("format", "version", "stage"))
+    if found != (FORMAT, FORMAT_VERSION, stage):
+        raise CheckpointError(f"{folder.model_path} is {found}, expected {(FORMAT, FORMAT_VERSION, stage)}: {again}")
+    where = resolve_device(device)
+    with rebuilding(folder.model_path, stage, tensors):
+        config = from_plain(config_type, description["config"])
+        settings = settings_of(config)
+        scaling = Scaling(tensors["scaling.mean"], tensors["scaling.scale"])
+        network = make(config, len(scaling.mean))
+        network.load_state_dict(unprefixed("network", tensors))
+        skeleton = _restored(description["skeleton"], tensors["skeleton.offsets"].numpy())
+    network = network.to(where).eval().requires_grad_(False)
+    return TrainedNetwork(
+        name=name or stage,
+        predictor=Predictor(network, scaling.to(where), settings.answer),
+        settings=settings,
+        skeleton=skeleton,
+        store_fingerprint=str(description["store_fingerprint"]),
+    )
+
+
+def _described(skeleton: Skeleton) -> dict[str, Any]:
+    feet = skeleton.feet
+    return {
+        "name": skeleton.name,
+        "joint_names": list(skeleton.joint_names),
+        "parents": list(skeleton.parents),
+        "left_right_pairs": [list(pair) for pair in skeleton.left_right_pairs],
+        "feet": None if feet is None else [feet.left_ankle, feet.left_toe, feet.right_ankle, feet.right_toe],
+    }
+
+
+def _restored(described: dict[str, Any], offsets: np.ndarray) -> Skeleton:
+    feet = described["feet"]
+    return Skeleton(
+        name=str(described["name"]),
+        joint_names=tuple(map(str, described["joint_names"])),
+        parents=tuple(map(int, described["parents"])),
+        offsets=offsets,
+        left_right_pairs=tuple((int(left), int(right)) for left, right in described["left_right_pairs"]),
+        feet=None if feet is None else Feet(*map(int, feet)),
+    )

@@ -8,13 +8,12 @@ straight line while every joint turns at a constant rate and bones keep their le
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64
 
-from motionkit.core.blocks import Blocks
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation.curves import CurveKind, RotationKind, curve, rotation_curve
@@ -71,7 +70,7 @@ class InterpolatedField:
         block = np.clip(segment, 0, max(0, len(self.observation) - 2)) // FRAMES_AT_ONCE
         result: Poses | None = None
         for number in np.unique(block).tolist() or [0]:
-            rows, poses_at = np.flatnonzero(block == number), self._blocks[number]
+            rows, poses_at = np.flatnonzero(block == number), self._curves(number)
             for start in range(0, max(1, len(rows)), TIMES_AT_ONCE):
                 some = rows[start : start + TIMES_AT_ONCE]
                 (poses,) = poses_at(times[some])
@@ -81,15 +80,16 @@ class InterpolatedField:
         return result
 
     @cached_property
-    def _blocks(self) -> Blocks[PosesAt]:
+    def _curves(self) -> Callable[[int], PosesAt]:
         margin = self.interpolator.margin_frames
 
+        @lru_cache(BLOCKS_KEPT)
         def curves(number: int) -> PosesAt:
             first = number * FRAMES_AT_ONCE
             frames = slice(max(0, first - margin), first + FRAMES_AT_ONCE + 1 + margin)
             return self.interpolator.make([self.observation.rows(frames)])
 
-        return Blocks(curves, BLOCKS_KEPT)
+        return curves
 
 
 @dataclass(frozen=True)

@@ -6,16 +6,15 @@ asked for last.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from motionkit.core.blocks import Blocks
 from motionkit.core.errors import FormatError
 from motionkit.formats.bvh.text import BvhText
 from motionkit.formats.source import number_table
@@ -50,7 +49,7 @@ class FrameLines:
     def line(self, frame: int) -> bytes:
         """The line of a frame as written, without the white space around it."""
         number, place = divmod(frame, FRAMES_AT_ONCE)
-        return self._blocks[number].lines[place]
+        return self._kept_block(number).lines[place]
 
     def table(self, frames: Int64[np.ndarray, "rows"]) -> Float64[np.ndarray, "rows channels"]:
         """The numbers of frames, in any order (file units, degrees)."""
@@ -58,7 +57,7 @@ class FrameLines:
         numbers = frames // FRAMES_AT_ONCE
         for number in np.unique(numbers).tolist():
             here = np.flatnonzero(numbers == number)
-            result[here] = self._blocks[number].table[frames[here] - number * FRAMES_AT_ONCE]
+            result[here] = self._kept_block(number).table[frames[here] - number * FRAMES_AT_ONCE]
         return result
 
     def tables(self) -> Iterator[Float64[np.ndarray, "some channels"]]:
@@ -67,8 +66,8 @@ class FrameLines:
             yield self.table(np.arange(start, min(start + FRAMES_AT_ONCE, len(self))))
 
     @cached_property
-    def _blocks(self) -> Blocks["_Block"]:
-        return Blocks(self._block, BLOCKS_KEPT)
+    def _kept_block(self) -> "Callable[[int], _Block]":
+        return lru_cache(BLOCKS_KEPT)(self._block)
 
     def _block(self, number: int) -> "_Block":
         first, stop = number * FRAMES_AT_ONCE, min(len(self), (number + 1) * FRAMES_AT_ONCE)

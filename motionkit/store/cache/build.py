@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionkit.core.checksums import sha256_of, write_json
+from motionkit.core.checksums import FileDigest, sha256_of, write_json
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.files import write_whole
 from motionkit.core.progress import tracked
@@ -25,7 +25,6 @@ from motionkit.store.cache.folder import (
     mark,
 )
 from motionkit.store.cache.row_file import write_rows
-from motionkit.store.digests import FileDigest
 from motionkit.store.reader import Store
 
 if TYPE_CHECKING:

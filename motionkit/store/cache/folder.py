@@ -13,9 +13,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from motionkit.core.errors import DamagedFileError, LinkError, StoreError
-from motionkit.core.files import require_no_link, temporary_name, write_whole
+from motionkit.core.files import exclusive_lock, require_no_link, temporary_name, write_whole
 from motionkit.core.settings import optional_path
-from motionkit.store.lock import exclusive_lock
 from motionkit.store.schema import CACHE_FOLDER
 
 # With another number a cache is another one: of other files, or of other numbers in them.
@@ -117,7 +116,7 @@ def remove_stale_caches(store: Path, fingerprint: str) -> None:
 def remove_cache(folder: Path) -> None:
     """Remove a cache's own files, and its folder unless somebody else has put something there."""
     names = {entry.name for entry in os.scandir(folder) if not entry.is_dir(follow_symlinks=False)}
-    # Whatever is derived from a cache has a lock (motionkit.store.cache.derived).
+    # Whatever is derived from a cache has a lock (`PositionCache.derived_rows`).
     derived = [name[1:].removesuffix(".lock") for name in names if name.startswith(".") and name.endswith(".lock")]
     own = [CACHE_FILE, INDEX_FILE, POSITIONS_FILE]
     for name in derived:

@@ -6,8 +6,8 @@ a cache that fits. `cache.json` holds the digests of its other files, which are 
 """
 
 import zipfile
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int, Int32, Int64
 
-from motionkit.core.checksums import read_json
+from motionkit.core.checksums import FileDigest, file_fault, read_json, write_json
 from motionkit.core.errors import DamagedFileError, StoreError, UsageError
-from motionkit.core.files import require_no_link, require_regular
+from motionkit.core.files import exclusive_lock, require_no_link, require_regular
 from motionkit.core.progress import warn
 from motionkit.core.skeleton import STANDARD_SKELETONS
 from motionkit.store.cache.build import INDEX_DTYPE, NATIVE, Skipped, Wanted, build
-from motionkit.store.cache.derived import derived_faults
 from motionkit.store.cache.folder import (
     CACHE_FILE,
     INDEX_FILE,
@@ -32,10 +31,10 @@ from motionkit.store.cache.folder import (
     is_cache,
     remove_cache,
     remove_stale,
+    writable,
 )
-from motionkit.store.cache.row_file import RowFile
+from motionkit.store.cache.row_file import RowFile, derived_faults, find_derived, write_rows
 from motionkit.store.codec import numbers_of
-from motionkit.store.digests import FileDigest, file_fault
 from motionkit.store.reader import Store
 
 _MEND = "delete its folder, it is made anew"
@@ -108,6 +107,41 @@ class PositionCache:
         )
         clips: Float32[np.ndarray, "batch values"] = windows[first_rows * self.positions[0].size]
         return clips.reshape(len(first_rows), num_frames, *self.positions.shape[1:])
+
+    def derived_rows(
+        self,
+        name: str,
+        num_numbers: int,
+        compute: Callable[[], Iterator[Float32[np.ndarray, "frames numbers"]]],
+    ) -> RowFile:
+        """A file with a row of numbers for each row of `positions`, made where it is missing or damaged.
+
+        `compute` gives the sequences' rows in the cache's order, one sequence in memory at a time. `name` stands for
+        how they are computed: a change of that needs another name. The file goes when the cache goes. Two processes may
+        ask at once: one computes, the other waits. Raises `ValueError` where the rows are not those of the cache's
+        frames, `StoreError` where the cache may not be written to.
+        """
+        shape, path = (len(self.positions), num_numbers), self.path / f"{name}.npy"
+        found = find_derived(self.path, name, shape)
+        if isinstance(found, RowFile):
+            return found
+        with writable(found), exclusive_lock(self.path / f".{name}.lock", busy=None):
+            found = find_derived(self.path, name, shape)
+            if isinstance(found, RowFile):
+                return found
+            if found is not None:
+                warn(str(found))
+            digest = write_rows(path, shape, self._checked(name, num_numbers, compute()))
+            write_json(self.path / f"{name}.json", asdict(digest))
+        return RowFile.open(path)
+
+    def _checked(
+        self, name: str, num_numbers: int, sequences: Iterator[Float32[np.ndarray, "frames numbers"]]
+    ) -> Iterator[Float32[np.ndarray, "frames numbers"]]:
+        for rows, expected in zip(sequences, self.num_frames.tolist(), strict=True):
+            if rows.shape != (expected, num_numbers):
+                raise ValueError(f"{name}: rows of shape {rows.shape} for a sequence of {expected} × {num_numbers}")
+            yield rows
 
     def __reduce__(self) -> tuple[object, ...]:
         return _opened_again, (self.path,)

@@ -1,10 +1,10 @@
-"""Rows of a .npy file: written block by block, read when they are asked for."""
+"""Rows of a .npy file: written block by block, read when they are asked for, compared with their digest."""
 
 import hashlib
 import math
 import os
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Int64
 
+from motionkit.core.checksums import FileDigest, file_fault, read_json
 from motionkit.core.errors import DamagedFileError, StoreError
 from motionkit.core.files import require_regular, whole_file
-from motionkit.store.digests import FileDigest
 
 _MEND = "delete it, it is made anew"
 
@@ -104,3 +104,39 @@ class RowFile:
 
     def __reduce__(self) -> tuple[object, ...]:
         return RowFile, (self.path, self.shape, self.first_byte)
+
+
+def derived_faults(folder: Path) -> Iterator[DamagedFileError]:
+    """What is wrong with the derived files in a cache's folder, all their bytes compared."""
+    for record in sorted(folder.glob("*.json")):
+        if (folder / f".{record.stem}.lock").exists():
+            try:
+                _require_intact(record, deep=True)
+            except DamagedFileError as error:
+                yield error
+
+
+def find_derived(folder: Path, name: str, shape: tuple[int, int]) -> RowFile | DamagedFileError | None:
+    """The rows of a name, or what is wrong with them, or None where there are none."""
+    record = folder / f"{name}.json"
+    if not record.exists():
+        return None
+    try:
+        _require_intact(record)
+        rows = RowFile.open(record.with_suffix(".npy"))
+        if rows.shape != shape:
+            raise DamagedFileError(rows.path, f"it has the shape {rows.shape} instead of {shape}", "")
+    except DamagedFileError as error:
+        return DamagedFileError(error.path, error.fault, "it is computed anew")
+    return rows
+
+
+def _require_intact(record: Path, *, deep: bool = False) -> None:
+    path, mend = record.with_suffix(".npy"), "delete it, it is computed anew"
+    try:
+        digest = FileDigest.parse(read_json(record, mend))
+    except ValueError as error:
+        raise DamagedFileError(record, str(error), mend) from None
+    fault = file_fault(path, digest, deep=deep)
+    if fault:
+        raise DamagedFileError(path, fault, mend)

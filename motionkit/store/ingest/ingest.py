@@ -14,7 +14,7 @@ from motionkit.core.errors import FormatError, StoreError
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
-from motionkit.engines.choice import LOCAL, check_engine, make_engine
+from motionkit.engines import LOCAL, check_engine, make_engine
 from motionkit.engines.parallel import Engine, WorkerDied, map_in_order
 from motionkit.engines.process_engine import usable_cores
 from motionkit.formats.scan.cuts import missing_seconds, unlike_stated_seconds
@@ -22,12 +22,11 @@ from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem, Sp
 from motionkit.formats.scan.scanner import scan
 from motionkit.formats.scan.unread import kinds_of
 from motionkit.formats.smpl.body import substituted_body
-from motionkit.store.codec import Row
-from motionkit.store.encode import RefusedMotion
+from motionkit.store.codec import RefusedMotion, Row
 from motionkit.store.ingest import PRELOADED
 from motionkit.store.ingest.stretches import NumberedItem, ReadSequence, ReadStretch, cut, read_stretch
 from motionkit.store.manifest import read_manifest
-from motionkit.store.reports.rigs import BodySizes
+from motionkit.store.reports.summary import BodySizes
 from motionkit.store.schema import MANIFEST_FILE
 from motionkit.store.writer import StoreWriter
 
@@ -270,10 +269,10 @@ class _Run:
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
-        size = self._sizes.doubt(read.skeleton) if is_new_skeleton else ""
+        size = self._sizes.warning_of(read.skeleton) if is_new_skeleton else ""
         if size:
             self._warn(FormatError(size, path=item.path, reason="body-size"))
-        for warning in doubts(item, read.row):
+        for warning in warnings_of(item, read.row):
             self._warn(warning)
         self._num_stored += 1
         self._num_frames += read.row["num_frames"]
@@ -323,7 +322,7 @@ class _Run:
             raise _Stopped
 
 
-def doubts(item: SourceItem, row: Row) -> Iterator[FormatError]:
+def warnings_of(item: SourceItem, row: Row) -> Iterator[FormatError]:
     """Warnings about a motion that is kept; `row` is its row in the table of sequences.
 
     `neutral-body`: no model of the subject's gender; `shortened`, or `duration` of a whole file: a file is not as long

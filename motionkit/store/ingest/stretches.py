@@ -11,9 +11,8 @@ from motionkit.core.errors import FormatError, StoreError
 from motionkit.core.skeleton import Skeleton
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read
-from motionkit.store.codec import Row
+from motionkit.store.codec import EncodedMotion, RefusedMotion, Row, encode
 from motionkit.store.commit import unique_pending_part
-from motionkit.store.encode import EncodedMotion, RefusedMotion, encode
 from motionkit.store.parts import PartWriter, PendingPart
 from motionkit.store.schema import SEGMENTS_FOLDER
 

@@ -1,26 +1,72 @@
-"""Stores made of stores: migrated and compacted in their place, merged into another; each is one commit."""
+"""Stores changed after they were written: sequences removed; migrated and compacted in place; merged into another."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from jaxtyping import Int
 
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.store.cache.folder import remove_stale_caches
-from motionkit.store.commit import changing, committed, require_present_version
-from motionkit.store.encode import EncodedMotion, encode
+from motionkit.store.codec import EncodedMotion, encode
+from motionkit.store.commit import (
+    changing,
+    committed,
+    describe_pending,
+    publish,
+    require_present_version,
+    write_pending,
+)
 from motionkit.store.manifest import Manifest
 from motionkit.store.reader import Store
-from motionkit.store.schema import FORMAT_VERSION, MANIFEST_FILE, PART_BYTES, part_name
+from motionkit.store.schema import FORMAT_VERSION, MANIFEST_FILE, PART_BYTES, SEQUENCES_FILE, part_name, part_number
 from motionkit.store.writer import StoreWriter
 
 OnSequence = Callable[[], None]
 OnConflict = Literal["stop", "skip"]
 SHOWN_CONFLICTS = 5
+
+
+def remove(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = None) -> tuple[str, ...]:
+    """Remove the sequences with these ids and those for which the SQL condition holds; the removed ids, in order.
+
+    Only the table of sequences is written again. The others keep their `sequence_index`, and a number that was removed
+    is not given again before the store is compacted. Parts that hold nothing else are deleted. Raises `StoreError` for
+    an id that the store does not hold and for a store that is missing, busy or of an earlier version; `UsageError` for
+    bad SQL.
+    """
+    with changing(path, must_exist=True) as previous:
+        require_present_version(path, previous)
+        store = Store.open(path)
+        chosen = {store.index_of(sequence_id) for sequence_id in sequence_ids}
+        if where is not None:
+            chosen.update(store.select(where).tolist())
+        if not chosen:
+            return ()
+        gone = pc.is_in(store.sequences_table["sequence_index"], pa.array(sorted(chosen), pa.int32()))
+        removed = store.sequences_table["sequence_id"].filter(gone).to_pylist()
+        publish(path, _without(path, previous, store.sequences_table.filter(pc.invert(gone))))
+        return tuple(removed)
+
+
+def _without(path: Path, previous: Manifest, kept: pa.Table) -> Manifest:
+    """Write the table of what is kept and describe the store that it makes."""
+    write_pending(path, SEQUENCES_FILE, kept)
+    live = set(np.unique(kept["part"].to_numpy()).tolist())
+    dead = {name for name in previous.parts if part_number(name) not in live}
+    entries = {name: entry for name, entry in previous.files.items() if name not in dead}
+    return replace(
+        previous,
+        num_sequences=kept.num_rows,
+        num_segments=int(pc.sum(kept["num_segments"]).as_py() or 0),
+        num_frames=int(pc.sum(kept["num_frames"]).as_py() or 0),
+        files=entries | describe_pending(path, {SEQUENCES_FILE: kept.num_rows}),
+    )
 
 
 def migrate(path: Path, on_sequence: OnSequence = lambda: None) -> bool:
@@ -133,7 +179,7 @@ def merge(
     with StoreWriter.append(out) if appends else StoreWriter.create(out) as writer:
         news, num_known, conflicts = _new_sequences(chosen, writer)
         if conflicts and on_conflict == "stop":
-            raise StoreError(_told(conflicts))
+            raise StoreError(_conflict_message(conflicts))
         num_new = sum(len(choice.indices) for choice in news)
         on_start(num_new)
         for choice in news:
@@ -162,7 +208,7 @@ def _new_sequences(chosen: Iterable[_Choice], writer: StoreWriter) -> tuple[list
     return news, num_known, conflicts
 
 
-def _told(conflicts: Sequence[str]) -> str:
+def _conflict_message(conflicts: Sequence[str]) -> str:
     names = ", ".join(map(repr, conflicts[:SHOWN_CONFLICTS]))
     more = f" and {len(conflicts) - SHOWN_CONFLICTS} more" if len(conflicts) > SHOWN_CONFLICTS else ""
     return (

@@ -1,16 +1,19 @@
-"""What is in a store, in numbers: sources, framerates, splits, captions, skeletons, sizes."""
+"""What is in a store, in numbers: sources, framerates, splits, captions, sizes, skeletons and their layouts."""
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from motionkit.core.errors import StoreError
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
 from motionkit.core.timegrid import format_fps
 from motionkit.store.cache.folder import cache_bytes
 from motionkit.store.reader import Store
@@ -20,6 +23,9 @@ from motionkit.store.schema import (
     ROOT_TRANSLATION_BYTES,
     ROTATION_BYTES_PER_JOINT,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 COUNTED_COLUMNS = (
     "source",
@@ -37,6 +43,8 @@ COUNTED_COLUMNS = (
     "has_root_translation",
     "quality_flags",
 )
+# Grown people differ by a third, a child from a grown man by less than 2; an inch is 2.54 cm, CMU's unit 2.2 inches.
+UNLIKE_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -114,14 +122,14 @@ def summarise(store: Store) -> StoreSummary:
     )
 
 
-def _sequences(store: Store) -> pd.DataFrame:
+def _sequences(store: Store) -> "pd.DataFrame":
     """The columns that are counted, with `num_captions` for the captions, which take most of a whole table's memory."""
     rows = store.columns(*COUNTED_COLUMNS)
     rows["num_captions"] = np.asarray(pc.list_value_length(store.sequences_table["captions"]))
     return rows
 
 
-def _summarise_source(source: str, rows: pd.DataFrame) -> SourceSummary:
+def _summarise_source(source: str, rows: "pd.DataFrame") -> SourceSummary:
     num_captions = rows["num_captions"]
     return SourceSummary(
         source=source,
@@ -141,7 +149,7 @@ def _summarise_source(source: str, rows: pd.DataFrame) -> SourceSummary:
     )
 
 
-def _framerates(rows: pd.DataFrame) -> dict[str, int]:
+def _framerates(rows: "pd.DataFrame") -> dict[str, int]:
     counts = Counter(
         Fraction(numerator, denominator)
         for numerator, denominator in zip(rows["fps_numerator"].tolist(), rows["fps_denominator"].tolist(), strict=True)
@@ -149,11 +157,11 @@ def _framerates(rows: pd.DataFrame) -> dict[str, int]:
     return {format_fps(fps): counts[fps] for fps in sorted(counts)}
 
 
-def _counts(column: pd.Series) -> dict[str, int]:
+def _counts(column: "pd.Series") -> dict[str, int]:
     return {str(value): int(count) for value, count in column.value_counts().sort_index().items()}
 
 
-def _column_sizes(store: Store, sequences: pd.DataFrame) -> dict[str, ColumnSize]:
+def _column_sizes(store: Store, sequences: "pd.DataFrame") -> dict[str, ColumnSize]:
     disk = dict.fromkeys(FLOAT_COLUMNS, 0)
     for name in store.manifest.parts:
         try:
@@ -174,3 +182,80 @@ def _column_sizes(store: Store, sequences: pd.DataFrame) -> dict[str, ColumnSize
         "root_translation": ROOT_TRANSLATION_BYTES * frames[sequences["has_root_translation"]].sum(),
     }
     return {name: ColumnSize(disk[name], int(raw[name])) for name in FLOAT_COLUMNS}
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Skeletons with the same joints and the same map, and how they reach the 22-joint layout.
+
+    `names` are theirs, `num_skeletons` counts different bone lengths. `family` is the table that maps them (empty where
+    none does: then `missing` names the layout's joints without a source), `own_map` says whether it is the user's;
+    `unmapped` are joints that the layout does not use, `made_up` toes without any source.
+    """
+
+    names: tuple[str, ...]
+    num_joints: int
+    num_skeletons: int
+    num_sequences: int
+    family: str
+    own_map: bool
+    missing: tuple[str, ...]
+    unmapped: tuple[str, ...]
+    made_up: tuple[str, ...]
+
+
+def rigs(store: Store) -> tuple[Rig, ...]:
+    """The rigs of a store, the one with most sequences first; reads the two small tables only."""
+    counts: Counter[str] = Counter(store.sequences_table["skeleton"].to_pylist())
+    groups: dict[tuple[object, ...], list[Skeleton]] = {}
+    for skeleton in store.skeletons.values():
+        tips = tuple(joint for joint, _ in skeleton.end_sites)
+        groups.setdefault((skeleton.joint_names, tips, skeleton.layout_map), []).append(skeleton)
+    found = [_rig(members, sum(counts[member.fingerprint] for member in members)) for members in groups.values()]
+    return tuple(sorted(found, key=lambda rig: (-rig.num_sequences, rig.names)))
+
+
+def _rig(members: list[Skeleton], num_sequences: int) -> Rig:
+    first = members[0]
+    missing: tuple[str, ...]
+    made_up: tuple[str, ...]
+    try:
+        mapping = joint_map(first, SMPL22.name)
+        name, missing, unmapped, made_up = mapping.family, (), mapping.unmapped, mapping.made_up
+    except SkeletonMapError as error:
+        name, missing, unmapped, made_up = "", error.missing, first.joint_names, ()
+    return Rig(
+        names=tuple(sorted({member.name for member in members})),
+        num_joints=first.num_joints,
+        num_skeletons=len(members),
+        num_sequences=num_sequences,
+        family=name,
+        own_map=bool(first.layout_map),
+        missing=missing,
+        unmapped=unmapped,
+        made_up=made_up,
+    )
+
+
+class BodySizes:
+    """Remembers how long the bones are, in sum, of the first skeleton of each set of joints."""
+
+    def __init__(self, known: Iterable[Skeleton]) -> None:
+        self._first: dict[tuple[str, ...], tuple[float, str]] = {}
+        for skeleton in known:
+            self.warning_of(skeleton)
+
+    def warning_of(self, skeleton: Skeleton) -> str:
+        """A warning where a skeleton is of another size than the first with its joints; else empty."""
+        size = float(np.linalg.norm(skeleton.offsets[1:], axis=-1).sum())
+        if size == 0.0:  # markers
+            return ""
+        first, name = self._first.setdefault(skeleton.joint_names, (size, skeleton.name))
+        factor = max(size / first, first / size)
+        if factor < UNLIKE_FACTOR:
+            return ""
+        return (
+            f"its body is {factor:.3g} times {'as large' if size > first else 'smaller'} as that of skeleton {name!r}, "
+            "which has the same joints: was the unit of one of them taken for another? The log says which it was; "
+            "--unit-metres sets it"
+        )

@@ -72,7 +72,7 @@ TINY = NativeConfig(
 
 def train(store: Path, run: Path, *, seed: int = 0, resume: bool = False, config: NativeConfig = TINY) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("motionkit.training.text_encoders.load_text_encoder", lambda name: HashEncoder())
+        patch.setattr("motionkit.training.text.load_text_encoder", lambda name: HashEncoder())
         context = StageContext(store, RunFolder(run), "tiny", seed=seed, resume=resume, device="cpu")
         train_evaluator(context, config)
 

@@ -17,10 +17,9 @@ import pytest
 from motionkit.core import files
 from motionkit.core.errors import StoreError
 from motionkit.store import Store, StoreWriter
-from motionkit.store.life.removal import remove
-from motionkit.store.life.rewrite import compact, migrate
+from motionkit.store.commit import LOCK_FILE
+from motionkit.store.life.rewrite import compact, migrate, remove
 from motionkit.store.life.splits import split
-from motionkit.store.lock import LOCK_FILE
 from motionkit.store.manifest import read_manifest
 from motionkit.store.validate import faults
 from tests.helpers.signed_again import sign
@@ -123,7 +122,7 @@ REWRITER = textwrap.dedent(
     import os, signal, sys
     from pathlib import Path
     from motionkit.core import files
-    from motionkit.store.life.removal import remove
+    from motionkit.store.life.rewrite import remove
     from motionkit.store.life.rewrite import compact, migrate
 
     store, what, left = Path(sys.argv[1]), sys.argv[2], [int(sys.argv[3])]
@@ -231,7 +230,7 @@ FULL = textwrap.dedent(
     import resource, signal, sys
     from pathlib import Path
     from motionkit.core.errors import MotionkitError
-    from motionkit.store.life.removal import remove
+    from motionkit.store.life.rewrite import remove
     from motionkit.store.life.rewrite import compact, merge
 
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

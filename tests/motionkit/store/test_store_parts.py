@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import StoreError
 from motionkit.core.motion import Motion
-from motionkit.store import Store, StoreWriter, parts, segment_reader
-from motionkit.store import encode as encode_module
-from motionkit.store.encode import encode
+from motionkit.store import Store, StoreWriter, codec, parts
+from motionkit.store.codec import encode
 from motionkit.store.manifest import read_manifest
 from motionkit.store.parts import read_footer
 from motionkit.store.reports.summary import summarise
@@ -31,7 +30,7 @@ PART = "segments/part-00000.parquet"
 @given(takes=st.lists(st.tuples(st.sampled_from([1, 2, 255, 256, 257, 600]), st.booleans()), min_size=1, max_size=6))
 def test_pyarrow_and_duckdb_read_what_was_written(takes, make_motion, monkeypatch) -> None:
     """Rows, nulls, keys and their statistics, whatever the lengths and wherever rotations are missing."""
-    monkeypatch.setattr(encode_module, "RUN_FRAMES", 2 * 256)
+    monkeypatch.setattr(codec, "RUN_FRAMES", 2 * 256)
     monkeypatch.setattr(parts, "ROW_GROUP_SEGMENTS", 3)
     motions = [make_motion(f"m{i}", count, rotations=rotations) for i, (count, rotations) in enumerate(takes)]
     with tempfile.TemporaryDirectory() as folder:
@@ -191,7 +190,7 @@ def test_a_part_of_before_checksums_is_compared_once(tmp_path, make_motion, monk
         hashed.append(path)
         return sha256_of(path)
 
-    monkeypatch.setattr(segment_reader, "sha256_of", counting)
+    monkeypatch.setattr(parts, "sha256_of", counting)
     store = Store.open(tmp_path / "store")
     assert [len(store.read(index).joint_positions) for index in motions] == [300, 40, 9000]
     store.query("FROM segments")

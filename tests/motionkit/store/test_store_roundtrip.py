@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from motionkit.core.errors import StoreError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
-from motionkit.store import RefusedMotion, Store, StoreWriter, encode, parts
+from motionkit.store import RefusedMotion, Store, StoreWriter, codec, parts
 from motionkit.store.schema import FLOAT_COLUMNS, KEY_COLUMNS
 
 
@@ -44,7 +44,7 @@ frame_counts = st.lists(
 @given(counts=frame_counts, cut=st.integers(0, 12), rates=st.data())
 def test_any_lengths_come_back(counts, cut, rates, make_motion, monkeypatch):
     """Whatever the lengths, however they fall on segments, pages, row groups, parts and appends."""
-    monkeypatch.setattr(encode, "RUN_FRAMES", 2 * 256)
+    monkeypatch.setattr(codec, "RUN_FRAMES", 2 * 256)
     monkeypatch.setattr(parts, "ROW_GROUP_SEGMENTS", 3)
     fps = rates.draw(st.fractions(min_value=1, max_value=1000, max_denominator=1001))
     motions = [

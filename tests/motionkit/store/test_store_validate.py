@@ -7,8 +7,7 @@ import pytest
 
 from motionkit.core.errors import StoreError
 from motionkit.store import StoreWriter
-from motionkit.store.life.removal import remove
-from motionkit.store.life.rewrite import compact
+from motionkit.store.life.rewrite import compact, remove
 from motionkit.store.validate import faults
 from tests.helpers.signed_again import rewrite, sign, with_broken_text, with_number, with_value
 

@@ -5,7 +5,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from motionkit.core.errors import LinkError
-from motionkit.training.text_embeddings import embed_texts
+from motionkit.training.text import embed_texts
 
 
 class CountingEncoder:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from motionkit.core.errors import UsageError
-from motionkit.training import text_encoders
-from motionkit.training.text_encoders import TextEncoder, load_text_encoder
+from motionkit.training import text as text_encoders
+from motionkit.training.text import TextEncoder, load_text_encoder
 
 LENGTHS = '''
 """An encoder that a package brings: a text's length."""

@@ -16,7 +16,6 @@ from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import field, native
 from motionkit.fields.motion_field import to_motion
-from motionkit.store.cache.derived import derived_rows
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import make_body, perform
@@ -196,18 +195,18 @@ def test_a_rank_without_a_window_in_the_batch_has_nothing_to_encode(store: Store
 
 def test_rows_of_a_cache_are_computed_once(store: Store) -> None:
     cache, _ = training_vectors("field", store, None).open(store, None)
-    made = derived_rows(cache, "sums", 1, lambda: (cache.sequence_positions(n).sum((1, 2))[:, None] for n in range(4)))
+    made = cache.derived_rows("sums", 1, lambda: (cache.sequence_positions(n).sum((1, 2))[:, None] for n in range(4)))
 
     def not_again() -> None:
         raise AssertionError("computed again")
 
-    again = derived_rows(cache, "sums", 1, not_again)  # type: ignore[arg-type]
+    again = cache.derived_rows("sums", 1, not_again)  # type: ignore[arg-type]
     every = np.arange(len(cache.positions))
     np.testing.assert_array_equal(made[every], cache.positions.sum((1, 2))[:, None])
     np.testing.assert_array_equal(made[every], again[every])
     assert made.shape == (len(cache.positions), 1)
     with pytest.raises(ValueError, match="rows of shape"):
-        derived_rows(cache, "wrong", 1, lambda: iter([np.zeros((1, 2), np.float32)] * 4))
+        cache.derived_rows("wrong", 1, lambda: iter([np.zeros((1, 2), np.float32)] * 4))
     assert not (cache.path / "wrong.npy").exists()
 
 

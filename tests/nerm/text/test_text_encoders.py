@@ -16,7 +16,7 @@ from motionkit.core.errors import MissingExtraError, MotionkitError
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
-from motionkit.training.text_encoders import load_text_encoder
+from motionkit.training.text import load_text_encoder
 from nerm.recipes import nano
 from nerm.stages import DENOISER
 from nerm.text.encoders import load_transformers

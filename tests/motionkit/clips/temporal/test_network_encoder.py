@@ -11,8 +11,7 @@ import torch
 
 from motionkit.clips.temporal.corpus import open_takes
 from motionkit.clips.temporal.encoder import NetworkEncoder
-from motionkit.clips.temporal.trained import TrainedNetwork
-from motionkit.clips.temporal.training import TemporalTraining
+from motionkit.clips.temporal.training import TemporalTraining, TrainedNetwork
 from motionkit.clips.temporal.windows import WindowSampler
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22

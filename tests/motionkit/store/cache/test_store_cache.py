@@ -16,16 +16,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from motionkit.core import files
+from motionkit.core import checksums, files
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.progress import Progress
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.store import Store, StoreWriter, digests
+from motionkit.store import Store, StoreWriter
 from motionkit.store.cache import build
 from motionkit.store.cache import positions as cache
-from motionkit.store.cache.derived import derived_rows
 from motionkit.store.validate import faults
 
 CHAIN = Skeleton("chain", ("a", "b", "c"), (-1, 0, 1), np.eye(3, dtype=np.float32))
@@ -149,7 +148,7 @@ def test_a_cache_travels_to_another_process(small_store):
 KILLED = textwrap.dedent(
     """
     import os, signal, sys
-    from motionkit.core import files
+    from motionkit.core import checksums, files
     from motionkit.store import Store
     from motionkit.store.cache.positions import open_cache
 
@@ -245,8 +244,8 @@ def test_the_key_knows_the_joint_maps(small_store, monkeypatch):
 
 def sums(built: cache.PositionCache) -> np.ndarray:
     """Rows derived from a cache, as trainings do it."""
-    rows = derived_rows(
-        built, "sums", 1, lambda: (built.sequence_positions(n).sum((1, 2))[:, None] for n in range(built.num_sequences))
+    rows = built.derived_rows(
+        "sums", 1, lambda: (built.sequence_positions(n).sum((1, 2))[:, None] for n in range(built.num_sequences))
     )
     return rows[np.arange(len(rows))]
 
@@ -294,7 +293,7 @@ def test_who_has_a_damaged_cache_mapped_keeps_what_it_read(small_store):
 def test_large_caches_are_checked_by_validate_deep(small_store, monkeypatch, name):
     built = cache.open_cache(Store.open(small_store))
     sums(built)
-    monkeypatch.setattr(digests, "MOST_HASHED_BYTES", 100)
+    monkeypatch.setattr(checksums, "MOST_HASHED_BYTES", 100)
     content = bytearray((built.path / name).read_bytes())
     content[-1] ^= 1
     (built.path / name).write_bytes(content)
@@ -375,7 +374,7 @@ def test_opening_a_cache_maps_no_page_of_it(tmp_path, make_motion):
     with StoreWriter.create(tmp_path / "store") as writer:
         writer.add(make_motion("long", 80_000))
     cache.open_cache(Store.open(tmp_path / "store"))
-    digests._sha256_of_version.cache_clear()
+    checksums._sha256_of_version.cache_clear()
     store = Store.open(tmp_path / "store")
 
     def resident() -> int:

@@ -12,7 +12,6 @@ import pytest
 from motionkit.core.checksums import write_json
 from motionkit.core.errors import LinkError, StoreError
 from motionkit.store import Store, StoreWriter
-from motionkit.store.cache.derived import derived_rows
 from motionkit.store.cache.positions import open_cache
 from motionkit.store.life.rewrite import compact
 from motionkit.store.reports.summary import summarise
@@ -104,7 +103,7 @@ def test_what_is_a_users_own_stays(small_store, precious, make_motion):
     shutil.copytree(precious, small_store / "cache")
     own = content_of(small_store / "cache")
     first = open_cache(Store.open(small_store))
-    derived_rows(first, "zeros", 1, lambda: (np.zeros((n, 1), np.float32) for n in first.num_frames))
+    first.derived_rows("zeros", 1, lambda: (np.zeros((n, 1), np.float32) for n in first.num_frames))
     (first.path / "notes.txt").write_text("dear")
     (first.path / "mine.npy").write_bytes(b"mine")
     (first.path / "figures").mkdir()
@@ -119,7 +118,7 @@ def test_what_is_a_users_own_stays(small_store, precious, make_motion):
 
 def test_a_stale_cache_goes_with_all_that_is_ours(small_store, make_motion):
     first = open_cache(Store.open(small_store))
-    derived_rows(first, "zeros", 1, lambda: (np.zeros((n, 1), np.float32) for n in first.num_frames))
+    first.derived_rows("zeros", 1, lambda: (np.zeros((n, 1), np.float32) for n in first.num_frames))
     change(small_store, make_motion)
     second = open_cache(Store.open(small_store))
     assert sorted(path.name for path in (small_store / "cache").iterdir()) == [".builder.lock", second.path.name]
@@ -217,7 +216,7 @@ def test_a_cache_on_a_read_only_medium_is_used(small_store, read_only_store, mon
     read = open_cache(Store.open(read_only_store))
     np.testing.assert_array_equal(read.positions, built.positions)
     with pytest.raises(StoreError, match=r"^the training cache cannot be written .*MOTIONKIT_CACHE"):
-        derived_rows(read, "zeros", 1, lambda: (np.zeros((n, 1), np.float32) for n in read.num_frames))
+        read.derived_rows("zeros", 1, lambda: (np.zeros((n, 1), np.float32) for n in read.num_frames))
     (built.path / "index.npy").write_bytes(b"cut")
     with pytest.raises(StoreError, match=r"index\.npy is damaged \(it has 3 .*\), and the .*MOTIONKIT_CACHE"):
         open_cache(Store.open(read_only_store))

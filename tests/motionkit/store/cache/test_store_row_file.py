@@ -11,11 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from motionkit.core.checksums import sha256_of
+from motionkit.core import checksums
+from motionkit.core.checksums import FileDigest, file_fault, sha256_of
 from motionkit.core.errors import DamagedFileError, StoreError
-from motionkit.store import digests
 from motionkit.store.cache.row_file import RowFile, write_rows
-from motionkit.store.digests import FileDigest, file_fault
 
 ARRAY = np.random.default_rng(0).standard_normal((50, 4, 3)).astype(np.float32)
 
@@ -116,7 +115,7 @@ def test_rows_of_another_shape_are_not_written(tmp_path: Path, blocks, says):
 
 def test_a_large_file_is_hashed_if_asked(tmp_path: Path, path, monkeypatch):
     """And its size is compared in any case."""
-    monkeypatch.setattr(digests, "MOST_HASHED_BYTES", 1000)
+    monkeypatch.setattr(checksums, "MOST_HASHED_BYTES", 1000)
     copy = tmp_path / "large.npy"
     digest = FileDigest(sha256_of(path), path.stat().st_size)
     content = bytearray(path.read_bytes())

@@ -9,8 +9,7 @@ import pytest
 
 import motionkit
 from motionkit.core.errors import MissingExtraError, MotionkitError, StoreError, UsageError
-from motionkit.engines import ray_engine
-from motionkit.engines.choice import check_engine
+from motionkit.engines import check_engine, ray_engine
 from motionkit.engines.parallel import WorkerDied, map_in_order
 from motionkit.engines.ray_engine import RayEngine
 from motionkit.store import Store

@@ -14,9 +14,8 @@ from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.store.life.removal import remove
-from motionkit.store.life.rewrite import merge, migrate
-from motionkit.store.lock import LOCK_FILE
+from motionkit.store.commit import LOCK_FILE
+from motionkit.store.life.rewrite import merge, migrate, remove
 from motionkit.store.schema import FORMAT_VERSION
 from motionkit.store.validate import faults
 

@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 
 from motionkit.core.skeleton import KIT21, SMPL22
-from motionkit.store.reports.rigs import BodySizes
+from motionkit.store.reports.summary import BodySizes
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.6, 1.9])
 def test_people_of_all_sizes(factor: float) -> None:
-    assert BodySizes([SMPL22]).doubt(SMPL22.scaled(factor)) == ""
+    assert BodySizes([SMPL22]).warning_of(SMPL22.scaled(factor)) == ""
 
 
 @pytest.mark.parametrize(("factor", "words"), [(2.54, "2.54 times as large"), (0.01, "100 times smaller")])
 def test_an_inch_for_a_centimetre_and_a_centimetre_for_a_metre(factor: float, words: str) -> None:
     sizes = BodySizes([SMPL22])
-    assert f"{words} as that of skeleton 'smpl22'" in sizes.doubt(replace(SMPL22.scaled(factor), name="other"))
-    assert sizes.doubt(SMPL22) == ""
+    assert f"{words} as that of skeleton 'smpl22'" in sizes.warning_of(replace(SMPL22.scaled(factor), name="other"))
+    assert sizes.warning_of(SMPL22) == ""
 
 
 def test_other_joints_and_markers_are_not_compared() -> None:
     sizes = BodySizes([SMPL22])
-    assert sizes.doubt(KIT21.scaled(50.0)) == ""
+    assert sizes.warning_of(KIT21.scaled(50.0)) == ""
     markers = replace(SMPL22, offsets=np.zeros_like(SMPL22.offsets))
-    assert sizes.doubt(markers) == "" and BodySizes([markers]).doubt(SMPL22) == ""
+    assert sizes.warning_of(markers) == "" and BodySizes([markers]).warning_of(SMPL22) == ""
