@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from motionkit.fields.resample import resample
     from motionkit.formats.catalogue import write
     from motionkit.generate.models import SamplingOptions
-    from motionkit.generate.motion_model import MotionModel, generate, load_model
+    from motionkit.generate.motion import MotionModel, generate, load_model
     from motionkit.store.named_motions.reading import read, read_all
     from motionkit.store.reader import Store
     from motionkit.store.writer import StoreWriter
@@ -61,7 +61,7 @@ give_names(
         "FormatError": "motionkit.core.errors",
         "KIT21": "motionkit.core.skeleton",
         "Motion": "motionkit.core.motion",
-        "MotionModel": "motionkit.generate.motion_model",
+        "MotionModel": "motionkit.generate.motion",
         "MotionkitError": "motionkit.core.errors",
         "SMPL22": "motionkit.core.skeleton",
         "SamplingOptions": "motionkit.generate.models",
@@ -71,8 +71,8 @@ give_names(
         "TimeGrid": "motionkit.core.timegrid",
         "UsageError": "motionkit.core.errors",
         "complete": "motionkit.complete.motion",
-        "generate": "motionkit.generate.motion_model",
-        "load_model": "motionkit.generate.motion_model",
+        "generate": "motionkit.generate.motion",
+        "load_model": "motionkit.generate.motion",
         "read": "motionkit.store.named_motions.reading",
         "read_all": "motionkit.store.named_motions.reading",
         "resample": "motionkit.fields.resample",

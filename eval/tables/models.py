@@ -13,8 +13,8 @@ from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.generate.models import GenerativeModel, installed_models
+from motionkit.training.loaders import Loader
 from motionkit.training.run import RunError, RunFolder
-from motionkit.training.stage import Loader
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

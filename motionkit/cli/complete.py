@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.cli.options import parse_rate, read_options
 from motionkit.core.errors import MotionkitError, describe
 from motionkit.core.progress import task, tracked
 from motionkit.core.settings import default_path
-from motionkit.training.stage import loader_names
+from motionkit.training.loaders import loader_names
 
 
 class ClipFormat(StrEnum):
@@ -90,17 +91,11 @@ def complete(
     as_json: AsJson = False,
 ) -> None:
     """Complete clips: a higher framerate, gaps closed, ends continued; given frames and bones stay as they are."""
-    from motionkit.complete.request import (
-        CompletionRequest,
-        Reach,
-        parse_extend,
-        parse_keep,
-        parse_target_fps,
-    )
+    from motionkit.complete.request import CompletionRequest, Reach, parse_extend, parse_keep
 
     before, after = parse_extend(extend) if extend else (Reach(0.0), Reach(0.0))
     request = CompletionRequest(
-        fps=parse_target_fps(fps) if fps else None,
+        fps=parse_rate(fps),
         keep=parse_keep(keep) if keep else (),
         before=before,
         after=after,
@@ -108,13 +103,8 @@ def complete(
     from motionkit.complete.clips import find_clips
     from motionkit.complete.encoders import choose_encoder
     from motionkit.complete.job import Job, OutputPath
-    from motionkit.core.skeletons.families import read_skeleton_map
-    from motionkit.formats.scan.items import ReadOptions
 
-    options = ReadOptions(
-        fps=parse_target_fps(source_fps, "--source-fps") if source_fps else None,
-        skeleton_maps=tuple(map(read_skeleton_map, skeleton_map or ())),
-    )
+    options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map)
     sources, problems = find_clips(clips, options, store or default_path("store"))
     runs_folder = runs or default_path("runs")
     chosen = choose_encoder(model, run, runs_folder)

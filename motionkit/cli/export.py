@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.cli.options import parse_rate
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
-from motionkit.core.timegrid import parse_fps
 
 if TYPE_CHECKING:
     from motionkit.export.run import ExportReport
@@ -47,10 +47,7 @@ def export(
     kinds = export_kinds()
     if format not in kinds:
         raise UsageError(f"unknown format {format!r}, expected one of {', '.join(kinds)}")
-    try:
-        rate = None if fps is None else parse_fps(fps)
-    except ValueError as error:
-        raise UsageError(f"--fps {fps}: {error}") from None
+    rate = parse_rate(fps)
     opened = Store.open(store or default_path("store"))
     selection = Selection(opened, opened.select(where), rate or kinds[format].fps)
     num_chosen = len(selection.indices)

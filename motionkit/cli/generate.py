@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.cli.options import parse_rate
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
-from motionkit.core.timegrid import parse_fps
 
 FORMATS = "bvh, joints-npy, npz, csv, gltf, humanml3d"
 
@@ -51,8 +51,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as 
 
 if TYPE_CHECKING:
     from motionkit.generate.folder import GeneratedFolder
+    from motionkit.generate.job import Job
     from motionkit.generate.models import GenerativeModel
-    from motionkit.generate.plan import GenerationPlan
 
 
 def generate(
@@ -80,62 +80,56 @@ def generate(
     as_json: AsJson = False,
 ) -> None:
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants."""
+    from motionkit.generate.files import output_format
     from motionkit.generate.models import SamplingOptions
-    from motionkit.generate.plan import make_plan, parse_times
-    from motionkit.generate.prompts import wanted_prompts
+    from motionkit.generate.request import MotionsRequest, parse_times, wanted_prompts
 
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
     wanted = wanted_prompts(prompts, texts or [], action or [], unconditional, seconds)
     if times is not None and fps is not None:
         raise UsageError("--times and --fps exclude each other")
-    rate = None if fps is None else _read_fps(fps)
-    sampling = SamplingOptions(guidance, sampler, sampling_steps)
-    instants = parse_times(times)
-    plan = make_plan(wanted, count, instants, rate, file_format, seed, sampling, join=join, overlap_seconds=overlap)
+    rate, instants = parse_rate(fps), parse_times(times)
+    output = output_format(file_format, instants)
+    request = MotionsRequest(tuple(wanted), count, instants, rate, join, overlap)
 
     from motionkit.generate.folder import begin_folder, replace_folder, resume_folder
+    from motionkit.generate.job import Job
     from motionkit.generate.models import load_model, model_of
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)
-    plan = plan.for_model(loaded)
-    warn_above_training(loaded, plan.fps)
-    say_joined(plan, loaded)
+    job = Job(request, loaded, place, output, seed, SamplingOptions(guidance, sampler, sampling_steps))
+    _warn_above_training(loaded, job.fps)
+    _say_joined(job)
     opening = resume_folder if resume else replace_folder if overwrite else begin_folder
-    with opening(out, plan.manifest(loaded, place)) as folder:
-        report = _write_all(plan, loaded, folder, as_json)
+    with opening(out, job.manifest()) as folder:
+        report = _write_all(job, folder, as_json)
     if as_json:
         print_json({"model": loaded.name, "run": run, "seed": seed, "folder": str(out), **report})
 
 
-def _write_all(
-    plan: "GenerationPlan", model: "GenerativeModel", folder: "GeneratedFolder", as_json: bool
-) -> dict[str, Any]:
+def _write_all(job: "Job", folder: "GeneratedFolder", as_json: bool) -> dict[str, Any]:
     """Generate and write what is not there yet; names each file on stdout, or returns all of them for JSON."""
-    from motionkit.generate.files import describe_sample
     from motionkit.generate.models import DescribesMotions
 
+    num_motions = len(job.request.motions)
     report: dict[str, Any] = {"already_there": folder.num_done, "motions": []}
-    plan.output.begin(folder.path, plan.fps)
-    with progress() as show, task(show, "generate", len(plan.motions), done=folder.num_done) as work:
-        for field, sample in plan.samples(model, folder.num_done):
-            files = plan.output.files(sample.name)
-            plan.output.write(folder.path / files[0], sample)
-            folder.add(sample)
+    with progress() as show, task(show, "generate", num_motions, done=folder.num_done) as work:
+        for field, sample, path in job.write(folder):
             work.advance()
             if not as_json:
-                stdout.print(str(folder.path / files[0]))
+                stdout.print(str(path))
                 continue
-            if not report["motions"] and isinstance(model, DescribesMotions):
-                report |= {f"{name}_of_first": value for name, value in model.describe(field).items()}
-            report["motions"].append(describe_sample(sample, str(folder.path / files[0])))
+            if not report["motions"] and isinstance(job.model, DescribesMotions):
+                report |= {f"{name}_of_first": value for name, value in job.model.describe(field).items()}
+            report["motions"].append(sample.plain(str(path)))
     if folder.num_done and not as_json:
-        stderr.print(f"motionkit: {folder.num_done:,} of {len(plan.motions):,} motions were there already")
+        stderr.print(f"motionkit: {folder.num_done:,} of {num_motions:,} motions were there already")
     return report
 
 
-def warn_above_training(model: "GenerativeModel", fps: Fraction) -> None:
+def _warn_above_training(model: "GenerativeModel", fps: Fraction) -> None:
     """Say on stderr where a framerate is above the highest of the training data (the paper's limitation, B.3)."""
     if fps > model.max_training_fps:
         stderr.print(
@@ -144,19 +138,11 @@ def warn_above_training(model: "GenerativeModel", fps: Fraction) -> None:
         )
 
 
-def say_joined(plan: "GenerationPlan", model: "GenerativeModel") -> None:
+def _say_joined(job: "Job") -> None:
     """Say on stderr where motions are made in pieces, of which none knows the others."""
-    joined = plan.num_joined(model)
-    if joined:
+    if job.num_joined:
         stderr.print(
-            f"motionkit: {joined:,} of {len(plan.motions):,} motions are joined from several of up to "
-            f"{model.max_duration_seconds:g} s, the longest that the model makes at once; each is laid over the last "
-            f"{plan.overlap_seconds:g} s of the one before, of which it knows nothing",
+            f"motionkit: {job.num_joined:,} of {len(job.request.motions):,} motions are joined from several of up to "
+            f"{job.model.max_duration_seconds:g} s, the longest that the model makes at once; each is laid over the "
+            f"last {job.request.overlap_seconds:g} s of the one before, of which it knows nothing",
         )
-
-
-def _read_fps(text: str) -> Fraction:
-    try:
-        return parse_fps(text)
-    except ValueError as error:
-        raise UsageError(f"--fps {text}: {error}") from None

@@ -4,14 +4,13 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from motionkit.cli.console import print_json, print_text, progress, stderr, stdout
-from motionkit.cli.reading import read_options
+from motionkit.cli.options import parse_rate, read_options
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.plain_text import printable
 from motionkit.core.progress import Task, task
@@ -100,7 +99,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as JSON.
 
 if TYPE_CHECKING:
     from motionkit.formats.scan.items import IndexOptions
-    from motionkit.store.ingest.ingest import DatasetCount, IngestReport
+    from motionkit.store.ingest.ingest import DatasetCount, IngestReport, Listener
 
 # Of the files that were ignored.
 SHOWN_KINDS = 5
@@ -139,35 +138,24 @@ def ingest(
     if engine == LOCAL and workers is not None and workers > 1:
         start_server(PRELOADED)
 
-    from motionkit.core.skeletons.families import read_skeleton_map
     from motionkit.formats.scan.framerate_rules import read_rules
-    from motionkit.store.ingest.ingest import Listener
     from motionkit.store.ingest.ingest import ingest as ingest_sources
 
-    options = read_options(format, fps, unit_metres, captions)
     options = replace(
-        options,
+        read_options(parse_rate(fps), skeleton_map, format, unit_metres, captions),
         index=_index_options(index, texts, splits, mirrored, compat, captions),
-        skeleton_maps=tuple(read_skeleton_map(path) for path in skeleton_map or ()),
         fps_rules=tuple(rule for path in fps_rules or () for rule in read_rules(path)),
         body_models=_body_models(body_models),
     )
-    teller = _Teller()
     with progress() as show, task(show, "ingest", note="scanning") as work:
         report = ingest_sources(
-            sources,
-            store or default_path("store"),
+            *(sources, store or default_path("store")),
             options=options,
             on_error=on_error.value,
             overwrite=overwrite,
             num_workers=workers,
             engine=engine,
-            listener=Listener(
-                on_start=partial(_start, work),
-                on_item=work.advance,
-                on_warning=lambda warning: teller.tell(warning, "warning: "),
-                on_problem=teller.tell,
-            ),
+            listener=_listener(work),
         )
     if as_json:
         print_json(_as_json(report))
@@ -176,9 +164,20 @@ def ingest(
     _check_success(report, on_error)
 
 
-def _start(work: Task, num_items: int) -> None:
-    work.note("")
-    work.set_total(num_items)
+def _listener(work: Task) -> "Listener":
+    from motionkit.store.ingest.ingest import Listener
+
+    def start(num_items: int) -> None:
+        work.note("")
+        work.set_total(num_items)
+
+    shown = _FirstOfEachReason()
+    return Listener(
+        on_start=start,
+        on_item=work.advance,
+        on_warning=lambda warning: shown.print(warning, "warning: "),
+        on_problem=shown.print,
+    )
 
 
 def _check_success(report: "IngestReport", on_error: OnError) -> None:
@@ -218,20 +217,20 @@ def _index_options(
     return IndexOptions(tuple(index), texts, splits, mirrored, published=compat is not None)
 
 
-class _Teller:
+class _FirstOfEachReason:
     """Prints problems and warnings as they come, of each reason the first few: a corpus can have thousands."""
 
     NUM_SHOWN = 5
 
     def __init__(self) -> None:
-        self._num_told: Counter[str] = Counter()
+        self._num_met: Counter[str] = Counter()
 
-    def tell(self, problem: FormatError, kind: str = "") -> None:
+    def print(self, problem: FormatError, kind: str = "") -> None:
         """Print one problem behind its `kind`, or where the others of its reason are to be found."""
-        self._num_told[problem.reason] += 1
-        if self._num_told[problem.reason] <= self.NUM_SHOWN:
+        self._num_met[problem.reason] += 1
+        if self._num_met[problem.reason] <= self.NUM_SHOWN:
             stderr.print(f"{kind}{problem}")
-        elif self._num_told[problem.reason] == self.NUM_SHOWN + 1:
+        elif self._num_met[problem.reason] == self.NUM_SHOWN + 1:
             stderr.print(
                 f"{kind}more of the kind {problem.reason}: counted at the end, --json names them all", markup=False
             )

@@ -50,34 +50,41 @@ def train(
     if where:
         configs = narrowed(chosen, configs, where)
     store_path = store or default_path("store")
-    read_manifest(store_path)  # a store that is missing is told before anything heavy is imported
+    read_manifest(store_path)  # a store that is missing is found before anything heavy is imported
     if where:
         _check_condition(store_path, where)
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))
     context = StageContext(store_path, folder, recipe, seed=seed, resume=resume, overwrite=overwrite, device=device)
-    fingerprint = read_manifest(store_path).fingerprint
+    summaries = _train_all(list(zip(chosen, configs, strict=True)), context, as_json)
+    if as_json and summaries is not None:
+        print_json({"run": str(folder.path), "stages": summaries})
+
+
+def _train_all(jobs: list[tuple[Stage[Any], Any]], context: StageContext, as_json: bool) -> list[dict[str, Any]] | None:
+    """Train stages with their configurations in order; the summaries, on the first rank alone."""
+    from motionkit.store.manifest import read_manifest
     from motionkit.training.ranks import joined_ranks
 
+    fingerprint = read_manifest(context.store).fingerprint
+    summaries: list[dict[str, Any]] = []
     with joined_ranks() as ranks, progress() as show:
         context = replace(context, on_progress=show)
-        for each, config in zip(chosen, configs, strict=True):
-            ranks.on_first(partial(_check, each, context, config, fingerprint))
-        summaries = []
-        for each, config in zip(chosen, configs, strict=True):
+        for stage, config in jobs:
+            ranks.on_first(partial(_check, stage, context, config, fingerprint))
+        for stage, config in jobs:
             # Again, since a stage that it builds on may just have been trained.
-            ranks.on_first(partial(_check_kept, each, context, config, fingerprint))
-            _train_stage(each, config, replace(context, shared=each.shared), is_first=ranks.is_first)
-            if each.shared:
+            ranks.on_first(partial(_check_kept, stage, context, config, fingerprint))
+            _train_stage(stage, config, replace(context, shared=stage.shared), is_first=ranks.is_first)
+            if stage.shared:
                 ranks.wait()  # for what the first one saves at last: the next stage reads it
             if not ranks.is_first:
                 continue
-            summary = folder.stage(each.name).read_summary()
-            summaries.append({"stage": each.name, **summary})
+            summary = context.run.stage(stage.name).read_summary()
+            summaries.append({"stage": stage.name, **summary})
             if not as_json:
                 figures = ", ".join(f"{name} {_short(value)}" for name, value in summary.items())
-                stdout.print(f"{each.name}: {figures}")
-    if as_json and ranks.is_first:
-        print_json({"run": str(folder.path), "stages": summaries})
+                stdout.print(f"{stage.name}: {figures}")
+    return summaries if ranks.is_first else None
 
 
 def _check(stage: Stage[Any], context: StageContext, config: Any, store_fingerprint: str) -> None:

@@ -1,13 +1,12 @@
 """`motionkit view`: moving skeletons in a page."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.reading import read_options
+from motionkit.cli.options import parse_rate, read_options
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
@@ -64,13 +63,10 @@ def view(
 
     The page is one file that loads nothing from elsewhere: open it in any browser, send it to anybody.
     """
-    from motionkit.core.skeletons.families import read_skeleton_map
     from motionkit.view.job import Stretch, find_sources, page_path, read_takes, stored_where, write_view
 
     stretch = Stretch(from_seconds, to_seconds)
-    options = replace(
-        read_options(format, fps, unit_metres), skeleton_maps=tuple(map(read_skeleton_map, skeleton_map or ()))
-    )
+    options = read_options(parse_rate(fps), skeleton_map, format, unit_metres)
     place = store or default_path("store")
     stored = [] if where is None else stored_where(place, where)
     if where is not None and not stored:

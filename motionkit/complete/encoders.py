@@ -16,8 +16,8 @@ from motionkit.fields.anchoring import Anchored
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Method, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.transfer import Transferred, counterpart_joints
+from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
 from motionkit.training.run import RunFolder
-from motionkit.training.stage import Loader, installed_loaders, loader_names, loader_of
 
 GROUP = "motionkit.encoders"
 

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float64
 
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.plain_text import shown, whole_number
-from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
+from motionkit.core.timegrid import TimeGrid, format_fps
 
 # A minute of a body that nobody observed is a slip of the pen.
 LONGEST_REACH_SECONDS = 60.0
@@ -117,14 +117,6 @@ def kept_frames(ranges: Sequence[FrameRange], num_frames: int) -> Bool[np.ndarra
             raise MotionkitError(f"--keep {each} does not lie inside its {num_frames} frames, 0:{num_frames}")
         kept[each.start : stop] = True
     return kept
-
-
-def parse_target_fps(text: str, option: str = "--fps") -> Fraction:
-    """A framerate; raises `UsageError` naming the option."""
-    try:
-        return parse_fps(text)
-    except ValueError as error:
-        raise UsageError(f"{option} {text}: {error}") from None
 
 
 def parse_keep(text: str) -> tuple[FrameRange, ...]:

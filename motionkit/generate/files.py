@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, partial
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 
@@ -115,17 +114,11 @@ def _one_file(format: Format) -> OutputFormat:
     return OutputFormat(format.name, (f"{{}}{format.suffixes[0]}",), partial(_write_file, format=format), shared=shared)
 
 
-def describe_sample(sample: GeneratedSample, file: str) -> dict[str, Any]:
-    """What was made and where it lies, as plain values."""
-    return {
-        "file": file,
-        "caption": sample.captions[0].text if len(sample.captions) == 1 else "",
-        "captions": [
-            {"text": caption.text, "start_seconds": caption.start_seconds, "end_seconds": caption.end_seconds}
-            for caption in sample.captions
-        ],
-        "action": sample.action,
-        "duration_seconds": sample.duration_seconds,
-        "fps": None if sample.fps is None else str(sample.fps),
-        "num_frames": len(sample.seconds),
-    }
+def output_format(name: str, times: tuple[float, ...] = ()) -> OutputFormat:
+    """The kind of output of a name; raises `UsageError` for an unknown one, and for one without poses at `times`."""
+    output = output_formats().get(name)
+    if output is None:
+        raise UsageError(f"--format is one of {', '.join(output_formats())}, not {name!r}")
+    if times and not output.any_instants:
+        raise UsageError(f"a {name} file has one framerate: --times goes with --format npz")
+    return output

@@ -14,7 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
-from motionkit.training.stage import Loader, installed_loaders, loader_names, loader_of
+from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
 
 
 @dataclass(frozen=True)

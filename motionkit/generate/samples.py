@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -29,6 +30,21 @@ class GeneratedSample:
     skeleton: Skeleton
     captions: tuple[Caption, ...]
     action: str
+
+    def plain(self, file: str) -> dict[str, Any]:
+        """What was made and where it lies, as JSON."""
+        return {
+            "file": file,
+            "caption": self.captions[0].text if len(self.captions) == 1 else "",
+            "captions": [
+                {"text": caption.text, "start_seconds": caption.start_seconds, "end_seconds": caption.end_seconds}
+                for caption in self.captions
+            ],
+            "action": self.action,
+            "duration_seconds": self.duration_seconds,
+            "fps": None if self.fps is None else str(self.fps),
+            "num_frames": len(self.seconds),
+        }
 
     def motion(self) -> Motion:
         """The poses as a motion; raises `UsageError` for poses without a uniform framerate."""

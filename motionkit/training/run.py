@@ -10,7 +10,6 @@ import subprocess
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from motionkit.core.checksums import read_json, require_intact_tensors, sha256_of, write_json
@@ -20,7 +19,6 @@ from motionkit.core.plain_text import shown
 from motionkit.training.config import ConfigLike, current_names, flatten, to_plain
 from motionkit.training.metrics_log import MEND, MetricsLog
 
-NOTHING: Mapping[str, str] = MappingProxyType({})
 SHOWN_SETTINGS = 6
 # The key of summary.json under which length and sha256 of the log stand.
 LOGGED = "metrics.jsonl"
@@ -149,34 +147,30 @@ def weights_sha256(run: Path) -> dict[str, str]:
     return {path.parent.name: sha256_of(path) for path in paths}
 
 
-def begin_stage(
-    folder: StageFolder,
-    config: ConfigLike,
-    *,
-    recipe: str,
-    seed: int,
-    store: str,
-    store_fingerprint: str,
-    resume: bool,
-    overwrite: bool,
-    builds_on: Mapping[str, str] = NOTHING,
-) -> None:
+@dataclass(frozen=True)
+class StageOrigin:
+    """What a stage is trained from: settings, seed and store, and other stages of the run that it reads, by sha256."""
+
+    config: ConfigLike
+    recipe: str
+    seed: int
+    store_fingerprint: str
+    builds_on: Mapping[str, str]
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        return {**vars(self), "config": to_plain(self.config), "builds_on": dict(self.builds_on)}
+
+
+def begin_stage(folder: StageFolder, origin: StageOrigin, *, store: str, resume: bool, overwrite: bool) -> None:
     """Make a stage's folder and write its config.json, or check that what is there can be resumed.
 
-    `builds_on` names other stages of the run whose results this one reads, with their sha256. Raises `UsageError` where
-    a folder exists and neither `resume` nor `overwrite` is asked for, and `RunError` where configuration, seed, store
-    or what it builds on differ from those that the stage was begun with. `LinkError` where the folder is a link.
+    Raises `UsageError` where a folder exists and neither `resume` nor `overwrite` is asked for, and `RunError` where
+    the stage was begun from something else. `LinkError` where the folder is a link.
     """
     require_no_link(folder.path, "delete the link, or train into another --run")
-    asked = {
-        "config": to_plain(config),
-        "recipe": recipe,
-        "seed": seed,
-        "store_fingerprint": store_fingerprint,
-        "builds_on": dict(builds_on),
-    }
     if folder.config_path.is_file() and resume:
-        check_same(folder, config, recipe=recipe, seed=seed, store_fingerprint=store_fingerprint, builds_on=builds_on)
+        check_same(folder, origin)
         return
     if _holds_something(folder):
         if resume:
@@ -191,7 +185,7 @@ def begin_stage(
         clear_stage(folder)
     folder.path.mkdir(parents=True, exist_ok=True)
     code = {"versions": versions(), "commit": commit()}
-    write_json(folder.config_path, {"stage": folder.path.name, **asked, "store": store, **code})
+    write_json(folder.config_path, {"stage": folder.path.name, **origin.plain(), "store": store, **code})
 
 
 def _holds_something(folder: StageFolder) -> bool:
@@ -224,15 +218,7 @@ def copy_stage(source: StageFolder, target: StageFolder) -> None:
             write_whole(target.path / path.name, path.read_bytes())
 
 
-def check_same(
-    folder: StageFolder,
-    config: ConfigLike,
-    *,
-    recipe: str,
-    seed: int,
-    store_fingerprint: str,
-    builds_on: Mapping[str, str] = NOTHING,
-) -> None:
+def check_same(folder: StageFolder, origin: StageOrigin) -> None:
     """Raise `RunError`, saying what differs and what to do, where a stage was begun with other settings, another seed,
     another store, or upon a stage that has been trained again since.
 
@@ -241,7 +227,7 @@ def check_same(
     """
     begun, stage, run = folder.read_config(), folder.path.name, folder.path.parent.name
     again = f"train it again (motionkit train --stage {stage} --run {run} --overwrite), or use another --run"
-    for name, sha256 in builds_on.items():
+    for name, sha256 in origin.builds_on.items():
         known = begun.get("builds_on", {}).get(name, sha256)
         if known != sha256:
             raise RunError(
@@ -249,12 +235,13 @@ def check_same(
                 f"trained again since: {again}"
             )
     for name, was, now in (
-        ("seed", begun.get("seed"), seed),
-        ("store fingerprint", begun.get("store_fingerprint"), store_fingerprint),
+        ("seed", begun.get("seed"), origin.seed),
+        ("store fingerprint", begun.get("store_fingerprint"), origin.store_fingerprint),
     ):
         if was != now:
             begun_with = f"{name} {shown(was)}, not {now!r}"
             raise RunError(f"{folder.path} was begun with {begun_with}: ask for the same, or {again}")
+    config = origin.config
     settings_then = _leaves(to_plain(type(config)())) | _leaves(current_names(type(config), begun.get("config", {})))
     settings_now = _leaves(to_plain(config))
     changed = [
@@ -269,7 +256,7 @@ def check_same(
         ]
         if len(changed) > SHOWN_SETTINGS:
             differing.append(f"{len(changed) - SHOWN_SETTINGS} more")
-        recipes = f"recipe {begun.get('recipe')!r} → {recipe!r}: " if begun.get("recipe") != recipe else ""
+        recipes = f"recipe {begun.get('recipe')!r} → {origin.recipe!r}: " if begun.get("recipe") != origin.recipe else ""
         raise RunError(
             f"{folder.path} was begun with other settings ({recipes}{', '.join(differing)}): use the same ones, or "
             f"{again}"

@@ -1,27 +1,24 @@
-"""What packages bring to be trained and to be loaded from runs: entry points that name a `Stage` or a `Loader`.
+"""What can be trained: stages, found through the entry point group `motionkit.stages`.
 
-The entry point's module must import lightly (no torch at module level), for commands and titles are listed without
-loading anything. A plain function from a run folder does as a loader: its title is then the entry point's name, and so
-is the stage that must be trained.
+An entry point names a module attribute that is a `Stage`. That module must import lightly (no torch at module level):
+`motionkit train --help` reads every stage.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic
 
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.training.config import ConfigLike, ConfigT, current_names
-from motionkit.training.run import RunFolder, StageFolder, begin_stage, check_same
+from motionkit.training.run import RunFolder, StageFolder, StageOrigin, begin_stage, check_same
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
     from motionkit.training.ranks import Ranks
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -63,20 +60,14 @@ class StageContext:
         `builds_on` names the stages of this run whose model.safetensors it reads: it is not resumed upon others.
         """
         folder = self.run.stage(stage)
-        begin = partial(
-            begin_stage,
-            folder,
-            config,
-            recipe=self.recipe,
-            seed=self.seed,
-            store=str(self.store),
-            store_fingerprint=store_fingerprint,
-            resume=self.resume,
-            overwrite=self.overwrite,
-            builds_on=self.run.fingerprints(builds_on),
-        )
-        self.ranks.on_first(begin)
+        origin = self.origin(config, store_fingerprint, builds_on)
+        begin = partial(begin_stage, store=str(self.store), resume=self.resume, overwrite=self.overwrite)
+        self.ranks.on_first(partial(begin, folder, origin))
         return folder
+
+    def origin(self, config: ConfigLike, store_fingerprint: str, builds_on: Sequence[str]) -> StageOrigin:
+        """What a stage with these settings would be trained from now."""
+        return StageOrigin(config, self.recipe, self.seed, store_fingerprint, self.run.fingerprints(builds_on))
 
 
 def builds_on_nothing(config: Any) -> tuple[str, ...]:
@@ -113,14 +104,8 @@ class Stage(Generic[ConfigT]):
 
     def check_kept(self, context: StageContext, config: ConfigT, store_fingerprint: str) -> None:
         """Raise `RunError` where this stage, which is complete, is not what the same command would train now."""
-        check_same(
-            context.run.stage(self.name),
-            config,
-            recipe=context.recipe,
-            seed=context.seed,
-            store_fingerprint=store_fingerprint,
-            builds_on=context.run.fingerprints(self.builds_on(config)),
-        )
+        origin = context.origin(config, store_fingerprint, self.builds_on(config))
+        check_same(context.run.stage(self.name), origin)
 
     def recipe(self, name: str) -> ConfigT:
         """The configuration of a named recipe; raises `UsageError` naming those there are."""
@@ -154,50 +139,3 @@ def choose_stages(name: str, stages: Mapping[str, Stage[Any]]) -> tuple[Stage[An
     if name not in stages:
         raise UsageError(f"no stage is called {name!r}; there are: {', '.join([*stages, 'all'])}")
     return (stages[name],)
-
-
-@dataclass(frozen=True)
-class Loader(Generic[T]):
-    """Something that is loaded from the stages of a run.
-
-    `title` is its name in tables and messages; `stages` are those that it is made of; where there are several loaders,
-    the one of the lowest `order` comes first.
-    """
-
-    title: str
-    stages: tuple[str, ...]
-    load: Callable[[Path], T]
-    order: int = 100
-
-    def begun_in(self, run: Path) -> bool:
-        """Whether a run holds a trained stage of it, though perhaps not all of them."""
-        stages = [RunFolder(run).stage(name) for name in self.stages]
-        return any(stage.is_complete or stage.model_path.is_file() for stage in stages)
-
-    def complete_in(self, run: Path) -> bool:
-        """Whether all its stages are trained in a run."""
-        return all(RunFolder(run).stage(name).is_complete for name in self.stages)
-
-    def train_command(self, run: Path | None = None) -> str:
-        """The command that trains it, its last stage at least."""
-        return f"motionkit train --stage {self.stages[-1]}" + (f" --run {run.name}" if run else "")
-
-
-LoaderT = TypeVar("LoaderT", bound=Loader[Any])
-
-
-def loader_names(group: str) -> tuple[str, ...]:
-    """Names of all loaders of an entry point group, sorted; nothing is imported."""
-    return tuple(sorted({entry.name for entry in entry_points(group=group)}))
-
-
-def installed_loaders(group: str, kind: type[LoaderT]) -> dict[str, LoaderT]:
-    """All loaders of an entry point group by name, sorted by their order; `kind` is what plain functions become."""
-    found = {entry.name: loader_of(entry, kind) for entry in entry_points(group=group)}
-    return dict(sorted(found.items(), key=lambda named: (named[1].order, named[0])))
-
-
-def loader_of(entry: EntryPoint, kind: type[LoaderT]) -> LoaderT:
-    """The loader that an entry point names."""
-    named = entry.load()
-    return named if isinstance(named, kind) else kind(entry.name, (entry.name,), named)

@@ -27,6 +27,7 @@ from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import OnProgress, task
 from motionkit.generate.models import ModelLoader, model_loader
 from motionkit.training.ablations import Ablation, Entry, find_ablations, run_name
+from motionkit.training.loaders import Loader
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import recorded_settings
 

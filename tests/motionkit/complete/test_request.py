@@ -12,7 +12,6 @@ from motionkit.complete.request import (
     kept_frames,
     parse_extend,
     parse_keep,
-    parse_target_fps,
 )
 from motionkit.core.errors import MotionkitError, UsageError
 from tests.helpers.turning_body import random_motion
@@ -60,12 +59,6 @@ def test_reaches() -> None:
     for text in ("", "a", "-1", "1,2,3", "nan", "inf", "1.5f", "0,"):
         with pytest.raises(UsageError, match="--extend"):
             parse_extend(text)
-
-
-@pytest.mark.parametrize("text", ["0", "nan", "1e9", "-30", "fast", "30/0", "inf"])
-def test_framerates_that_are_none(text: str) -> None:
-    with pytest.raises(UsageError, match="--fps"):
-        parse_target_fps(text)
 
 
 def test_what_is_asked_of_one_clip() -> None:

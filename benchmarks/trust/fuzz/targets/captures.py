@@ -18,7 +18,7 @@ from motionkit.formats.scan.items import IndexOptions, ReadOptions
 from motionkit.formats.scan.reading import read
 from motionkit.formats.scan.scanner import scan
 from motionkit.formats.smpl.body import LAYOUTS
-from motionkit.generate.prompts import read_prompts
+from motionkit.generate.request import read_prompts
 from motionkit.quality import measure
 from motionkit.view.job import find_sources
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass

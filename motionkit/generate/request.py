@@ -1,4 +1,6 @@
-"""What `motionkit generate` is asked for: arguments or a file of prompts, as requests that know where they come from.
+"""What `motionkit generate` is asked for: prompts, how many motions of each, at which instants, joined or not.
+
+Prompts are arguments or a file, each a request that knows where it comes from.
 
 A file of prompts has one motion a line:
 - `.txt`: a text, nothing else;
@@ -11,11 +13,13 @@ import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from motionkit.core.errors import UsageError
 from motionkit.core.plain_text import parse_json, shown
+from motionkit.generate.long_motions import OVERLAP_SECONDS, Script
 from motionkit.generate.models import GenerationRequest
 
 COLUMNS = ("text", "action", "seconds")
@@ -28,6 +32,63 @@ class Prompt:
 
     request: GenerationRequest
     where: str = ""
+
+
+@dataclass(frozen=True)
+class MotionsRequest:
+    """What to make: `count` motions of each prompt, or with `join` of all prompts in a row.
+
+    Poses are wanted at `times`, or at `fps` (None: the format's or the model's own). Motions that are joined from
+    several overlap by `overlap_seconds`. Raises `UsageError` for instants outside a motion's length, and for prompts
+    without a length of which that has to be known.
+    """
+
+    prompts: tuple[Prompt, ...]
+    count: int = 1
+    times: tuple[float, ...] = ()
+    fps: Fraction | None = None
+    join: bool = False
+    overlap_seconds: float = OVERLAP_SECONDS
+
+    def __post_init__(self) -> None:
+        for prompt in self.prompts if self.join else ():
+            if prompt.request.duration_seconds is None:
+                place = f"{prompt.where}: " if prompt.where else ""
+                raise UsageError(f"{place}--join needs to know how long each part lasts: --seconds, or in --prompts")
+        for prompts in self.scripts if self.times else ():
+            lengths = [prompt.request.duration_seconds for prompt in prompts]
+            length = None if None in lengths else sum(seconds for seconds in lengths if seconds is not None)
+            place = f"{prompts[0].where}: " if len(prompts) == 1 and prompts[0].where else ""
+            if length is None:
+                raise UsageError(f"{place}--times needs --seconds: they are instants of a motion of a given length")
+            outside = [instant for instant in self.times if not 0 <= instant <= length]
+            if outside:
+                raise UsageError(f"{place}--times: {outside[0]:g} s lies outside the motion's 0 … {length:g} s")
+
+    @property
+    def scripts(self) -> tuple[tuple[Prompt, ...], ...]:
+        """What one motion shows: a prompt, or all of them in a row."""
+        return (self.prompts,) if self.join else tuple((prompt,) for prompt in self.prompts)
+
+    @property
+    def motions(self) -> list[Script]:
+        """What each motion shows: motion i is of script i // count."""
+        return [requests_of(prompts) for prompts in self.scripts for _ in range(self.count)]
+
+
+def requests_of(prompts: Sequence[Prompt]) -> Script:
+    """What a model is asked for."""
+    return tuple(prompt.request for prompt in prompts)
+
+
+def parse_times(times: str | None) -> tuple[float, ...]:
+    """The instants of `--times`, empty without it; raises `UsageError` unless it is a list of seconds."""
+    if times is None:
+        return ()
+    try:
+        return tuple(float(part) for part in times.split(","))
+    except ValueError:
+        raise UsageError(f"--times takes seconds separated by commas (0.5,1.25), not {times!r}") from None
 
 
 def wanted_prompts(

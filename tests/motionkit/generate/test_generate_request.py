@@ -4,7 +4,7 @@ import pytest
 
 from motionkit.core.errors import UsageError
 from motionkit.generate.models import GenerationRequest
-from motionkit.generate.prompts import read_prompts
+from motionkit.generate.request import read_prompts
 
 
 def test_one_text_a_line(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 
 import motionkit as mk
 from motionkit.generate import models
-from motionkit.training import stage as stages_and_loaders
+from motionkit.training import loaders
 from tests.helpers.scripted_model import ScriptedModel
 
 
@@ -121,7 +121,7 @@ def loads(run: Path) -> Drawing:
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two models, each of one stage of its own name."""
     entries = EntryPoints(EntryPoint(name, f"{__name__}:loads", "motionkit.models") for name in ("first", "other"))
-    for module in (models, stages_and_loaders):
+    for module in (models, loaders):
         monkeypatch.setattr(module, "entry_points", lambda **chosen: entries.select(**chosen))
 
 

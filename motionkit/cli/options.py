@@ -1,0 +1,37 @@
+"""What options of several commands say: framerates, and how files are read."""
+
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from motionkit.core.errors import UsageError
+from motionkit.core.timegrid import parse_fps
+
+if TYPE_CHECKING:
+    from motionkit.formats.scan.items import ReadOptions
+
+
+def parse_rate(text: str | None, option: str = "--fps") -> Fraction | None:
+    """The framerate that an option gives; raises `UsageError` that names the option."""
+    try:
+        return None if text is None else parse_fps(text)
+    except ValueError as error:
+        raise UsageError(f"{option} {text}: {error}") from None
+
+
+def read_options(
+    fps: Fraction | None,
+    skeleton_maps: Sequence[Path] | None,
+    format: str = "auto",
+    unit_metres: float | None = None,
+    captions: Path | None = None,
+) -> "ReadOptions":
+    """The options of readers; raises `UsageError` for a unit that is not a positive length."""
+    from motionkit.core.skeletons.families import read_skeleton_map
+    from motionkit.formats.scan.items import ReadOptions
+
+    if unit_metres is not None and not 0 < unit_metres < float("inf"):
+        raise UsageError(f"--unit-metres must be a positive number, not {unit_metres}")
+    maps = tuple(map(read_skeleton_map, skeleton_maps or ()))
+    return ReadOptions(format=format, fps=fps, unit_metres=unit_metres, captions=captions, skeleton_maps=maps)

@@ -1,0 +1,105 @@
+"""What one `motionkit generate` call does: motions of a request made by a model and written into a folder."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motionkit.core.errors import UsageError
+from motionkit.core.timegrid import format_fps
+from motionkit.fields.motion_field import MotionField
+from motionkit.generate.files import OutputFormat
+from motionkit.generate.folder import FORMAT, GeneratedFolder
+from motionkit.generate.long_motions import check_script, generate_scripts, is_joined
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.generate.request import MotionsRequest, requests_of
+from motionkit.generate.samples import GeneratedSample, motion_name, sample_field
+from motionkit.training.run import versions, weights_sha256
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to make, by which model out of which run, as which files.
+
+    Raises `UsageError`, with the prompt's file and line, for what the model cannot do: before anything is made.
+    """
+
+    request: MotionsRequest
+    model: GenerativeModel
+    run: Path
+    output: OutputFormat
+    seed: int
+    sampling: SamplingOptions
+
+    def __post_init__(self) -> None:
+        for prompts in self.request.scripts:
+            try:
+                check_script(self.model, requests_of(prompts), self.sampling, self.request.overlap_seconds)
+            except UsageError as error:
+                where = prompts[0].where if len(prompts) == 1 else ""
+                raise UsageError(f"{where}: {error}" if where else str(error)) from None
+
+    @property
+    def fps(self) -> Fraction:
+        """Framerate of the files."""
+        return self.request.fps or self.output.fps or self.model.max_training_fps
+
+    @property
+    def num_joined(self) -> int:
+        """How many motions are joined from several."""
+        return sum(is_joined(script, self.model.max_duration_seconds) for script in self.request.motions)
+
+    def manifest(self) -> dict[str, Any]:
+        """What was asked for, of which weights: the same manifest gives the same motions."""
+        request = self.request
+        return {
+            "format": FORMAT,
+            "version": 1,
+            "model": self.model.name,
+            "weights_sha256": weights_sha256(self.run),
+            "seed": self.seed,
+            "sampling": asdict(self.sampling),
+            "file_format": self.output.name,
+            "fps": None if request.times else format_fps(self.fps),
+            "times_seconds": list(request.times) or None,
+            "max_training_fps": format_fps(self.model.max_training_fps),
+            "count": request.count,
+            "conditions": [_described(prompt.request) for prompts in request.scripts for prompt in prompts],
+            "joined": any(len(script) > 1 for script in request.scripts),
+            "overlap_seconds": request.overlap_seconds if self.num_joined else None,
+            "versions": versions(),
+        }
+
+    def samples(self, num_done: int = 0) -> Iterator[tuple[MotionField, GeneratedSample]]:
+        """Fields and their poses from motion `num_done` on, one at a time in memory.
+
+        Batches begin at the same motions wherever a call goes on, so a resumed one writes the same numbers.
+        """
+        motions, times = self.request.motions, self.request.times
+        fields = generate_scripts(
+            *(self.model, motions),
+            seed=self.seed,
+            first=num_done,
+            sampling=self.sampling,
+            overlap_seconds=self.request.overlap_seconds,
+        )
+        for index, field in enumerate(fields, start=num_done):
+            name = motion_name(index, motions[index])
+            seconds = np.array(times, dtype=np.float64) if times else None
+            yield field, sample_field(field, name, motions[index], self.fps, seconds)
+
+    def write(self, folder: GeneratedFolder) -> Iterator[tuple[MotionField, GeneratedSample, Path]]:
+        """Make and write what the folder lacks, motion by motion: the field, its poses, and the file of that name."""
+        self.output.begin(folder.path, self.fps)
+        for field, sample in self.samples(folder.num_done):
+            path = folder.path / self.output.files(sample.name)[0]
+            self.output.write(path, sample)
+            folder.add(sample)
+            yield field, sample, path
+
+
+def _described(request: GenerationRequest) -> dict[str, Any]:
+    return {"text": request.text, "action": request.action, "seconds": request.duration_seconds}
