@@ -108,7 +108,7 @@ def ingest(
     """Read every sequence of the sources into a store, which is made, added to, or (`overwrite`) replaced.
 
     The store is the same, byte for byte, whatever the number of workers and whichever `engine` (`local`, `ray`,
-    `ray://HOST:PORT`) runs them; without a number given, all cores read, or as many as there are stretches of 32 MiB.
+    `ray://HOST:PORT`) runs them; without a number given, all cores read, or as many as there are stretches.
     Under `skip` the good sequences are stored; under `stop` the first problem ends the ingest and the store stays as it
     was. A sequence that the store holds from an equal file is counted and left alone; one with the same id from another
     file is a problem. So is one whose id an earlier sequence of the sources has, unless that one cannot be read: then

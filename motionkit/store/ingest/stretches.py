@@ -16,9 +16,13 @@ from motionkit.store.commit import unique_pending_part
 from motionkit.store.parts import PartWriter, PendingPart
 from motionkit.store.schema import SEGMENTS_FOLDER
 
-# A second of reading, and a part of about 10 MB.
+# A second of reading, and a part of about 10 MB: what small corpora are cut into, so that all workers have something.
 STRETCH_BYTES = 32 * 2**20
 STRETCH_ITEMS = 1024
+# Larger corpora are cut into so many stretches, until their parts have the 128 MB and more that are read best. A worker
+# gives back the rows of all items of a stretch at once.
+NUM_STRETCHES = 64
+MOST_STRETCH_BYTES, MOST_STRETCH_ITEMS = 512 * 2**20, 4096
 
 
 @dataclass(frozen=True)
@@ -49,21 +53,24 @@ class ReadStretch:
 
 
 def cut(items: Iterable[SourceItem]) -> Iterator[list[SourceItem]]:
-    """The items in order, in stretches of at most 32 MiB of files; a larger file is a stretch of its own.
+    """The items in order, in stretches of a 64th of all files' bytes; a larger file is a stretch of its own.
 
-    The cut depends on the items alone. Sequences of one file come into one stretch, so that it is read once, unless
-    they are more than 1,024.
+    A stretch has 32 MiB at least and 512 MiB at most. The cut depends on the items alone. Sequences of one file come
+    into one stretch, so that it is read once, unless they are more than 1,024 for each 32 MiB, or 4,096.
     """
+    files = [(_size(path), list(of_file)) for path, of_file in groupby(items, key=lambda item: item.path)]
+    wanted_bytes = sum(size for size, _ in files) // NUM_STRETCHES
+    most_bytes = min(max(STRETCH_BYTES, wanted_bytes), MOST_STRETCH_BYTES)
+    most_items = min(STRETCH_ITEMS * most_bytes // STRETCH_BYTES, MOST_STRETCH_ITEMS)
     stretch: list[SourceItem] = []
     num_bytes = 0
-    for path, of_file in groupby(items, key=lambda item: item.path):
-        size = _size(path)
-        if stretch and num_bytes + size > STRETCH_BYTES:
+    for size, of_file in files:
+        if stretch and num_bytes + size > most_bytes:
             yield stretch
             stretch, num_bytes = [], 0
         num_bytes += size
         for item in of_file:
-            if len(stretch) == STRETCH_ITEMS:
+            if len(stretch) == most_items:
                 yield stretch
                 stretch, num_bytes = [], size
             stretch.append(item)

@@ -73,6 +73,25 @@ def test_a_stretch_has_so_many_bytes(tmp_path, monkeypatch, sizes, expected):
     assert [len(stretch) for stretch in found] == expected
 
 
+@pytest.mark.parametrize(
+    ("size", "count", "expected"), [(10, 64, 10), (10, 640, 10), (10, 1280, 20), (100, 1000, 10), (1, 20_000, 60)]
+)
+def test_large_corpora_have_larger_stretches(tmp_path, monkeypatch, size, count, expected):
+    """A 64th of all bytes, but not without bounds; nor of numbers of sequences, here 60."""
+    for name, value in (
+        ("STRETCH_BYTES", 100),
+        ("STRETCH_ITEMS", 50),
+        ("MOST_STRETCH_BYTES", 1000),
+        ("MOST_STRETCH_ITEMS", 60),
+    ):
+        monkeypatch.setattr(stretches, name, value)
+    monkeypatch.setattr(stretches, "_size", lambda path: size)
+    items = [SourceItem("bvh", tmp_path / f"{number}.bvh", tmp_path, str(number)) for number in range(count)]
+    found = list(cut(items))
+    assert [item for stretch in found for item in stretch] == items
+    assert {len(stretch) for stretch in found[:-1]} == {expected}
+
+
 def folder_of(tmp_path: Path, lengths: list[int]) -> Path:
     folder = tmp_path / "takes"
     folder.mkdir()
