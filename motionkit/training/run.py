@@ -256,7 +256,9 @@ def check_same(folder: StageFolder, origin: StageOrigin) -> None:
         ]
         if len(changed) > SHOWN_SETTINGS:
             differing.append(f"{len(changed) - SHOWN_SETTINGS} more")
-        recipes = f"recipe {begun.get('recipe')!r} → {origin.recipe!r}: " if begun.get("recipe") != origin.recipe else ""
+        recipes = (
+            f"recipe {begun.get('recipe')!r} → {origin.recipe!r}: " if begun.get("recipe") != origin.recipe else ""
+        )
         raise RunError(
             f"{folder.path} was begun with other settings ({recipes}{', '.join(differing)}): use the same ones, or "
             f"{again}"

@@ -11,8 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from motionkit.training.loaders import Loader
-
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, environment, measure
 from eval.sets.found import Found
