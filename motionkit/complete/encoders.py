@@ -27,8 +27,8 @@ COMPLETION: tuple[Task, ...] = ("interpolation", "inbetweening", "extrapolation"
 
 
 @runtime_checkable
-class KnowsItsTraining(Protocol):
-    """An encoder that can say what it has seen; beyond that it is asked all the same, and people are told."""
+class StatesItsTraining(Protocol):
+    """An encoder that states the range of its training; beyond that it works too, with a warning."""
 
     @property
     def longest_gap_seconds(self) -> float:
@@ -125,12 +125,12 @@ class ChosenEncoder:
     @property
     def longest_gap_seconds(self) -> float | None:
         """Longest time without a frame in its training, None where it does not say."""
-        return self.encoder.longest_gap_seconds if isinstance(self.encoder, KnowsItsTraining) else None
+        return self.encoder.longest_gap_seconds if isinstance(self.encoder, StatesItsTraining) else None
 
     @property
     def reach_seconds(self) -> float | None:
         """How far beyond the ends its training went, None where it does not say."""
-        return self.encoder.reach_seconds if isinstance(self.encoder, KnowsItsTraining) else None
+        return self.encoder.reach_seconds if isinstance(self.encoder, StatesItsTraining) else None
 
     @property
     def goes_on(self) -> bool:

@@ -62,7 +62,7 @@ class ExportReport:
 def export(
     selection: Selection, folder: Path, kind: Export, on_outcome: Callable[[Outcome], None] = lambda outcome: None
 ) -> ExportReport:
-    """Write a selection as one kind of output into a new or empty folder; `on_outcome` is told about each sequence.
+    """Write a selection as one kind of output into a new or empty folder; `on_outcome` is called for each sequence.
 
     Everything is written into `FOLDER.partial`; `FOLDER` appears when it is complete, and nothing is left when anything
     raises (`whole_folder`). Raises `UsageError` for a folder that holds something or that another process writes,

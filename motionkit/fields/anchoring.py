@@ -22,9 +22,9 @@ from motionkit.fields.motion_field import (
     Observation,
     Observed,
     Poses,
+    at_fps,
     check_skeleton,
     check_times,
-    told_fps,
 )
 
 _NEIGHBOURS = 3
@@ -80,7 +80,7 @@ class AnchoredField:
 
     def at_fps(self, fps: Fraction) -> "AnchoredField":
         """The field for this framerate, anchored anew."""
-        return anchored(told_fps(self.field, fps), self.observation)
+        return anchored(at_fps(self.field, fps), self.observation)
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""

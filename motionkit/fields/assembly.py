@@ -16,7 +16,7 @@ from jaxtyping import Float, Float64
 from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, quaternion_slerp
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation.joints import Joints
-from motionkit.fields.motion_field import MotionField, Poses, check_times, told_fps
+from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times
 
 SHORTEST_OVERLAP_SECONDS = 1e-3
 _TIMES_TO_FIT = 16
@@ -89,8 +89,8 @@ class AssembledField:
         return self.pieces[-1].end_seconds
 
     def at_fps(self, fps: Fraction) -> "AssembledField":
-        """The same motion, all pieces told that they are sampled at this framerate."""
-        return replace(self, pieces=tuple(replace(piece, field=told_fps(piece.field, fps)) for piece in self.pieces))
+        """The same motion, all pieces sampled at this framerate."""
+        return replace(self, pieces=tuple(replace(piece, field=at_fps(piece.field, fps)) for piece in self.pieces))
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it.

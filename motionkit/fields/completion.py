@@ -17,10 +17,10 @@ from motionkit.fields.motion_field import (
     Observation,
     Observed,
     Poses,
+    at_fps,
     check_observed_alike,
     check_skeleton,
     to_motion,
-    told_fps,
 )
 
 SLERP: MotionEncoder = INTERPOLATORS["slerp"]
@@ -197,7 +197,7 @@ def _completion(
         before_seconds=max(0.0, observation.start_seconds - grid.start_seconds),
         after_seconds=max(0.0, last_second - observation.end_seconds),
     )
-    return Completion(observation, known, told_fps(field, grid.fps), grid, rows, poses)
+    return Completion(observation, known, at_fps(field, grid.fps), grid, rows, poses)
 
 
 def query_many(
@@ -208,7 +208,7 @@ def query_many(
 ) -> list[Poses]:
     """For each of many motions, observed at the same times, what its field says at these times: at once where it can.
 
-    Times may lie beyond the observed span; fields that depend on the framerate are told `fps`. Raises `ValueError` for
+    Times may lie beyond the observed span; fields that depend on the framerate get `fps`. Raises `ValueError` for
     motions that are observed at different times or differ in their joints, and where the encoder cannot go that far.
     """
     check_observed_alike(observations)
@@ -217,7 +217,7 @@ def query_many(
     before = max(0.0, observations[0].start_seconds - float(times_seconds.min()))
     after = max(0.0, float(times_seconds.max()) - observations[0].end_seconds)
     fields = (encoder.encode(observation, before_seconds=before, after_seconds=after) for observation in observations)
-    return [told_fps(field, fps).query(times_seconds) for field in fields]
+    return [at_fps(field, fps).query(times_seconds) for field in fields]
 
 
 def observed_errors(field: MotionField, observation: Observation) -> Float64[np.ndarray, "frames joints"]:

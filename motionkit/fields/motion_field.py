@@ -298,7 +298,7 @@ class FramerateConditioned(Protocol):
     """A field that also depends on the framerate at which it is sampled (the s of NeRM's Eq. 2)."""
 
     def at_fps(self, fps: Fraction) -> MotionField:
-        """The same motion, told that it is sampled at this framerate."""
+        """The same motion, conditioned on this framerate."""
         ...
 
 
@@ -333,7 +333,7 @@ def check_skeleton(field: MotionField, observation: Observed) -> None:
         )
 
 
-def told_fps(field: MotionField, fps: Fraction) -> MotionField:
+def at_fps(field: MotionField, fps: Fraction) -> MotionField:
     """The field itself, or where it depends on the framerate that it is sampled at, the one for `fps`."""
     return field.at_fps(fps) if isinstance(field, FramerateConditioned) else field
 
@@ -346,7 +346,7 @@ def frame_grid(field: MotionField, fps: Fraction) -> TimeGrid:
 def to_motion(field: MotionField, fps: Fraction, provenance: Provenance | None = None) -> Motion:
     """Sample the whole field uniformly: frame k at start_seconds + k / fps."""
     grid = frame_grid(field, fps)
-    poses = told_fps(field, fps).query(np.minimum(grid.seconds(), field.end_seconds))
+    poses = at_fps(field, fps).query(np.minimum(grid.seconds(), field.end_seconds))
     return poses.at(grid, field.skeleton, provenance)
 
 
@@ -357,11 +357,11 @@ def motion_chunks(field: MotionField, fps: Fraction, frames_per_chunk: int) -> I
     """
     if frames_per_chunk < 1:
         raise ValueError(f"a chunk has one frame at least, not {frames_per_chunk}")
-    grid, told = frame_grid(field, fps), told_fps(field, fps)
+    grid, sampled = frame_grid(field, fps), at_fps(field, fps)
     for first in range(0, grid.num_frames, frames_per_chunk):
         count = min(frames_per_chunk, grid.num_frames - first)
         times = grid.start_seconds + (first + np.arange(count, dtype=np.float64)) * fps.denominator / fps.numerator
-        poses = told.query(np.minimum(times, field.end_seconds))
+        poses = sampled.query(np.minimum(times, field.end_seconds))
         yield poses.at(TimeGrid(fps, count, float(times[0])), field.skeleton)
 
 

@@ -60,7 +60,7 @@ def resample(motion: Motion, fps: Framerate, method: Method = "slerp") -> Motion
     """The motion at any framerate: filtered below the new Nyquist frequency downwards, interpolated upwards.
 
     Downwards it is `downsample`; upwards the frames of the motion that fall on the new grid are kept, and `method` (an
-    interpolator, docs/motion-fields.md) makes the others. Raises `ValueError` for a framerate that is none.
+    interpolator, docs/motion-fields.md) makes the others. Raises `ValueError` for an invalid framerate.
 
     >>> motion = mk.read("walk.bvh")
     >>> mk.resample(motion, 59.94).fps, mk.resample(motion, "120", "squad").num_frames

@@ -22,7 +22,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.interpolation.joints import Joints, rotations_in_time, with_rotations
 from motionkit.fields.interpolation.rigid import Rig
-from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Observed, Poses, told_fps
+from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Observed, Poses, at_fps
 
 _TIMES_AT_ONCE = 4096
 _SMALLEST_WEIGHT = 0.5
@@ -96,9 +96,9 @@ class TransferredField:
         return self.own.end_seconds
 
     def at_fps(self, fps: Fraction) -> "TransferredField":
-        """The field whose model is told this framerate."""
+        """The field whose model is sampled at this framerate."""
         return TransferredField(
-            self.own, told_fps(self.model, fps), self.base, self.counterparts, self.moved_joint, self.like
+            self.own, at_fps(self.model, fps), self.base, self.counterparts, self.moved_joint, self.like
         )
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
@@ -135,7 +135,7 @@ class TransferredField:
         pelvis = self.counterparts[_PELVIS]
         wanted = own.joint_positions[:, pelvis] + (model.joint_positions - base.joint_positions)[:, _PELVIS]
         move = (wanted - turned[:, pelvis])[:, None]
-        carried = np.isin(np.arange(skeleton.num_joints), _and_below(skeleton, self.moved_joint))
+        carried = np.isin(np.arange(skeleton.num_joints), _subtree(skeleton, self.moved_joint))
         positions = turned + np.where(carried[:, None], move, np.float32(0.0))
         translation = None
         if self.like.root_translation is not None:
@@ -162,12 +162,12 @@ def _counterparts(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
     for joint in range(SMPL22.num_joints):
         sources = np.flatnonzero(weights[joint] >= _SMALLEST_WEIGHT).tolist()
         if joint != _PELVIS and sources:
-            wanting.setdefault(max(sources, key=lambda source: len(_and_above(skeleton, source))), []).append(joint)
+            wanting.setdefault(max(sources, key=lambda source: len(_path_to_root(skeleton, source))), []).append(joint)
     found = {}
     for source, joints in wanting.items():
         spine = [joint for joint in joints if joint in _SPINE]
         found[spine[-1] if spine else max(joints, key=lambda joint: float(weights[joint, source]))] = source
-    hips = [_and_above(skeleton, found[hip]) for hip in (_LEFT_HIP, _RIGHT_HIP) if hip in found]
+    hips = [_path_to_root(skeleton, found[hip]) for hip in (_LEFT_HIP, _RIGHT_HIP) if hip in found]
     pelvis = next((joint for joint in hips[0] if all(joint in above for above in hips)), 0) if hips else 0
     found = {joint: source for joint, source in found.items() if source != pelvis}
     return tuple(sorted({**found, _PELVIS: pelvis}.items()))
@@ -196,18 +196,18 @@ def _canonical_poses(observation: Observation, before: Poses | None) -> Poses:
 def _moved_joint(observation: Observed, pelvis: int) -> int:
     """The joint that carries the body's path: the one nearest the pelvis whose bone is not rigid, else the root."""
     moving = Rig.of(observation).moving
-    return next((joint for joint in _and_above(observation.skeleton, pelvis) if joint in moving), 0)
+    return next((joint for joint in _path_to_root(observation.skeleton, pelvis) if joint in moving), 0)
 
 
-def _and_above(skeleton: Skeleton, joint: int) -> tuple[int, ...]:
+def _path_to_root(skeleton: Skeleton, joint: int) -> tuple[int, ...]:
     chain = [joint]
     while skeleton.parents[chain[-1]] >= 0:
         chain.append(skeleton.parents[chain[-1]])
     return tuple(chain)
 
 
-def _and_below(skeleton: Skeleton, joint: int) -> list[int]:
-    return [each for each in range(skeleton.num_joints) if joint in _and_above(skeleton, each)]
+def _subtree(skeleton: Skeleton, joint: int) -> list[int]:
+    return [each for each in range(skeleton.num_joints) if joint in _path_to_root(skeleton, each)]
 
 
 def _world(poses: Poses, skeleton: Skeleton) -> Float64[np.ndarray, "times joints 4"]:

@@ -1,4 +1,4 @@
-"""What a file format is: how its files are found and read, how a motion is written, what people are told of it."""
+"""What a file format is: how its files are found and read, how a motion is written."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -13,11 +13,11 @@ Reader = Callable[[SourceItem, ReadOptions], Motion]
 
 @dataclass(frozen=True)
 class Format:
-    """One format: detection, reader and writer, and what people are told about it.
+    """One format: detection, reader, writer, and its description for users.
 
     A file format has `suffixes`, and `accepts` where the suffix alone does not tell; a single file of another name is
-    known by a word that it `begins` with, comments aside. A folder format has `claims`,
-    which says whether a folder is one, and `find`, which lists its sequences; a claimed folder is not searched further.
+    known by a word that it `begins` with, comments aside. A folder format has `claims`, which says whether a folder is
+    one, and `find`, which lists its sequences; a claimed folder is not searched further.
     `beside` lists the files of a folder, there or not, that belong to its sequences without being one: what is read
     with them, and what a data set is known to put there. A text file that can be written again with its own lines has
     `document`, which reads the same skeleton, frames and clock as `read`, but frames where they are needed.

@@ -12,7 +12,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.motion_field import MotionField, told_fps
+from motionkit.fields.motion_field import MotionField, at_fps
 from motionkit.generate.long_motions import Script, captions_of
 
 SLUG_LENGTH = 40
@@ -75,7 +75,7 @@ def sample_field(
     """
     duration = field.end_seconds - field.start_seconds
     if times_seconds is None:
-        field = told_fps(field, fps)
+        field = at_fps(field, fps)
         num_frames = max(1, int(np.ceil(duration * float(fps) - 1e-6)))
         seconds = TimeGrid(fps, num_frames, field.start_seconds).seconds()
     else:

@@ -1,4 +1,4 @@
-"""What a performer is told: curves on named channels, and steps. Parts add up, so actions can follow and overlap."""
+"""The script of a performance: curves on named channels, and steps. Parts add up, so actions can follow and overlap."""
 
 from dataclasses import dataclass, field
 

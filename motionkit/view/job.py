@@ -68,7 +68,7 @@ class Stretch:
         first, stop = np.searchsorted(seconds, (begin - 1e-6, end - 1e-6)).tolist()
         if first >= stop:
             raise MotionkitError(
-                f"it has no frame from {_told(begin)} to {_told(end)}: its frames are at {seconds[0]:g} to "
+                f"it has no frame from {_instant(begin)} to {_instant(end)}: its frames are at {seconds[0]:g} to "
                 f"{seconds[-1]:.6g} s"
             )
         return take.frames(first, stop)
@@ -153,5 +153,5 @@ def write_view(path: Path, takes: Sequence[Take], stretch: Stretch) -> Viewed:
     return Viewed(path, write_page(path, title, takes, note=note), tuple(takes))
 
 
-def _told(seconds: float) -> str:
+def _instant(seconds: float) -> str:
     return f"{seconds:g} s" if np.isfinite(seconds) else "its end" if seconds > 0 else "its beginning"

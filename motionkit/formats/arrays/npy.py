@@ -19,7 +19,7 @@ MAX_LENGTH_ERROR = 0.01
 
 
 def checked_numbers(array: np.ndarray, path: Path, name: str = "") -> Float32[np.ndarray, "..."]:
-    """An array as float32, frames first; raises `FormatError` (`nan`, `range`) with the first frame that is none."""
+    """An array as float32, frames first; raises `FormatError` (`nan`, `range`) with the first bad frame."""
     if array.dtype == np.float16:
         array = array.astype(np.float32)  # a million is beyond what float16 can be compared with
     rows = array.reshape(len(array), -1)

@@ -80,7 +80,7 @@ def unnamed_skeleton(num_joints: int, path: Path) -> Skeleton:
 
 
 def checked_layout_map(text: str, path: Path) -> str:
-    """A skeleton's own map as it is; raises `FormatError` (`skeleton-map`) for a text that is none."""
+    """A skeleton's own map as it is; raises `FormatError` (`skeleton-map`) for an invalid map."""
     try:
         if text:
             parse_layout_map(text)

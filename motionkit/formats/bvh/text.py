@@ -214,7 +214,7 @@ def read_head(file: FileParts) -> BvhText:
 
 
 def split_text(data: bytes, path: Path) -> BvhText:
-    """Take a file's beginning apart; raises `FormatError` naming the line for what is missing or no BVH file at all."""
+    """Take a file's beginning apart; raises `FormatError` naming the line for what is missing, or for no BVH file."""
     # Lines of old Macintoshes end in a carriage return alone.
     data = data if b"\n" in data else data.replace(b"\r", b"\n")
     head = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -237,46 +237,60 @@ def split_text(data: bytes, path: Path) -> BvhText:
     hierarchy = parse_hierarchy(source_file.decode(data[: motion.start()], path), path)
     if not hierarchy.num_channels:
         raise FormatError("no joint has CHANNELS, so nothing moves", path=path, reason="channels")
-    position, frames, frame_time, frame_time_line = motion.end(), "", "", 0
-    line = data.count(b"\n", 0, position)
-    while not (frames and frame_time):
-        end = data.find(b"\n", position)
+    clock = _read_clock(data, motion.end(), path)
+    body_line = clock.last_line + (clock.end <= len(data))
+    return BvhText(
+        head=data[: motion.end()],
+        hierarchy=hierarchy,
+        num_frames=_num_frames(clock.frames, path, body_line),
+        frame_time=clock.frame_time,
+        frame_time_line=clock.frame_time_line,
+        body_start=clock.end,
+        body_line=body_line,
+    )
+
+
+@dataclass
+class _Clock:
+    """What the lines after MOTION say, as written; `end` is where the numbers begin, after `last_line`."""
+
+    end: int
+    last_line: int
+    frames: str = ""
+    frame_time: str = ""
+    frame_time_line: int = 0
+
+
+def _read_clock(data: bytes, start: int, path: Path) -> _Clock:
+    clock = _Clock(start, data.count(b"\n", 0, start))
+    while not (clock.frames and clock.frame_time):
+        end = data.find(b"\n", clock.end)
         end = len(data) if end < 0 else end
-        line += 1
-        words = source_file.decode(data[position:end], path).strip()
+        clock.last_line += 1
+        words = source_file.decode(data[clock.end : end], path).strip()
         key, colon, value = words.partition(":")
-        if words:
-            match " ".join(key.lower().split()) if colon else "":
-                case "frames":
-                    frames = value.strip()
-                case "frame time":
-                    frame_time, frame_time_line = value.strip(), line
-                case _:
-                    missing = "Frame Time: seconds" if frames else "Frames: count"
-                    raise FormatError(
-                        f"{words[:40]!r} where '{missing}' was expected",
-                        path=path,
-                        reason="frame-time" if frames else "frame-count",
-                        line=line,
-                    )
-        if end == len(data) and not (frames and frame_time):
+        match " ".join(key.lower().split()) if colon else "":
+            case "frames":
+                clock.frames = value.strip()
+            case "frame time":
+                clock.frame_time, clock.frame_time_line = value.strip(), clock.last_line
+            case _ if words:
+                missing = "Frame Time: seconds" if clock.frames else "Frames: count"
+                raise FormatError(
+                    f"{words[:40]!r} where '{missing}' was expected",
+                    path=path,
+                    reason="frame-time" if clock.frames else "frame-count",
+                    line=clock.last_line,
+                )
+        if end == len(data) and not (clock.frames and clock.frame_time):
             raise FormatError(
                 "the file ends before its first frame, expected 'Frames:' and 'Frame Time:'",
                 path=path,
                 reason="truncated",
-                line=line,
+                line=clock.last_line,
             )
-        position = end + 1
-    body_line = line + (position <= len(data))
-    return BvhText(
-        head=data[: motion.end()],
-        hierarchy=hierarchy,
-        num_frames=_num_frames(frames, path, body_line),
-        frame_time=frame_time,
-        frame_time_line=frame_time_line,
-        body_start=position,
-        body_line=body_line,
-    )
+        clock.end = end + 1
+    return clock
 
 
 def holds_head(data: bytes) -> bool:

@@ -194,7 +194,7 @@ def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def seconds_of(value: object, what: str, path: Path, place: str) -> float:
-    """A number of seconds in a JSON index; raises `FormatError` (`index-entry`) for what is none, or negative."""
+    """A number of seconds in a JSON index; raises `FormatError` (`index-entry`) for anything else, or less than 0."""
     number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else -1.0
     if not 0.0 <= number < 1e6:
         raise FormatError(

@@ -37,7 +37,7 @@ class Sidecars:
     warnings: tuple[FormatError, ...] = ()
 
     def captions(self, name: str) -> tuple[Caption, ...] | None:
-        """Captions of a sequence, None where there are none; raises `FormatError` for a text file that is none."""
+        """Captions of a sequence, None where there are none; raises `FormatError` for an invalid file."""
         path = self.texts / f"{name}.txt" if self.texts else None
         return texts.read_texts(path) if path is not None and path.is_file() else None
 
@@ -46,7 +46,7 @@ def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf
     """The sequences of all indexes whose files lie below the sources; the others are problems (`missing-file`).
 
     Sequences of one file follow each other, in the order in which the indexes first name the file. Raises `UsageError`
-    for folders that are none and options that make no sense, `FormatError` for an index that cannot be read.
+    for sources that are not folders and options that exclude each other, `FormatError` for an unreadable index.
     """
     indexes = [_chosen(read_index(path), options) for path in options.paths]
     lost: list[FormatError] = []
@@ -217,8 +217,8 @@ JSON_KINDS: tuple[tuple[Callable[[Any], bool], Callable[[Path], Index]], ...] = 
 def read_index(path: Path) -> Index:
     """Read an index of any kind: HumanML3D's index.csv, TMR's annotations, BABEL's labels.
 
-    Bad entries become its `problems`. Raises `FormatError` (`index`, `encoding`, `empty`, `unreadable`) for a file that
-    is none.
+    Bad entries become its `problems`. Raises `FormatError` (`index`, `encoding`, `empty`, `unreadable`) for any other
+    file.
     """
     head = source_file.read_bytes(path)[:HEAD_BYTES].decode("utf-8-sig", errors="replace")
     if humanml3d_index.recognise(head):

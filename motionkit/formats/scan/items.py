@@ -1,4 +1,4 @@
-"""What a scan finds and what a reader is told: small values that travel between processes."""
+"""What a scan finds, and the options of readers: small values that travel between processes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

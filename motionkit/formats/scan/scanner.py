@@ -66,7 +66,7 @@ def _file_items(
 ) -> Callable[[Path, Path], SourceItem | None]:
     """Path and source folder → the motion that a file holds, with the framerate and licence that stand beside it.
 
-    The annotation tables beside the files are added to `seen`, what is wrong with those that are none to `broken`.
+    The annotation tables beside the files are added to `seen`, faults of unreadable ones to `broken`.
     """
     candidates = [entry for entry in readers().values() if options.format in ("auto", entry.name)]
 
@@ -126,8 +126,8 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
         problems += [_no_motion(table, path, row) for table, path, row in rows if path not in known]
     captioned = [root] if given is not None and given.has_captions else []
     captioned += [table.path.parent for table in beside if table.has_captions]
-    told = {warning.path for warning in warnings if warning.reason == "no-caption"}
-    silent = [item for item in items if not item.captions and item.path not in told]
+    reported = {warning.path for warning in warnings if warning.reason == "no-caption"}
+    silent = [item for item in items if not item.captions and item.path not in reported]
     ignored = unread.ignored(seen, found, (table.path.resolve() for table in tables))
     warnings += _motions_without_caption(silent, captioned)
     return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=ignored)

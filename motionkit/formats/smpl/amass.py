@@ -56,7 +56,7 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     """Read one motion at its stated framerate: true local rotations, positions in metres, turned to y up.
 
     Without a body model the joints are the 22 of SMPL's mean shape, and finger, jaw and eye rotations are left out.
-    Raises `FormatError`, with the reason `no-framerate` where nothing says one, `framerate` where it is none.
+    Raises `FormatError`, with the reason `no-framerate` where nothing states one, `framerate` where it is invalid.
     """
     path = item.path
     data = source_file.read_bytes(path)

@@ -35,7 +35,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def check_file(path: Path) -> os.stat_result:
-    """What the system knows of a file; raises `FormatError` (`unreadable`) for what is none."""
+    """What the system knows of a file; raises `FormatError` (`unreadable`) for anything but a file."""
     try:
         status = path.stat()
     except OSError as error:

@@ -25,7 +25,7 @@ def test_ranges_of_frames() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "no range"),
         ("a:b", "'a:b'"),
@@ -40,8 +40,8 @@ def test_ranges_of_frames() -> None:
         (f"0:{'9' * 5000}", "no clip has as many frames"),
     ],
 )
-def test_ranges_that_are_none(text: str, told: str) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_invalid_ranges(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         parse_keep(text)
 
 

@@ -57,7 +57,7 @@ def export_as(tmp_path: Path) -> Callable[..., ExportReport]:
 
 @pytest.fixture
 def ingest_again(tmp_path: Path) -> Callable[[Path], list[Motion]]:
-    """The motions of a folder after a journey through ingest and a store; anything told is a fault."""
+    """The motions of a folder after a journey through ingest and a store; any warning is a fault."""
 
     def run(folder: Path) -> list[Motion]:
         report = ingest([folder], tmp_path / "again", num_workers=1)

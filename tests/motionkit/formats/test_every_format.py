@@ -60,7 +60,7 @@ def test_the_undamaged_source_is_read(tmp_path, name):
 @settings(max_examples=EXAMPLES, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), stated=st.booleans())
 def test_only_explained_errors_come_out(tmp_path_factory, name, data, stated):
-    """What is read is finite and on a clock, so that it can be measured; all else is told with the file's name."""
+    """What is read is finite and on a clock, so that it can be measured; all else is reported with the file's name."""
     folder = tmp_path_factory.mktemp("source", numbered=True)
     try:
         path = SOURCES[name](folder)
@@ -197,7 +197,7 @@ def test_a_link_to_its_own_folder_ends(tmp_path):
     assert {problem.reason for problem in problems} == {"dangling-link"}
 
 
-def test_names_that_are_not_utf8_are_told(tmp_path):
+def test_names_that_are_not_utf8_are_reported(tmp_path):
     """A file name is bytes; ids and paths of a store are text."""
     path = SOURCES["bvh"](tmp_path)
     try:

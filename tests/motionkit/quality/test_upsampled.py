@@ -1,4 +1,4 @@
-"""Captures brought to a higher framerate: the rate of the capture is told, and no other take is suspected."""
+"""Captures brought to a higher framerate: the rate of the capture is found, and no other take is suspected."""
 
 from dataclasses import replace
 from fractions import Fraction

@@ -81,9 +81,9 @@ def test_the_script_unpacks_the_same(node: str) -> None:
         examples.append(pack(*body))
 
     collect()
-    told = in_script(node, ["packing.js"], "data.map((each) => Array.from(unpack(each)))", examples)
-    assert isinstance(told, list) and len(told) == len(examples)
-    for numbers, packed in zip(told, examples, strict=True):
+    answer = in_script(node, ["packing.js"], "data.map((each) => Array.from(unpack(each)))", examples)
+    assert isinstance(answer, list) and len(answer) == len(examples)
+    for numbers, packed in zip(answer, examples, strict=True):
         np.testing.assert_array_equal(np.float32(numbers), unpack(packed).ravel())
 
 
@@ -97,7 +97,7 @@ def test_a_frame_is_held_until_the_next(node: str) -> None:
     uneven = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.2, 50))
     takes.append({"fps": [10, 1], "startSeconds": uneven[0], "numFrames": 50, "unevenSeconds": uneven.tolist()})
     asked = [{"take": take, "at": [0, 0.4, 0.99]} for take in takes]
-    told = in_script(
+    answer = in_script(
         node,
         ["clock.js"],
         """data.map(({ take, at }) => Array.from({ length: 50 }, (_, frame) => at.map((part) => {
@@ -107,7 +107,7 @@ def test_a_frame_is_held_until_the_next(node: str) -> None:
         })))""",
         asked,
     )
-    answers = np.array(told)
+    answers = np.array(answer)
     np.testing.assert_array_equal(answers[..., 0], np.broadcast_to(np.arange(50)[:, None], answers.shape[:3]))
     np.testing.assert_allclose(answers[:, :49, :, 1], np.broadcast_to([0, 0.4, 0.99], (len(takes), 49, 3)), atol=2e-3)
     assert not answers[:, 49, :, 1].any() and not answers[..., 2].any()

@@ -66,9 +66,9 @@ def test_frames_of_a_take_keep_their_numbers_and_times() -> None:
 def test_too_much_is_refused_with_a_stretch_that_fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("motionkit.export.player.page.MOST_PAGE_BYTES", 100_000)
     take = standing("long", 6000, 60)
-    with pytest.raises(MotionkitError, match=r"100 s of the longest.*--from 0 --to \d+") as told:
+    with pytest.raises(MotionkitError, match=r"100 s of the longest.*--from 0 --to \d+") as states:
         write_page(tmp_path / "page.html", "long", [take])
-    seconds = int(re.findall(r"--to (\d+)", str(told.value))[0])
+    seconds = int(re.findall(r"--to (\d+)", str(states.value))[0])
     write_page(tmp_path / "page.html", "long", [take.frames(0, 60 * seconds)])
     (shown,) = page_data(tmp_path / "page.html")["takes"]
     assert len(shown["positions"]["narrowNumbers"]) > 50_000
@@ -90,7 +90,7 @@ const press = (key, more) =>
 const canvas = document.querySelector(".stage canvas"), line = document.getElementById("timeline");
 const point = (target, type, id, x, y) =>
   target.dispatchEvent(new PointerEvent(type, { pointerId: id, clientX: x, clientY: y, buttons: 1, bubbles: true }));
-const told = {}, say = (name) => { show(); told[name] = [find("frame").value, seconds, { ...view }]; };
+const states = {}, say = (name) => { show(); states[name] = [find("frame").value, seconds, { ...view }]; };
 say("opened");
 press("ArrowRight"); say("on"); press("ArrowLeft", { shiftKey: true }); say("ten back"); press("End"); say("end");
 mark(1); press("Home"); press("ArrowRight"); say("slow on");
@@ -101,7 +101,7 @@ point(canvas, "pointerdown", 1, 50, 50); point(canvas, "pointermove", 1, 80, 50)
 point(canvas, "pointerdown", 2, 180, 50); point(canvas, "pointermove", 2, 280, 50); say("pinched");
 point(canvas, "pointerup", 1, 80, 50); point(canvas, "pointerup", 2, 280, 50);
 press("r"); say("reset");
-document.body.append(Object.assign(document.createElement("pre"), { textContent: JSON.stringify(told) }));
+document.body.append(Object.assign(document.createElement("pre"), { textContent: JSON.stringify(states) }));
 </script>
 """
 
@@ -121,13 +121,13 @@ def test_a_browser_shows_the_frame_of_the_address_and_does_what_it_is_told(tmp_p
     ran = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     if ran.returncode:
         pytest.skip(f"this browser does not start here: {ran.stderr[-200:]}")
-    told = json.loads(re.findall(r"<pre>(.*?)</pre>", ran.stdout, re.DOTALL)[0])
-    frames = {name: int(each[0]) for name, each in told.items()}
+    states = json.loads(re.findall(r"<pre>(.*?)</pre>", ran.stdout, re.DOTALL)[0])
+    frames = {name: int(each[0]) for name, each in states.items()}
     assert [frames[name] for name in ("opened", "on", "ten back", "end", "slow on")] == [60, 61, 51, 119, 8]
-    assert told["scrubbed"][1] == pytest.approx(2 / 3, abs=1e-3) and frames["scrubbed"] == 7 + 20
-    assert told["turned"][2]["yaw"] == pytest.approx(told["opened"][2]["yaw"] - 0.3)
-    assert told["pinched"][2]["zoom"] == pytest.approx(2.0) and told["pinched"][2]["right"] > 0
-    assert told["reset"][2] == told["opened"][2]
+    assert states["scrubbed"][1] == pytest.approx(2 / 3, abs=1e-3) and frames["scrubbed"] == 7 + 20
+    assert states["turned"][2]["yaw"] == pytest.approx(states["opened"][2]["yaw"] - 0.3)
+    assert states["pinched"][2]["zoom"] == pytest.approx(2.0) and states["pinched"][2]["right"] > 0
+    assert states["reset"][2] == states["opened"][2]
     assert re.findall(r'<span class="state[^"]*">([^<]*)</span>', ran.stdout) == [
         *("frame 80", "frame 27", "is over · frame 2"),
     ]

@@ -187,6 +187,6 @@ def test_memory_does_not_grow_with_the_clip(tmp_path: Path) -> None:
         paths.append(tmp_path / f"{num_frames}.bvh")
         paths[-1].write_text(bvh_text((swinging(300) * 3)[:num_frames]), encoding="utf-8")
     root = REPOSITORY
-    told = subprocess.run([sys.executable, "-c", PEAK, root, *paths], check=True, capture_output=True, text=True)
-    _, short, long = map(int, told.stdout.split())  # the first one is what is imported and cached
+    ran = subprocess.run([sys.executable, "-c", PEAK, root, *paths], check=True, capture_output=True, text=True)
+    _, short, long = map(int, ran.stdout.split())  # the first one is what is imported and cached
     assert long < 1.1 * short

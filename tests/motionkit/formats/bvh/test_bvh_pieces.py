@@ -105,13 +105,13 @@ def assert_same(found: Motion, expected: Motion) -> None:
 
 
 def test_the_takes_are_what_they_are_called(tmp_path: Path) -> None:
-    told = {}
+    operations = {}
     for name, text in TAKES.items():
         (tmp_path / "take.bvh").write_text(text)
-        told[name] = " ".join(read_bvh(tmp_path / "take.bvh").provenance.operations)
-    assert "frame 0 dropped" in told["a T-pose first"] and "turned from z up" in told["along z"]
-    assert "(LeftLeg, LeftFoot, RightLeg, RightFoot)" in told["bones that change"]
-    assert "folded into 'Hips'" in told["a root that carries another"]
+        operations[name] = " ".join(read_bvh(tmp_path / "take.bvh").provenance.operations)
+    assert "frame 0 dropped" in operations["a T-pose first"] and "turned from z up" in operations["along z"]
+    assert "(LeftLeg, LeftFoot, RightLeg, RightFoot)" in operations["bones that change"]
+    assert "folded into 'Hips'" in operations["a root that carries another"]
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -201,6 +201,6 @@ def test_memory_grows_by_60_bytes_for_each_joint_and_frame(tmp_path: Path, kind:
         paths.append(tmp_path / f"{thousands}.bvh")
         lines_of_take = "\n".join(islice(lines * (20 * thousands), 1000 * thousands))
         paths[-1].write_text(f"{head}Frames: {1000 * thousands}\n{step}\n{lines_of_take}\n")
-    told = subprocess.run([sys.executable, "-c", PEAK, *paths], check=True, capture_output=True, text=True)
-    _, medium, long = ([int(number) for number in line.split()] for line in told.stdout.splitlines())
+    ran = subprocess.run([sys.executable, "-c", PEAK, *paths], check=True, capture_output=True, text=True)
+    _, medium, long = ([int(number) for number in line.split()] for line in ran.stdout.splitlines())
     assert (long[1] - medium[1]) / (long[0] - medium[0]) < 60

@@ -29,7 +29,7 @@ def test_a_table_names_the_prompt_and_the_length_of_generated_motions(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("header", "told"),
+    ("header", "reported"),
     [
         ("file,caption,fsp", "a column that is not read: 'fsp' (did you mean fps?)"),
         ("file,caption, fps", "a column that is not read: ' fps' (did you mean fps?)"),
@@ -43,15 +43,17 @@ def test_a_table_names_the_prompt_and_the_length_of_generated_motions(tmp_path: 
         ("name,fsp", None),
     ],
 )
-def test_columns_that_are_not_read_are_told(tmp_path: Path, header: str, told: str | None) -> None:
+def test_columns_that_are_not_read_are_reported(tmp_path: Path, header: str, reported: str | None) -> None:
     (tmp_path / "walk.bvh").write_text(bvh_text())
     (tmp_path / "table.csv").write_text(f"{header}\nwalk.bvh" + ",1" * header.count(",") + "\n")
     found = scan([tmp_path])
     assert (len(found.items), found.problems) == (1, ())
-    assert [warning.message for warning in found.warnings if warning.reason == "unknown-column"] == [told] * bool(told)
+    assert [warning.message for warning in found.warnings if warning.reason == "unknown-column"] == [reported] * bool(
+        reported
+    )
 
 
-def test_splits_that_no_command_knows_are_told_once(tmp_path: Path) -> None:
+def test_splits_that_no_command_knows_are_reported_once(tmp_path: Path) -> None:
     names = ("train", "training", "Test", "dev", "val", "", "training")
     for number in range(len(names)):
         (tmp_path / f"{number}.bvh").write_text(bvh_text())

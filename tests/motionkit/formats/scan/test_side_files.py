@@ -76,7 +76,7 @@ def read_all(folder: Path, options: ReadOptions) -> None:
 
 @pytest.mark.parametrize("content", HOSTILE)
 @pytest.mark.parametrize("side", BESIDE)
-@pytest.mark.parametrize("options", [OPTIONS, ReadOptions()], ids=["told", "found"])
+@pytest.mark.parametrize("options", [OPTIONS, ReadOptions()], ids=["given", "found"])
 def test_hostile_files_beside_motions_are_explained(tmp_path, side, content, options):
     write_beside(tmp_path, side, HOSTILE[content])
     read_all(tmp_path, options)
