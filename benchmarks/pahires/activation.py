@@ -11,6 +11,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from typing import Any
 
 import torch
 
@@ -28,6 +29,42 @@ def cpu_seconds(sides: dict[str, Callable[[], object]], repeats: int) -> dict[st
     return found
 
 
+def measure(rows: int, width: int, num_sines: int, repeats: int) -> dict[str, Any]:
+    """Nanoseconds a number by table, by sines and by a matrix of the same width, and how far table and sines differ."""
+    activation = FourierActivation(num_sines, "calibrated")
+    layer = linear(width, width, "calibrated")
+    x = torch.randn(rows, width, requires_grad=True)
+    incoming = torch.randn(rows, width)
+
+    def forward(function: Callable[[torch.Tensor], torch.Tensor]) -> Callable[[], torch.Tensor]:
+        return torch.no_grad()(lambda: function(x))
+
+    def with_gradients(
+        function: Callable[[torch.Tensor], torch.Tensor], module: torch.nn.Module
+    ) -> Callable[[], tuple[torch.Tensor, ...]]:
+        return lambda: torch.autograd.grad(function(x), [x, *module.parameters()], incoming)
+
+    sides = {"table": (activation, activation), "sines": (activation.direct, activation), "matrix": (layer, layer)}
+    table, sines = with_gradients(*sides["table"])(), with_gradients(*sides["sines"])()
+    forwards = cpu_seconds({name: forward(function) for name, (function, _) in sides.items()}, repeats)
+    whole = cpu_seconds({name: with_gradients(*side) for name, side in sides.items()}, repeats)
+    found = {"forward": forwards, "with_gradients": whole}
+    return {
+        "rows": rows,
+        "width": width,
+        "sines": num_sines,
+        "apart": {
+            "value": float((activation(x) - activation.direct(x)).detach().abs().max()),
+            "gradient": max(float((a - b).norm() / b.norm()) for a, b in zip(table, sines, strict=True)),
+        },
+        **{
+            f"{name}_nanoseconds": {side: 1e9 * seconds / (rows * width) for side, seconds in each.items()}
+            for name, each in found.items()
+        },
+        "sines_per_table": {name: each["sines"] / each["table"] for name, each in found.items()},
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, default=1024)
@@ -38,57 +75,16 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    activation = FourierActivation(options.sines, "calibrated")
-    layer = linear(options.width, options.width, "calibrated")
-    x = torch.randn(options.rows, options.width, requires_grad=True)
-    incoming = torch.randn(options.rows, options.width)
-
-    def forward(function: Callable[[torch.Tensor], torch.Tensor]) -> Callable[[], torch.Tensor]:
-        return torch.no_grad()(lambda: function(x))
-
-    def with_gradients(
-        function: Callable[[torch.Tensor], torch.Tensor], module: torch.nn.Module
-    ) -> Callable[[], tuple[torch.Tensor, ...]]:
-        return lambda: torch.autograd.grad(function(x), [x, *module.parameters()], incoming)
-
-    table, sines = with_gradients(activation, activation)(), with_gradients(activation.direct, activation)()
-    apart = {
-        "value": float((activation(x) - activation.direct(x)).detach().abs().max()),
-        "gradient": max(float((a - b).norm() / b.norm()) for a, b in zip(table, sines, strict=True)),
-    }
-    forwards = cpu_seconds(
-        {"table": forward(activation), "sines": forward(activation.direct), "matrix": forward(layer)}, options.repeats
-    )
-    whole = cpu_seconds(
-        {
-            "table": with_gradients(activation, activation),
-            "sines": with_gradients(activation.direct, activation),
-            "matrix": with_gradients(layer, layer),
-        },
-        options.repeats,
-    )
-    numbers = options.rows * options.width
-    result = {
-        "rows": options.rows,
-        "width": options.width,
-        "sines": options.sines,
-        "apart": apart,
-        **{
-            f"{name}_nanoseconds": {side: 1e9 * seconds / numbers for side, seconds in found.items()}
-            for name, found in (("forward", forwards), ("with_gradients", whole))
-        },
-        "sines_per_table": {
-            "forward": forwards["sines"] / forwards["table"],
-            "with_gradients": whole["sines"] / whole["table"],
-        },
-    }
+    result = measure(options.rows, options.width, options.sines, options.repeats)
     if options.json:
         print(json.dumps(result))
         return
+    forwards, whole = result["forward_nanoseconds"], result["with_gradients_nanoseconds"]
+    ratios, apart = result["sines_per_table"], result["apart"]
     print(f"{'ns per number':16} {'forward':>10} {'with gradients':>16}")
     for side in ("table", "sines", "matrix"):
-        print(f"{side:16} {1e9 * forwards[side] / numbers:10.1f} {1e9 * whole[side] / numbers:16.1f}")
-    print(f"{'sines / table':16} {forwards['sines'] / forwards['table']:10.1f} {whole['sines'] / whole['table']:16.1f}")
+        print(f"{side:16} {forwards[side]:10.1f} {whole[side]:16.1f}")
+    print(f"{'sines / table':16} {ratios['forward']:10.1f} {ratios['with_gradients']:16.1f}")
     print(f"apart: {apart['value']:.1e} in value, {apart['gradient']:.1e} of a gradient")
 
 
