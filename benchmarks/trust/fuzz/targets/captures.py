@@ -12,6 +12,7 @@ from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.export.player.page import check_places
 from motionkit.export.player.takes import take_of
+from motionkit.formats.catalogue import readers
 from motionkit.formats.indexes.search import read_index
 from motionkit.formats.scan.framerate_rules import read_rules
 from motionkit.formats.scan.items import IndexOptions, ReadOptions

@@ -24,7 +24,7 @@ SMALL = GuoWidths(movement=6, motion=5, text=4, shared=3)
 def read_samples(folder: Path) -> None:
     """Read a folder of samples as `motionkit samples` does."""
     read = read_sample_folder("mine", folder, SampleOptions(Fraction(20), keep_published=True))
-    assert np.isfinite(read.positions).all(), "a number that is not finite was read"
+    assert np.isfinite(read.sequences.values).all(), "a number that is not finite was read"
     assert all(1 <= fps <= 10_000 for fps in read.fps), f"{read.fps} fps were read"
     list(lines(summarise(read)))
     if read.left_out:
