@@ -2,11 +2,14 @@
 
 import os
 import signal
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from motionkit.core.errors import MotionkitWarning
 
 # How fast an example runs is the machine's affair, and never a reason to fail. The same examples every time, so that
 # what failed fails again; HYPOTHESIS_PROFILE=explore draws new ones.
@@ -24,6 +27,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--record-golden", action="store_true", help="Write the losses of the tiny trainings instead of comparing them."
     )
+
+
+@pytest.fixture(autouse=True)
+def own_warnings_are_no_errors() -> None:
+    """What motionkit says to people, as of a damaged cache that it makes anew; a test that is about one asks for it."""
+    warnings.simplefilter("default", MotionkitWarning)
 
 
 @pytest.fixture(scope="session")

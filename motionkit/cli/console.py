@@ -1,8 +1,8 @@
 """Results on stdout, progress and messages on stderr."""
 
 import json
-import logging
 import re
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -21,8 +21,9 @@ from rich.progress import (
 from rich.progress import Progress as Display
 from rich.text import Text
 
+from motionkit.core.errors import MotionkitWarning
 from motionkit.core.plain_text import UNSAFE_LETTERS, printable, shortened
-from motionkit.core.progress import LOGGER, OnProgress, Progress, ignore
+from motionkit.core.progress import OnProgress, Progress, ignore
 
 # Messages quote what files say, which may have any length.
 LONGEST_MESSAGE = 3000
@@ -79,17 +80,18 @@ def _json_escape(found: re.Match[str]) -> str:
     return f"\\\\u{number:04x}" if 0xD800 <= number < 0xE000 else f"\\u{number:04x}"
 
 
-class _WarningHandler(logging.Handler):
-    """Prints warnings as lines on stderr."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        stderr.print(f"motionkit: warning: {self.format(record)}")
-
-
 def show_warnings() -> None:
-    """Print the warnings of the logger `motionkit` as lines on stderr from now on."""
-    if not any(isinstance(handler, _WarningHandler) for handler in LOGGER.handlers):
-        LOGGER.addHandler(_WarningHandler())
+    """Print every warning of motionkit's own as a line on stderr from now on; others as Python does."""
+    others = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
+        if issubclass(category, MotionkitWarning):
+            stderr.print(f"motionkit: warning: {message}")
+        else:
+            others(message, category, *place, **options)
+
+    warnings.simplefilter("always", MotionkitWarning)
+    warnings.showwarning = show
 
 
 @contextmanager

@@ -1,6 +1,5 @@
 """One motion completed, in Python: what `motionkit complete` does with each clip, without files."""
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from motionkit.complete.job import begin_clip
 from motionkit.complete.request import CompletionRequest, FrameRange, Reach, parse_extend, parse_keep
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
+from motionkit.core.progress import warn
 from motionkit.core.settings import default_path
 from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.fields.interpolation.rigid import on_bones
@@ -66,7 +66,7 @@ def complete(
     chosen = choose_encoder(model, None if run is None else str(run), default_path("runs"))
     completion, _, remarks = begin_clip(clip, wanted, chosen)
     for remark in remarks:
-        warnings.warn(remark, stacklevel=2)
+        warn(remark)
     if completion.observation.rows(slice(0, 1)).poses.local_rotations is not None:
         completion = replace(completion, field=on_bones(completion.field, completion.observation))
     made = completion.motion(0, completion.grid.num_frames)

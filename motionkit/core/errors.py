@@ -59,6 +59,10 @@ class DamagedFileError(MotionkitError):
         return type(self), (str(self.path), self.fault, self.mend)
 
 
+class MotionkitWarning(UserWarning):
+    """What a person should know of a result that is there all the same; the command line prints it as one line."""
+
+
 class LinkError(MotionkitError):
     """A symbolic link where a file or folder of motionkit's own is expected."""
 

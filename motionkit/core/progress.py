@@ -1,15 +1,19 @@
-"""What long work says while it runs: progress by a callback, warnings by the logger `motionkit`.
-
-Python prints the warnings on stderr unless logging is configured; the command line prefixes them, and draws progress:
+"""What long work says while it runs: progress by a callback, warnings by Python's `warnings`.
 
     store = Store.open("store", on_progress=show)
+    warnings.simplefilter("ignore", MotionkitWarning)
+
+The command line draws the progress, and prints each warning as one line.
 """
 
-import logging
+import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TypeVar
+
+from motionkit.core.errors import MotionkitWarning
 
 T = TypeVar("T")
 
@@ -87,9 +91,9 @@ def tracked(on_progress: OnProgress, name: str, items: Iterable[T], total: int) 
             work.advance()
 
 
-LOGGER = logging.getLogger("motionkit")
-
-
 def warn(message: str) -> None:
-    """Log a warning of one sentence."""
-    LOGGER.warning("%s", message)
+    """Give a `MotionkitWarning` of one sentence, at the line outside of motionkit that led to it."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "motionkit":
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, MotionkitWarning, stacklevel=level)

@@ -1,6 +1,5 @@
 """A trained generative model, in Python: texts or actions in, motions out."""
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -9,6 +8,7 @@ from typing import overload
 
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
+from motionkit.core.progress import warn
 from motionkit.core.settings import default_path
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import Framerate, format_fps, parse_fps
@@ -238,10 +238,9 @@ def _generate(
 ) -> Motion | list[Motion]:
     rate = model.max_training_fps if fps is None else parse_fps(fps)
     if rate > model.max_training_fps:
-        warnings.warn(
+        warn(
             f"{float(rate):g} fps is above the {float(model.max_training_fps):g} fps of {model.name}'s fastest "
-            "training data; detail beyond that is interpolated, not learned",
-            stacklevel=3,
+            "training data; detail beyond that is interpolated, not learned"
         )
     scripts = _scripts(text, action, seconds, n)
     fields = model.draw(scripts, seed, sampling or SamplingOptions())

@@ -1,12 +1,12 @@
 """One page of some motions, in Python: what `motionkit view` does, of motions in memory or in files; in notebooks."""
 
 import html
-import warnings
 import webbrowser
 from pathlib import Path
 
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
+from motionkit.core.progress import warn
 from motionkit.export.player.page import page_of
 from motionkit.export.player.takes import packed_bytes, take_of
 from motionkit.formats.scan.items import ReadOptions
@@ -45,7 +45,7 @@ def view(*motions: Motion | str | Path, path: str | Path | None = None, open: bo
     if not takes:
         raise MotionkitError("; ".join(problems))
     for problem in problems:
-        warnings.warn(problem, stacklevel=2)
+        warn(problem)
     written = write_view(page_path(None if path is None else Path(path), sources), takes, Stretch()).path
     if open:
         webbrowser.open(written.absolute().as_uri())

@@ -1,6 +1,5 @@
 """Motions by the names that people give, files, folders, ids of a store: found, and read in one call."""
 
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -9,6 +8,7 @@ from typing import Generic, Literal, NamedTuple, TypeVar
 
 from motionkit.core.errors import FormatError, StoreError, UsageError
 from motionkit.core.motion import Motion
+from motionkit.core.progress import warn
 from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.formats.arrays import npy
@@ -162,7 +162,7 @@ def read(
         )
     if path.is_file():
         for problem in problems:
-            warnings.warn(str(problem), stacklevel=2)
+            warn(str(problem))
     return found[0].read()
 
 
@@ -191,14 +191,14 @@ def _each(found: list[_Sequence], problems: list[FormatError], on_error: Literal
     for problem in problems:
         if on_error == "stop":
             raise problem
-        warnings.warn(str(problem), stacklevel=2)
+        warn(str(problem))
     for each in found:
         try:
             yield each.read()
         except FormatError as error:
             if on_error == "stop":
                 raise
-            warnings.warn(str(error), stacklevel=2)
+            warn(str(error))
 
 
 def read_options(

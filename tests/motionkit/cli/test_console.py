@@ -1,6 +1,7 @@
 import io
 import json
 import unicodedata
+import warnings
 
 import pytest
 
@@ -8,7 +9,7 @@ from motionkit.cli import console
 from motionkit.cli.console import LineConsole, print_json, print_text
 from motionkit.core.errors import MotionkitError, describe
 from motionkit.core.plain_text import printable
-from motionkit.core.progress import LOGGER, Progress, task, warn
+from motionkit.core.progress import Progress, task, warn
 
 HOSTILE = {
     "\x1b[31mred\x1b[0m": r"\x1b[31mred\x1b[0m",
@@ -119,11 +120,13 @@ def test_no_bar_is_drawn_where_stderr_is_no_terminal(capsys: pytest.CaptureFixtu
 
 
 def test_warnings_are_lines_on_stderr(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(LOGGER, "handlers", [])
+    monkeypatch.setattr(warnings, "showwarning", lambda message, *place: print(f"other: {message}"))
     console.show_warnings()
-    console.show_warnings()
-    warn("[bold] of a\nb")
-    assert capsys.readouterr() == ("", "motionkit: warning: [bold] of a\\nb\n")
+    for _ in range(2):
+        warn("[bold] of a\nb")
+    warnings.simplefilter("always", RuntimeWarning)
+    warnings.warn("of others", RuntimeWarning, stacklevel=1)
+    assert capsys.readouterr() == ("other: of others\n", 2 * "motionkit: warning: [bold] of a\\nb\n")
 
 
 def test_the_end_of_a_long_message_is_shown(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,9 +1,11 @@
 """Progress and warnings below the command line: reports to a callback, records of a logger, nothing on the terminal."""
 
-import logging
+import subprocess
+import sys
 
 import pytest
 
+from motionkit.core.errors import MotionkitWarning
 from motionkit.core.progress import Progress, ignore, task, tracked, warn
 
 
@@ -48,9 +50,14 @@ def test_items_left_over_finish_the_task_too() -> None:
     assert reports[-1] == Progress("read", 0, 2, finished=True)
 
 
-def test_nothing_is_printed(capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture) -> None:
+def test_nothing_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(tracked(ignore, "read", "ab", 2)) == ["a", "b"]
-    with caplog.at_level(logging.WARNING):
+    with pytest.warns(MotionkitWarning, match="100 % of the cache is damaged"):
         warn("100 % of the cache is damaged")
-    assert caplog.record_tuples == [("motionkit", logging.WARNING, "100 % of the cache is damaged")]
     assert capsys.readouterr().out == ""
+
+
+def test_a_warning_names_the_line_that_led_to_it() -> None:
+    code = "from motionkit.core import progress\n\nprogress.warn('a cache is damaged')"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stderr == "<string>:3: MotionkitWarning: a cache is damaged\n"

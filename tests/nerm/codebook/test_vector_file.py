@@ -20,19 +20,19 @@ def _prepare(path: Path) -> np.ndarray:
     return np.array(open_vectors(SMALL, path).vectors)
 
 
-def test_vectors_that_are_whole_are_used_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_vectors_that_are_whole_are_used_again(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
     path = tmp_path / "vectors.f32"
     expected = _prepare(path)
     before = path.stat().st_ino
     np.testing.assert_array_equal(_prepare(path), expected)
     assert path.stat().st_ino == before
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["vectors.f32", "vectors.json"]
-    assert not caplog.records
+    assert not recwarn.list
 
 
 @pytest.mark.parametrize("damage", ["zeros", "cut", "gone", "table", "table cut", "old table"])
 def test_damaged_vectors_are_made_again_and_that_is_said(
-    damage: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    damage: str, tmp_path: Path, recwarn: pytest.WarningsRecorder
 ) -> None:
     path = tmp_path / "vectors.f32"
     expected = _prepare(path)
@@ -51,7 +51,7 @@ def test_damaged_vectors_are_made_again_and_that_is_said(
         table_of(path).write_text("[80, 80, 80, 80]")
     np.testing.assert_array_equal(_prepare(path), expected)
     assert path.read_bytes() == content
-    assert "vectors.f32 is made again" in caplog.text
+    assert any("vectors.f32 is made again" in str(each.message) for each in recwarn)
 
 
 def test_stopped_before_any_step_of_its_end_a_stage_finds_its_vectors_again(
