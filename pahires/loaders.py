@@ -1,6 +1,19 @@
 """PA-HiRes as other packages find it: a motion encoder (`motionkit.encoders`)."""
 
+from pathlib import Path
+
+from motionkit.clips.temporal.stage import load_encoder
 from motionkit.complete.encoders import EncoderLoader
-from pahires.stage import NAME, STAGE, load
+from motionkit.fields.motion_field import MotionEncoder
+from pahires.recipes import PaHiResConfig
+from pahires.stage import STAGE, make_network
+
+NAME = "PA-HiRes"
+
+
+def load(run: Path) -> MotionEncoder:
+    """A run's trained PA-HiRes; raises `RunError` or `CheckpointError` where there is none."""
+    return load_encoder(run, STAGE.name, PaHiResConfig, make_network, NAME)
+
 
 ENCODER = EncoderLoader(NAME, (STAGE.name,), load, order=STAGE.order, preferred=True)

@@ -1,29 +1,20 @@
-"""The peers as other packages find them: motion encoders (`motionkit.encoders`), each for its own task.
-
-Nothing heavy is imported before something is loaded.
-"""
+"""The peers as motion encoders, registered under `motionkit.encoders`, each for its own task; imports nothing heavy."""
 
 from pathlib import Path
-from typing import Any
 
-from motionkit.complete.encoders import EncoderLoader, Task
+from motionkit.clips.temporal.stage import load_encoder
+from motionkit.complete.encoders import EncoderLoader
 from motionkit.fields.motion_field import MotionEncoder
-from motionkit.training.stage import Stage
-from peers.stages import A_LIIF, DELTA_INTERP, LIIF, LMF, META_SR, TS_FORMER
+from peers.recipes import PEERS, Peer
 
 
-def _loader(title: str, stage: Stage[Any], task: Task) -> EncoderLoader:
+def _loader(peer: Peer) -> EncoderLoader:
     def load(run: Path) -> MotionEncoder:
-        from peers.networks import load_peer
+        return load_encoder(run, peer.name, peer.config_type, peer.make_network)
 
-        return load_peer(stage.name, run)
-
-    return EncoderLoader(title, (stage.name,), load, order=stage.order, tasks=(task,))
+    return EncoderLoader(peer.title, (peer.name,), load, order=peer.order, tasks=(peer.task,))
 
 
-LIIF_ENCODER = _loader("LIIF", LIIF, "interpolation")
-META_SR_ENCODER = _loader("Meta-SR", META_SR, "interpolation")
-A_LIIF_ENCODER = _loader("A-LIIF", A_LIIF, "interpolation")
-LMF_ENCODER = _loader("LMF", LMF, "interpolation")
-DELTA_INTERP_ENCODER = _loader("Δ-Interp", DELTA_INTERP, "inbetweening")
-TS_FORMER_ENCODER = _loader("TS-Former", TS_FORMER, "inbetweening")
+LIIF_ENCODER, META_SR_ENCODER, A_LIIF_ENCODER, LMF_ENCODER, DELTA_INTERP_ENCODER, TS_FORMER_ENCODER = (
+    _loader(peer) for peer in PEERS
+)

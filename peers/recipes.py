@@ -1,4 +1,4 @@
-"""Settings of the peers and their recipes; imports nothing heavy.
+"""The peers: a row each with what it is called, the class of its network, and its recipes. Imports nothing heavy.
 
 `nano` and `base` train as PA-HiRes' recipes of these names do (windows, batch, form of the answer), each on its
 own task alone; `base` as many steps as PA-HiRes spends on it, `nano` two thirds of them. Weights of curves, and
@@ -7,8 +7,11 @@ corrections sized by the motion, are PA-HiRes's alone. `paper` has each peer's p
 half the width. Networks of `nano` are small.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, make_dataclass, replace
+from functools import cached_property, partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from motionkit.clips.temporal.settings import (
     AnswerSettings,
@@ -17,6 +20,8 @@ from motionkit.clips.temporal.settings import (
     base_training,
     nano_training,
 )
+from motionkit.clips.temporal.stage import TemporalConfig
+from motionkit.complete.encoders import Task
 from motionkit.training.config import Schedule
 from peers.settings import (
     ALiifNetworkConfig,
@@ -28,236 +33,197 @@ from peers.settings import (
     TsFormerNetworkConfig,
 )
 
-FAIR_WIDTH = 64
-MODULATED_RATE = 4e-4
-NANO_ENCODER = EdsrConfig(blocks=4, features=64)
+if TYPE_CHECKING:
+    import torch
 
 
-def _on_grids(training: TemporalSettings) -> None:
-    """Raise `ValueError` for tasks whose frames lie at no even times."""
-    if training.tasks.gap or training.tasks.scattered:
+@dataclass(frozen=True)
+class Peer:
+    """A published method.
+
+    `name` and `order` are its stage's, `title` names its rows in tables; `network` is the class that is made of sizes,
+    as "module:Class"; `recipes` are the sizes of the network and the training, by name.
+    """
+
+    name: str
+    order: int
+    title: str
+    description: str
+    task: Task
+    network: str
+    recipes: Mapping[str, tuple[Any, TemporalSettings]]
+
+    @cached_property
+    def config_type(self) -> type[Any]:
+        """The stage's configuration: the parts `network` and `training`."""
+        sizes = type(self.recipes["paper"][0])
+        parts = [
+            (name, part, field(default_factory=part))
+            for name, part in (("network", sizes), ("training", TemporalSettings))
+        ]
+        check = _check_on_grids if self.task == "interpolation" else _check
+        return make_dataclass(
+            sizes.__name__.replace("Network", ""), parts, frozen=True, namespace={"__post_init__": check}
+        )
+
+    @property
+    def configs(self) -> dict[str, Callable[[], Any]]:
+        """The recipes as functions that make their configurations."""
+        make: Callable[..., Any] = self.config_type
+        return {name: partial(make, *parts) for name, parts in self.recipes.items()}
+
+    def make_network(self, config: Any, num_numbers: int) -> "torch.nn.Module":
+        """The network for rows of so many numbers, its weights drawn from torch's generator."""
+        module, _, name = self.network.partition(":")
+        made: torch.nn.Module = getattr(import_module(module), name)(config.network, num_numbers)
+        return made
+
+
+def _check(config: TemporalConfig) -> None:
+    """Raise `ValueError` for blended curves, whose weights no peer answers."""
+    if config.training.answer.curves:
+        raise ValueError("peers answer rows alone, not weights of curves: leave training.answer.blended empty")
+
+
+def _check_on_grids(config: TemporalConfig) -> None:
+    """Raise `ValueError` for tasks whose frames lie at no even times, too."""
+    _check(config)
+    if config.training.tasks.gap or config.training.tasks.scattered:
         raise ValueError(
             "this model needs frames at even times: training.tasks.gap and training.tasks.scattered must be 0"
         )
 
-
-@dataclass(frozen=True)
-class LiifConfig:
-    """The stage `liif`."""
-
-    network: LiifNetworkConfig = field(default_factory=LiifNetworkConfig)
-    training: TemporalSettings = field(default_factory=TemporalSettings)
-
-    def __post_init__(self) -> None:
-        _on_grids(self.training)
-
-
-@dataclass(frozen=True)
-class MetaSrConfig:
-    """The stage `meta-sr`."""
-
-    network: MetaSrNetworkConfig = field(default_factory=MetaSrNetworkConfig)
-    training: TemporalSettings = field(default_factory=TemporalSettings)
-
-    def __post_init__(self) -> None:
-        _on_grids(self.training)
-
-
-@dataclass(frozen=True)
-class ALiifConfig:
-    """The stage `a-liif`."""
-
-    network: ALiifNetworkConfig = field(default_factory=ALiifNetworkConfig)
-    training: TemporalSettings = field(default_factory=TemporalSettings)
-
-    def __post_init__(self) -> None:
-        _on_grids(self.training)
-
-
-@dataclass(frozen=True)
-class LmfConfig:
-    """The stage `lmf`."""
-
-    network: LmfNetworkConfig = field(default_factory=LmfNetworkConfig)
-    training: TemporalSettings = field(default_factory=TemporalSettings)
-
-    def __post_init__(self) -> None:
-        _on_grids(self.training)
-
-
-@dataclass(frozen=True)
-class DeltaInterpConfig:
-    """The stage `delta-interp`."""
-
-    network: DeltaInterpNetworkConfig = field(default_factory=DeltaInterpNetworkConfig)
-    training: TemporalSettings = field(default_factory=TemporalSettings)
-
-
-@dataclass(frozen=True)
-class TsFormerConfig:
-    """The stage `ts-former`."""
-
-    network: TsFormerNetworkConfig = field(default_factory=TsFormerNetworkConfig)
-    training: TemporalSettings = field(default_factory=TemporalSettings)
-
-
-PeerConfig = LiifConfig | MetaSrConfig | ALiifConfig | LmfConfig | DeltaInterpConfig | TsFormerConfig
-PeerConfigT = TypeVar(
-    "PeerConfigT", LiifConfig, MetaSrConfig, ALiifConfig, LmfConfig, DeltaInterpConfig, TsFormerConfig
-)
 
 # Every s-th frame observed, s ~ U(1, 4): what Tables 1 and 2 ask. A gap in the frames: what Table 3 asks.
 INTERPOLATION = TaskSettings(interpolate=1.0, gap=0.0, scattered=0.0, extend=0.0)
 IN_BETWEENING = TaskSettings(interpolate=0.0, gap=1.0, scattered=0.0, extend=0.0)
 
 
-def _on(task: TaskSettings, training: TemporalSettings) -> TemporalSettings:
+def _on(task: TaskSettings, training: TemporalSettings, learning_rate: float | None = None) -> TemporalSettings:
     """Those steps of a training of all tasks that are of one task."""
-    assert training.schedule.steps is not None
-    kept = sum(share for share, wanted in zip(training.tasks.shares, task.shares, strict=True) if wanted)
+    steps, shares = training.schedule.steps, training.tasks.shares
+    assert steps is not None
+    kept = sum(share for share, wanted in zip(shares, task.shares, strict=True) if wanted)
     interpolate, gap, scattered, extend = task.shares
     return replace(
         training,
         tasks=replace(training.tasks, interpolate=interpolate, gap=gap, scattered=scattered, extend=extend),
-        schedule=replace(training.schedule, steps=round(training.schedule.steps * kept / sum(training.tasks.shares))),
+        schedule=replace(
+            training.schedule,
+            steps=round(steps * kept / sum(shares)),
+            learning_rate=learning_rate or training.schedule.learning_rate,
+        ),
     )
-
-
-def _at_rate(training: TemporalSettings, learning_rate: float) -> TemporalSettings:
-    return replace(training, schedule=replace(training.schedule, learning_rate=learning_rate))
 
 
 def _correcting_slerp(training: TemporalSettings) -> TemporalSettings:
     return replace(training, answer=replace(training.answer, form="residual", base="slerp"))
 
 
-def _nano(task: TaskSettings) -> TemporalSettings:
-    return _on(task, nano_training())
-
-
-def _base(task: TaskSettings) -> TemporalSettings:
-    return _on(task, base_training())
-
-
-def _image_paper() -> TemporalSettings:
-    """What all four published: Adam at 1e-4, halved every 200 of 1,000 epochs, batches of 16 windows of 48 frames."""
-    return TemporalSettings(
-        tasks=replace(INTERPOLATION, num_frames=48, num_queries=48),
-        schedule=Schedule(epochs=1000, batch_size=16, learning_rate=1e-4, kind="steps", warmup_fraction=0.02),
-    )
-
-
-def liif_nano() -> LiifConfig:
-    """A small network, minutes on one core."""
-    return LiifConfig(LiifNetworkConfig(NANO_ENCODER, hidden=128), _nano(INTERPOLATION))
-
-
-def liif_base() -> LiifConfig:
-    """The published network, an hour on a GPU."""
-    return LiifConfig(training=_base(INTERPOLATION))
-
-
-def liif_paper() -> LiifConfig:
-    """Network and schedule as published."""
-    return LiifConfig(training=_image_paper())
-
-
-def meta_sr_nano() -> MetaSrConfig:
-    """A small network, minutes on one core."""
-    return MetaSrConfig(MetaSrNetworkConfig(NANO_ENCODER, hidden=64), _nano(INTERPOLATION))
-
-
-def meta_sr_base() -> MetaSrConfig:
-    """The published network, an hour on a GPU."""
-    return MetaSrConfig(training=_base(INTERPOLATION))
-
-
-def meta_sr_paper() -> MetaSrConfig:
-    """Network and schedule as published."""
-    return MetaSrConfig(training=_image_paper())
-
-
-def a_liif_nano() -> ALiifConfig:
-    """A small network, 64 wide, minutes on one core."""
-    network = ALiifNetworkConfig(NANO_ENCODER, width=FAIR_WIDTH, basis=4, expansion_hidden=64)
-    return ALiifConfig(network, _nano(INTERPOLATION))
-
-
-def a_liif_base() -> ALiifConfig:
-    """64 wide, an hour on a GPU."""
-    return ALiifConfig(ALiifNetworkConfig(width=FAIR_WIDTH), _base(INTERPOLATION))
-
-
-def a_liif_paper() -> ALiifConfig:
-    """Network and schedule as published, 16 wide."""
-    return ALiifConfig(training=_image_paper())
-
-
-def lmf_nano() -> LmfConfig:
-    """A small network, 64 wide, minutes on one core."""
-    # At 1e-3 scales that multiply through six layers run away: the plain form is lost within 500 steps.
-    training = _at_rate(_nano(INTERPOLATION), MODULATED_RATE)
-    return LmfConfig(LmfNetworkConfig(NANO_ENCODER, width=FAIR_WIDTH), training)
-
-
-def lmf_base() -> LmfConfig:
-    """64 wide, an hour on a GPU."""
-    return LmfConfig(LmfNetworkConfig(width=FAIR_WIDTH), _base(INTERPOLATION))
-
-
-def lmf_paper() -> LmfConfig:
-    """Network and schedule as published, 16 wide."""
-    return LmfConfig(training=_image_paper())
-
-
-def delta_interp_nano() -> DeltaInterpConfig:
-    """A small network, minutes on one core."""
-    network = DeltaInterpNetworkConfig(width=96, blocks=3, layers=2, heads=4, dropout=0.0)
-    return DeltaInterpConfig(network, _correcting_slerp(_nano(IN_BETWEENING)))
-
-
-def delta_interp_base() -> DeltaInterpConfig:
-    """Half the published width, an hour on a GPU."""
-    training = _correcting_slerp(_at_rate(_base(IN_BETWEENING), 2e-4))
-    return DeltaInterpConfig(DeltaInterpNetworkConfig(width=512), training)
-
-
-def delta_interp_paper() -> DeltaInterpConfig:
-    """Network as published; 300 epochs at 2e-4, a tenth of it after 200; gaps of 5 to 39 frames."""
-    training = TemporalSettings(
-        tasks=replace(IN_BETWEENING, longest_gap=39),
-        answer=AnswerSettings(form="residual"),
-        schedule=Schedule(
-            epochs=300, learning_rate=2e-4, kind="steps", warmup_fraction=0.02, drop=0.1, drop_every=2 / 3
-        ),
-    )
-    return DeltaInterpConfig(training=training)
-
-
-def ts_former_nano() -> TsFormerConfig:
-    """A small network, minutes on one core."""
-    network = TsFormerNetworkConfig(width=64, layers=2, heads=2, head_width=32, inner=64)
-    return TsFormerConfig(network, _nano(IN_BETWEENING))
-
-
-def ts_former_base() -> TsFormerConfig:
-    """Half the published width, an hour on a GPU."""
-    training = _at_rate(_base(IN_BETWEENING), 2e-4)
-    return TsFormerConfig(TsFormerNetworkConfig(width=256, head_width=32, inner=256), training)
-
-
-def ts_former_paper() -> TsFormerConfig:
-    """Network as published; 2,000 epochs at the 3.1e-5 that the published schedule peaks at; gaps of 5 to 30 frames."""
-    training = TemporalSettings(
-        tasks=replace(IN_BETWEENING, longest_gap=30),
-        schedule=Schedule(epochs=2000, batch_size=32, learning_rate=3.1e-5, kind="cosine", warmup_fraction=0.02),
-    )
-    return TsFormerConfig(training=training)
-
-
-LIIF_RECIPES = {"nano": liif_nano, "base": liif_base, "paper": liif_paper}
-META_SR_RECIPES = {"nano": meta_sr_nano, "base": meta_sr_base, "paper": meta_sr_paper}
-A_LIIF_RECIPES = {"nano": a_liif_nano, "base": a_liif_base, "paper": a_liif_paper}
-LMF_RECIPES = {"nano": lmf_nano, "base": lmf_base, "paper": lmf_paper}
-DELTA_INTERP_RECIPES = {"nano": delta_interp_nano, "base": delta_interp_base, "paper": delta_interp_paper}
-TS_FORMER_RECIPES = {"nano": ts_former_nano, "base": ts_former_base, "paper": ts_former_paper}
+NANO, BASE = _on(INTERPOLATION, nano_training()), _on(INTERPOLATION, base_training())
+BASE_GAPS = _on(IN_BETWEENING, base_training(), learning_rate=2e-4)
+# The four for images: Adam at 1e-4, halved every 200 of 1,000 epochs, batches of 16 windows of 48 frames.
+IMAGE_PAPER = TemporalSettings(
+    tasks=replace(INTERPOLATION, num_frames=48, num_queries=48),
+    schedule=Schedule(epochs=1000, batch_size=16, learning_rate=1e-4, kind="steps", warmup_fraction=0.02),
+)
+# 300 epochs at 2e-4, a tenth of it after 200; gaps of 5 to 39 frames.
+DELTA_INTERP_PAPER = TemporalSettings(
+    tasks=replace(IN_BETWEENING, longest_gap=39),
+    answer=AnswerSettings(form="residual"),
+    schedule=Schedule(epochs=300, learning_rate=2e-4, kind="steps", warmup_fraction=0.02, drop=0.1, drop_every=2 / 3),
+)
+# 2,000 epochs at the 3.1e-5 that the published schedule peaks at; gaps of 5 to 30 frames.
+TS_FORMER_PAPER = TemporalSettings(
+    tasks=replace(IN_BETWEENING, longest_gap=30),
+    schedule=Schedule(epochs=2000, batch_size=32, learning_rate=3.1e-5, kind="cosine", warmup_fraction=0.02),
+)
+FAIR_WIDTH = 64
+SMALL_ENCODER = EdsrConfig(blocks=4, features=64)
+PEERS = (
+    Peer(
+        "liif",
+        70,
+        "LIIF",
+        "LIIF over time: a local MLP around each frame (PA-HiRes' peer)",
+        "interpolation",
+        "peers.liif:Liif",
+        {
+            "nano": (LiifNetworkConfig(SMALL_ENCODER, hidden=128), NANO),
+            "base": (LiifNetworkConfig(), BASE),
+            "paper": (LiifNetworkConfig(), IMAGE_PAPER),
+        },
+    ),
+    Peer(
+        "meta-sr",
+        71,
+        "Meta-SR",
+        "Meta-SR over time: weights for every place between frames",
+        "interpolation",
+        "peers.liif:MetaSr",
+        {
+            "nano": (MetaSrNetworkConfig(SMALL_ENCODER, hidden=64), NANO),
+            "base": (MetaSrNetworkConfig(), BASE),
+            "paper": (MetaSrNetworkConfig(), IMAGE_PAPER),
+        },
+    ),
+    Peer(
+        "a-liif",
+        72,
+        "A-LIIF",
+        "A-LIIF over time: LIIF with an MLP mixed at every instant",
+        "interpolation",
+        "peers.a_liif:ALiif",
+        {
+            "nano": (ALiifNetworkConfig(SMALL_ENCODER, width=FAIR_WIDTH, basis=4, expansion_hidden=64), NANO),
+            "base": (ALiifNetworkConfig(width=FAIR_WIDTH), BASE),
+            "paper": (ALiifNetworkConfig(), IMAGE_PAPER),
+        },
+    ),
+    Peer(
+        "lmf",
+        73,
+        "LMF",
+        "LMF over time: frames modulate a small MLP",
+        "interpolation",
+        "peers.a_liif:Lmf",
+        {
+            # At 1e-3 scales that multiply through six layers run away: the plain form is lost within 500 steps.
+            "nano": (LmfNetworkConfig(SMALL_ENCODER, width=FAIR_WIDTH), _on(INTERPOLATION, nano_training(), 4e-4)),
+            "base": (LmfNetworkConfig(width=FAIR_WIDTH), BASE),
+            "paper": (LmfNetworkConfig(), IMAGE_PAPER),
+        },
+    ),
+    Peer(
+        "delta-interp",
+        74,
+        "Δ-Interp",
+        "Δ-Interp: in-betweening relative to an interpolation",
+        "inbetweening",
+        "peers.delta_interp:DeltaInterp",
+        {
+            "nano": (
+                DeltaInterpNetworkConfig(width=96, blocks=3, layers=2, heads=4, dropout=0.0),
+                _correcting_slerp(_on(IN_BETWEENING, nano_training())),
+            ),
+            "base": (DeltaInterpNetworkConfig(width=512), _correcting_slerp(BASE_GAPS)),
+            "paper": (DeltaInterpNetworkConfig(), DELTA_INTERP_PAPER),
+        },
+    ),
+    Peer(
+        "ts-former",
+        75,
+        "TS-Former",
+        "TS-Former: in-betweening by a draft and its refinement",
+        "inbetweening",
+        "peers.ts_former:TsFormer",
+        {
+            "nano": (
+                TsFormerNetworkConfig(width=64, layers=2, heads=2, head_width=32, inner=64),
+                _on(IN_BETWEENING, nano_training()),
+            ),
+            "base": (TsFormerNetworkConfig(width=256, head_width=32, inner=256), BASE_GAPS),
+            "paper": (TsFormerNetworkConfig(), TS_FORMER_PAPER),
+        },
+    ),
+)

@@ -70,9 +70,9 @@ def train(folder: Path, config: SmallConfig, *, resume: bool = False) -> RunFold
         write_store(store)
     run = RunFolder(folder / "run")
     context = StageContext(store, run, "tiny", seed=3, resume=resume, device="cpu")
-    train_network(context, "small", config, config.training, lambda numbers: make(config, numbers))
+    train_network(context, "small", config, make)
     return run
 
 
 def load(run: RunFolder) -> TrainedNetwork:
-    return load_network(run, "small", SmallConfig, make, lambda config: config.training, name="Small")
+    return load_network(run, "small", SmallConfig, make, name="Small")

@@ -16,10 +16,11 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.schedule import seeded_initialisation
 from motionkit.training.stage import StageContext
+from pahires.loaders import load
 from pahires.model import PaHiRes
 from pahires.recipes import RECIPES, PaHiResConfig, nano
 from pahires.settings import NetworkSettings
-from pahires.stage import STAGE, load
+from pahires.stage import STAGE
 from tests.helpers.small_network import TASKS
 from tests.helpers.tiny import write_store
 

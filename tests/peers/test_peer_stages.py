@@ -23,8 +23,7 @@ from motionkit.training.stage import Stage, StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors
 from pahires.recipes import base as pahires_base
 from pahires.recipes import nano as pahires_nano
-from peers.networks import network_of
-from peers.recipes import ALiifConfig, DeltaInterpConfig, LiifConfig, LmfConfig, MetaSrConfig, TsFormerConfig
+from peers.recipes import PEERS
 from peers.settings import (
     ALiifNetworkConfig,
     DeltaInterpNetworkConfig,
@@ -47,18 +46,19 @@ WITH_GAPS = replace(
     ON_GRIDS, tasks=TaskSettings(0.0, 1.0, past_frames=4, future_frames=2, longest_gap=9, num_queries=8)
 )
 
+CONFIGS: dict[str, Any] = {peer.name: peer.config_type for peer in PEERS}
 TINY: dict[str, tuple[Stage[Any], Any]] = {
-    "liif": (LIIF, LiifConfig(LiifNetworkConfig(EDSR, 32, 2), ON_GRIDS)),
-    "meta-sr": (META_SR, MetaSrConfig(MetaSrNetworkConfig(EDSR, 16), ON_GRIDS)),
-    "a-liif": (A_LIIF, ALiifConfig(ALiifNetworkConfig(EDSR, 16, 2, 3, 16, 2), ON_GRIDS)),
-    "lmf": (LMF, LmfConfig(LmfNetworkConfig(EDSR, 16, 2), ON_GRIDS)),
+    "liif": (LIIF, CONFIGS["liif"](LiifNetworkConfig(EDSR, 32, 2), ON_GRIDS)),
+    "meta-sr": (META_SR, CONFIGS["meta-sr"](MetaSrNetworkConfig(EDSR, 16), ON_GRIDS)),
+    "a-liif": (A_LIIF, CONFIGS["a-liif"](ALiifNetworkConfig(EDSR, 16, 2, 3, 16, 2), ON_GRIDS)),
+    "lmf": (LMF, CONFIGS["lmf"](LmfNetworkConfig(EDSR, 16, 2), ON_GRIDS)),
     "delta-interp": (
         DELTA_INTERP,
-        DeltaInterpConfig(DeltaInterpNetworkConfig(32, 1, 2, 2, 4, 32, 0.2), WITH_GAPS),
+        CONFIGS["delta-interp"](DeltaInterpNetworkConfig(32, 1, 2, 2, 4, 32, 0.2), WITH_GAPS),
     ),
     "ts-former": (
         TS_FORMER,
-        TsFormerConfig(TsFormerNetworkConfig(16, 1, 2, 8, 16), WITH_GAPS),
+        CONFIGS["ts-former"](TsFormerNetworkConfig(16, 1, 2, 8, 16), WITH_GAPS),
     ),
 }
 ON_GRIDS_ONLY = ("liif", "meta-sr", "a-liif", "lmf")
@@ -160,10 +160,10 @@ def test_grid_peers_refuse_to_be_trained_on_gaps(name: str) -> None:
         apply_overrides(stage.recipe("nano"), ["training.tasks.gap=1"])
 
 
-def test_weights_of_curves_are_pa_hires_alone() -> None:
-    config = LIIF.recipe("nano")
+@pytest.mark.parametrize("name", TINY)
+def test_weights_of_curves_are_pa_hires_alone(name: str) -> None:
     with pytest.raises(UsageError, match=r"leave training\.answer\.blended empty"):
-        network_of(replace(config, training=apply_overrides(config.training, ["answer.blended=linear"])), 135)
+        apply_overrides(TINY[name][0].recipe("nano"), ["training.answer.blended=linear"])
 
 
 def test_recipes_have_published_sizes_and_say_which_width_is_fair() -> None:

@@ -1,10 +1,10 @@
 """The training of any temporal network, and its file: one loss and one corpus for all (Eq. 8 to 10)."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,9 +14,10 @@ from motionkit.clips.temporal.base_curves import Scaling, interpolated
 from motionkit.clips.temporal.corpus import open_takes
 from motionkit.clips.temporal.prediction import Predictor
 from motionkit.clips.temporal.settings import Distance, TemporalSettings
+from motionkit.clips.temporal.stage import NetworkMaker, TemporalConfigT
 from motionkit.clips.temporal.windows import TrainingBatch, WindowSampler
 from motionkit.core.skeleton import Feet, Skeleton
-from motionkit.training.config import ConfigLike, from_plain, to_plain
+from motionkit.training.config import from_plain, to_plain
 from motionkit.training.loop import train_loop
 from motionkit.training.precision import autocast, float32_products, resolve_device
 from motionkit.training.run import RunFolder
@@ -35,9 +36,6 @@ from motionkit.training.tensors import (
 
 _Rows = Float32[torch.Tensor, "batch queries numbers"]
 FORMAT, FORMAT_VERSION = "temporal-network", 2
-SettingsT = TypeVar("SettingsT")
-# Makes a network for rows of so many numbers, with weights drawn from torch's global generator.
-Factory = Callable[[int], torch.nn.Module]
 
 
 class TemporalTraining:
@@ -160,18 +158,18 @@ class TrainedNetwork:
 
 
 def train_network(
-    context: StageContext, stage: str, config: ConfigLike, settings: TemporalSettings, make: Factory
+    context: StageContext, stage: str, config: TemporalConfigT, make: NetworkMaker[TemporalConfigT]
 ) -> None:
     """Train what `make` makes on the context's store; writes RUN/STAGE/model.safetensors, which `load_network` reads.
 
-    `settings` are a part of `config`, which is recorded whole. Errors are those of `open_takes` and `train_loop`.
+    Errors are those of `open_takes` and `train_loop`.
     """
-    started = time.perf_counter()
+    started, settings = time.perf_counter(), config.training
     store, device = context.open_store(), resolve_device(context.device)
     takes = open_takes(store, settings)
     folder = context.begin(stage, config, store_fingerprint=store.fingerprint)
     with seeded_initialisation(context.seed, stage):
-        network = make(takes.num_numbers)
+        network = make(config, takes.num_numbers)
     training = TemporalTraining(network, WindowSampler(takes, settings), seed=context.seed, device=device)
     with float32_products(settings.precision):
         figures = train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
@@ -194,17 +192,11 @@ def train_network(
     folder.finish({**figures, **facts, "wall_seconds": round(time.perf_counter() - started, 1)})
 
 
-def check_corpus(context: StageContext, settings: TemporalSettings) -> None:
-    """Raise what would stop a training: no take at the framerate."""
-    open_takes(context.open_store(), settings)
-
-
 def load_network(
     run: RunFolder | Path,
     stage: str,
-    config_type: type[SettingsT],
-    make: Callable[[SettingsT, int], torch.nn.Module],
-    settings_of: Callable[[SettingsT], TemporalSettings],
+    config_type: type[Any],
+    make: NetworkMaker[Any],
     *,
     name: str | None = None,
     device: str = "cpu",
@@ -221,7 +213,6 @@ def load_network(
     where = resolve_device(device)
     with rebuilding(folder.model_path, stage, tensors):
         config = from_plain(config_type, description["config"])
-        settings = settings_of(config)
         scaling = Scaling(tensors["scaling.mean"], tensors["scaling.scale"])
         network = make(config, len(scaling.mean))
         network.load_state_dict(unprefixed("network", tensors))
@@ -229,8 +220,8 @@ def load_network(
     network = network.to(where).eval().requires_grad_(False)
     return TrainedNetwork(
         name=name or stage,
-        predictor=Predictor(network, scaling.to(where), settings.answer),
-        settings=settings,
+        predictor=Predictor(network, scaling.to(where), config.training.answer),
+        settings=config.training,
         skeleton=skeleton,
         store_fingerprint=str(description["store_fingerprint"]),
     )

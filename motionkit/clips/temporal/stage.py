@@ -1,0 +1,71 @@
+"""A temporal network as a trainable stage and as a motion encoder; nothing heavy is imported before it is used.
+
+A model of this kind is a configuration with the parts `network` and `training`, and a function that makes its network.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+
+from motionkit.clips.temporal.settings import TemporalSettings
+from motionkit.training.config import ConfigLike
+from motionkit.training.stage import Stage, StageContext
+
+if TYPE_CHECKING:
+    import torch
+
+    from motionkit.clips.temporal.encoder import NetworkEncoder
+
+
+@runtime_checkable
+class TemporalConfig(ConfigLike, Protocol):
+    """A model's configuration, a dataclass; its other part, `network`, is the model's own."""
+
+    @property
+    def training(self) -> TemporalSettings:
+        """How it is trained."""
+        ...
+
+
+TemporalConfigT = TypeVar("TemporalConfigT", bound=TemporalConfig)
+# From settings and the numbers of a row to a network, its weights drawn from torch's global generator.
+NetworkMaker = Callable[[TemporalConfigT, int], "torch.nn.Module"]
+
+
+def temporal_stage(
+    name: str,
+    order: int,
+    description: str,
+    recipes: Mapping[str, Callable[[], TemporalConfigT]],
+    make: NetworkMaker[TemporalConfigT],
+) -> Stage[TemporalConfigT]:
+    """The stage that trains what `make` makes; `--stage all` leaves it out."""
+    return Stage(name, order, description, recipes, partial(_train, name, make), in_all=False, check=_check)
+
+
+def load_encoder(
+    run: Path,
+    stage: str,
+    config_type: type[Any],
+    make: NetworkMaker[Any],
+    name: str | None = None,
+) -> "NetworkEncoder":
+    """A run's trained network as an encoder; raises `RunError` or `CheckpointError` where there is none."""
+    from motionkit.clips.temporal.encoder import NetworkEncoder
+    from motionkit.clips.temporal.training import load_network
+
+    return NetworkEncoder(load_network(run, stage, config_type, make, name=name))
+
+
+def _train(name: str, make: NetworkMaker[TemporalConfigT], context: StageContext, config: TemporalConfigT) -> None:
+    from motionkit.clips.temporal.training import train_network
+
+    train_network(context, name, config, make)
+
+
+def _check(context: StageContext, config: TemporalConfig) -> None:
+    """Raise what would stop a training: no take at the framerate."""
+    from motionkit.clips.temporal.corpus import open_takes
+
+    open_takes(context.open_store(), config.training)
