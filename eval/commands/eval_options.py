@@ -1,9 +1,22 @@
-"""The options of `motionkit eval`: their types and what the command line says of them."""
+"""The options of `motionkit eval`, by what they are about, as the command line says them and as tables take them."""
 
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import wraps
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from motionkit.core.errors import UsageError
+from motionkit.core.settings import default_path
+
+if TYPE_CHECKING:
+    from fractions import Fraction
+
+    from eval.clip_fid.score import PoseRange, SecondsRange
+    from eval.tables.registry import ClipFidSettings, Evaluated, Evaluators, PublishedProtocol, RealMotions
 
 # Where options stand in --help.
 REAL = "Real motion"
@@ -83,7 +96,7 @@ LowPass = Annotated[
         "--low-pass", min=0.1, metavar="HZ", help="Smooth every set, real ones too, first.", rich_help_panel=CLIPS
     ),
 ]
-Evaluators = Annotated[
+EvaluatorNames = Annotated[
     str | None,
     typer.Option(
         "--evaluator",
@@ -140,3 +153,226 @@ Draws = Annotated[
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Everything random follows from it.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """Where the result goes, and what everything random follows from."""
+
+    results: ResultsFolder = None
+    seed: Seed = 0
+    as_json: AsJson = False
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """Which table: one of `table`, `figure` and `calibrate`."""
+
+    table: TableNumber = None
+    figure: FigureNumber = None
+    calibrate: Calibrate = False
+    paper: Paper = "nerm"
+
+    @property
+    def number(self) -> str | None:
+        """The table's number as tables are registered; None for the calibration. Raises `UsageError` for no choice."""
+        from eval.tables.registry import installed_tables
+
+        if sum((self.table is not None, self.figure is not None, self.calibrate)) != 1:
+            known = ", ".join(installed_tables())
+            raise UsageError(f"give --table NUMBER, --figure NUMBER or --calibrate; installed tables: {known}")
+        return self.table if self.figure is None else f"figure{self.figure}"
+
+
+@dataclass(frozen=True)
+class RealOptions:
+    """What is compared with."""
+
+    store: StorePath = None
+    split: Split = "test"
+    where: Where = None
+
+    def chosen(self) -> "RealMotions":
+        """As tables take it."""
+        from eval.tables.registry import RealMotions
+
+        return RealMotions(self.store or default_path("store"), self.split, self.where)
+
+
+@dataclass(frozen=True)
+class EvaluatedOptions:
+    """What is evaluated."""
+
+    runs: RunsFolder = None
+    run: RunName = "nano"
+    samples: SampleFolders = None
+    samples_fps: SamplesFps = None
+    allow_broken: AllowBroken = False
+    encoder: Encoders = None
+    motions: MostMotions = 1024
+    draws: Draws = 1
+
+    def chosen(self) -> "Evaluated":
+        """As tables take it; raises `UsageError` for what names nothing."""
+        from eval.sample_folder import SampleOptions
+        from eval.tables.registry import Evaluated
+
+        runs = self.runs or default_path("runs")
+        return Evaluated(
+            run=runs / self.run,
+            samples=_samples(self.samples or []),
+            sample_options=SampleOptions(_framerate(self.samples_fps, "--samples-fps")),
+            encoders=tuple(_encoder(pair, runs) for pair in self.encoder or []),
+            max_motions=self.motions,
+            draws=self.draws,
+        )
+
+
+@dataclass(frozen=True)
+class ClipOptions:
+    """How clip-FID draws, and at which framerates."""
+
+    fps: Framerates = None
+    clips: NumClips = 4096
+    replications: Replications = 20
+    sizes: ClipSizes = "16:64"
+    low_pass: LowPass = None
+
+    def framerates(self) -> "tuple[Fraction, ...] | None":
+        """The framerates; None for the table's own."""
+        from motionkit.core.timegrid import parse_fps
+
+        if self.fps is None:
+            return None
+        try:
+            return tuple(parse_fps(part.strip()) for part in self.fps.split(","))
+        except ValueError as error:
+            raise UsageError(f"--fps {self.fps}: {error}") from None
+
+    def chosen(self, seed: int) -> "ClipFidSettings":
+        """As tables take it; raises `UsageError` for sizes that are none."""
+        from eval.clip_fid.score import Protocol
+        from eval.tables.registry import ClipFidSettings
+
+        protocol = Protocol(_sizes(self.sizes), num_clips=self.clips, replications=self.replications, seed=seed)
+        return ClipFidSettings(protocol, self.low_pass)
+
+
+@dataclass(frozen=True)
+class EvaluatorOptions:
+    """By what it is evaluated."""
+
+    evaluator: EvaluatorNames = None
+    weights: Weights = None
+    glove: Glove = None
+    statistics: StatisticsFolder = None
+
+    def chosen(self) -> "Evaluators":
+        """As tables take it; raises `UsageError` for files of no evaluator."""
+        from eval.tables.registry import Evaluators
+        from eval.text_motion.guo.kind import GuoFiles
+
+        unused = [name for name, path in (("--glove", self.glove), ("--statistics", self.statistics)) if path]
+        if self.weights is None and unused:
+            raise UsageError(
+                f"{unused[0]} belongs to a published evaluator: name its weights with --weights finest.tar"
+            )
+        return Evaluators(
+            tuple(self.evaluator.split(",")) if self.evaluator else None,
+            None if self.weights is None else GuoFiles(self.weights, self.glove, self.statistics),
+        )
+
+
+@dataclass(frozen=True)
+class ProtocolOptions:
+    """The protocol of whole motions."""
+
+    protocol: ProtocolName = "native"
+    compat: Compat = None
+
+    def chosen(self) -> "PublishedProtocol":
+        """As tables take it."""
+        from eval.tables.registry import PublishedProtocol
+
+        return PublishedProtocol(self.protocol, tuple(self.compat.split(",")) if self.compat else ())
+
+
+def in_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """A command whose parameters are dataclasses of options, as one that takes every option by its own name."""
+    parameters = inspect.signature(command).parameters
+    groups: dict[str, Any] = {name: each.annotation for name, each in parameters.items()}
+    flat = [
+        inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=option.default, annotation=option.type)
+        for group in groups.values()
+        for option in fields(group)
+    ]
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        command(
+            **{
+                name: group(**{option.name: given[option.name] for option in fields(group) if option.name in given})
+                for name, group in groups.items()
+            }
+        )
+
+    run.__signature__ = inspect.Signature(flat)  # type: ignore[attr-defined]
+    run.__annotations__ = {option.name: option.annotation for option in flat}
+    return run
+
+
+def _framerate(text: str | None, option: str) -> "Fraction | None":
+    from motionkit.core.timegrid import parse_fps
+
+    try:
+        return None if text is None else parse_fps(text)
+    except ValueError as error:
+        raise UsageError(f"{option} {text}: {error}") from None
+
+
+def _sizes(text: str) -> "PoseRange | SecondsRange":
+    from eval.clip_fid.score import PoseRange, SecondsRange
+
+    low, _, high = text.partition(":")
+    try:
+        if low.endswith("s") and high.endswith("s"):
+            seconds = SecondsRange(float(low[:-1]), float(high[:-1]))
+            valid = 0 < seconds.minimum <= seconds.maximum
+            chosen: PoseRange | SecondsRange = seconds
+        else:
+            poses = PoseRange(int(low), int(high))
+            valid = 8 <= poses.minimum <= poses.maximum
+            chosen = poses
+    except ValueError:
+        valid = False
+    if not valid:
+        raise UsageError(f"--sizes {text}: give poses such as 16:64 (at least 8), or seconds such as 0.4s:1.6s")
+    return chosen
+
+
+def _encoder(pair: str, runs: Path) -> tuple[str, Path]:
+    name, separator, run = pair.partition("=")
+    if not separator or not name or not run:
+        raise UsageError(f"--encoder {pair}: give NAME=RUN, such as liif=wide for the LIIF of runs/wide")
+    if not (runs / run).is_dir():
+        raise UsageError(f"--encoder {pair}: there is no run {str(runs / run)!r}")
+    return name, runs / run
+
+
+def _samples(pairs: list[str]) -> dict[str, Path]:
+    if not pairs:
+        return {}
+    from motionkit.generate.models import installed_models
+
+    own = ("real,", "real (", *(loader.title for loader in installed_models().values()))
+    named: dict[str, Path] = {}
+    for pair in pairs:
+        name, separator, folder = pair.partition("=")
+        if not separator or not name or not folder:
+            raise UsageError(f"--samples {pair}: give NAME=DIR")
+        if name in named:
+            raise UsageError(f"--samples {pair}: there are samples of this name already; give every folder its own")
+        if name == "real" or name.startswith(own):
+            raise UsageError(f"--samples {pair}: tables have a row {name!r} of their own; choose another name")
+        named[name] = Path(folder)
+    return named

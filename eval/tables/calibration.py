@@ -18,7 +18,7 @@ from eval.clip_fid.calibration import (
 )
 from eval.clip_fid.features import FeatureSource, feature_sources
 from eval.clip_fid.score import CLIP_FID
-from eval.report.results import Block, Cell, Result, Row, environment, measure
+from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.corruptions import families
 from eval.sets.found import Found, each_found
 from eval.sets.real import RealMotion, real_motion
@@ -35,9 +35,9 @@ def build_calibration(request: TableRequest) -> Result:
     Raises `UsageError` or `StoreError` for a store that cannot be used.
     """
     store = request.open_store()
-    held_out = real_motion(store, request.split, request.where)
-    train = real_motion(store, "train") if request.split != "all" else held_out
-    sources = feature_sources(request.run, request.features, request.guo)
+    held_out = real_motion(store, request.real.split, request.real.where)
+    train = real_motion(store, "train") if request.real.split != "all" else held_out
+    sources = feature_sources(request.evaluated.run, request.evaluators.names, request.evaluators.guo)
     found = {source.name: _calibrate(source, request, held_out, train) for source in sources.value}
     calibrations = {name: list(each.value.values()) for name, each in found.items()}
     blocks = [block for source in sources.value for block in _blocks(source, request, calibrations[source.name])]
@@ -47,25 +47,21 @@ def build_calibration(request: TableRequest) -> Result:
         title="Calibration of clip-FID's features",
         caption=(
             "Scores of damaged real motion against clean real motion of the same takes, in multiples of what clean "
-            f"motion scores (first row, absolute): N = {request.protocol.num_clips:,} clips, split {request.split!r}"
-            f"{request.restriction}, features fitted on the training split. A feature set may be quoted where every "
+            f"motion scores (first row, absolute): N = {request.clip_fid.protocol.num_clips:,} clips, "
+            f"{request.real.named}, features fitted on the training split. A feature set may be quoted where every "
             f"family's Spearman correlation is at least {MIN_SPEARMAN} and no harmless transform exceeds "
             f"{MAX_FLAT_RATIO:g} times the floor."
         ),
         blocks=tuple(blocks),
         definition={
-            "split": request.split,
-            "where": request.where,
+            "split": request.real.split,
+            "where": request.real.where,
             "min_spearman": MIN_SPEARMAN,
             "max_flat_ratio": MAX_FLAT_RATIO,
         },
         notes=_notes(calibrations),
         missing=(*sources.missing, *(line for each in found.values() for line in each.missing)),
-        provenance={
-            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "seed": request.seed,
-            "environment": environment(),
-        },
+        provenance=request.provenance(store),
         figure=FIGURE if blocks else "",
     )
 
@@ -74,9 +70,9 @@ def _calibrate(
     source: FeatureSource, request: TableRequest, held_out: RealMotion, train: RealMotion
 ) -> Found[dict[Fraction, Calibration]]:
     def calibration(fps: Fraction) -> Calibration:
-        replications = source.protocol(request.protocol).replications
+        replications = source.protocol(request.clip_fid.protocol).replications
         with task(request.on_progress, f"{source.name}, {fps} fps", 2 * replications) as work:
-            comparison = source.comparison(held_out.at(fps), train.at(fps), request.protocol)
+            comparison = source.comparison(held_out.at(fps), train.at(fps), request.clip_fid.protocol)
             return calibrate(comparison, held_out.at(fps, first_frame=1), work.advance)
 
     return each_found(request.fps or COLUMNS, calibration, lambda fps: f"{source.name}, {fps} fps")
@@ -99,7 +95,7 @@ def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Cal
             for strength, score in zip(graded.strengths, graded.scores[1:], strict=True):
                 row = f"{graded.family} {strength:g} {graded.unit}"
                 ratios.setdefault(row, {})[column] = Cell(score.mean / floor, score.ci95 / floor)
-    replications = source.protocol(request.protocol).replications
+    replications = source.protocol(request.clip_fid.protocol).replications
     provenance = {
         "features": source.name,
         "replications": replications,

@@ -9,11 +9,12 @@ from fractions import Fraction
 from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from eval.clip_fid.score import Protocol
-from eval.report.results import Result
+from eval.report.results import Result, environment
 from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
+from eval.sets.real import of_split_and
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore, task
@@ -23,55 +24,103 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class TableRequest:
-    """What a table is built from: a store, a trained run where there is one, folders of other systems' samples.
-
-    `fps` None means the table's own columns; `features` None means every feature set that is available; `split` names
-    the real sequences that are compared with, `where` those of them for which this SQL holds; `guo` names the files of
-    a published evaluator; `low_pass_hz`, where given, smooths every set alike before clips are drawn. Tables of whole
-    motions follow the protocol called `published`, with the known bugs `compat` switched on, and ask models `draws`
-    times for every motion. Tables of completed motion show the trained encoders that `run` holds and those of
-    `encoders`, pairs of an encoder's name and a run. `on_progress` is called during long steps.
-    """
+class RealMotions:
+    """What is compared with: the sequences of a store's split ("all": any) for which `where` (SQL) holds."""
 
     store: Path
-    results: Path
-    run: Path | None = None
     split: str = "test"
     where: str | None = None
-    fps: tuple[Fraction, ...] | None = None
-    protocol: Protocol = field(default_factory=Protocol)
+
+    @property
+    def condition(self) -> str | None:
+        """The SQL condition for all of it; None for the whole store."""
+        return of_split_and(self.split, self.where)
+
+    @property
+    def named(self) -> str:
+        """How captions name it: the split, and the condition where there is one."""
+        return f"split {self.split!r}" + (f" where {self.where}" if self.where else "")
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """What is evaluated: the models and encoders of a run, folders of other systems' samples, encoders of other runs.
+
+    A model is asked for at most `max_motions` motions, `draws` times over. `encoders` are pairs of an encoder's name
+    and a run.
+    """
+
+    run: Path | None = None
     samples: Mapping[str, Path] = field(default_factory=dict)
     sample_options: SampleOptions = field(default_factory=SampleOptions)
-    features: tuple[str, ...] | None = None
-    guo: GuoFiles | None = None
-    low_pass_hz: float | None = None
-    max_motions: int = 1024
-    published: str = "native"
-    compat: tuple[str, ...] = ()
-    draws: int = 1
-    seed: int = 0
     encoders: tuple[tuple[str, Path], ...] = ()
+    max_motions: int = 1024
+    draws: int = 1
+
+
+@dataclass(frozen=True)
+class Evaluators:
+    """By what: evaluators (feature sets, recognisers) by name, None for all there are; files of a published one."""
+
+    names: tuple[str, ...] | None = None
+    guo: GuoFiles | None = None
+
+
+@dataclass(frozen=True)
+class ClipFidSettings:
+    """How clip-FID draws; `low_pass_hz`, where given, smooths every set alike before clips are drawn."""
+
+    protocol: Protocol = field(default_factory=Protocol)
+    low_pass_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class PublishedProtocol:
+    """Which protocol tables of whole motions follow, by name, and which of its known bugs are switched on."""
+
+    name: str = "native"
+    compat: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TableRequest:
+    """What a table is built from, and where its results go.
+
+    `fps` None means the table's own columns. `on_progress` is called during long steps.
+    """
+
+    real: RealMotions
+    results: Path
+    evaluated: Evaluated = field(default_factory=Evaluated)
+    evaluators: Evaluators = field(default_factory=Evaluators)
+    clip_fid: ClipFidSettings = field(default_factory=ClipFidSettings)
+    published: PublishedProtocol = field(default_factory=PublishedProtocol)
+    fps: tuple[Fraction, ...] | None = None
+    seed: int = 0
     on_progress: OnProgress = field(default=ignore, compare=False, repr=False)
 
     def open_store(self) -> "Store":
         """The store, for reading."""
         from motionkit.store.reader import Store
 
-        return Store.open(self.store, on_progress=self.on_progress)
+        return Store.open(self.real.store, on_progress=self.on_progress)
 
-    @property
-    def restriction(self) -> str:
-        """What `where` adds to a caption that names the split; empty without it."""
-        return f" where {self.where}" if self.where else ""
+    def provenance(self, store: "Store", **more: Any) -> dict[str, Any]:
+        """Where a result comes from: the store, what else there is to say, seed and environment."""
+        return {
+            "store": {"path": self.real.store.name, "fingerprint": store.fingerprint},
+            **more,
+            "seed": self.seed,
+            "environment": environment(),
+        }
 
     @cached_property
     def sample_folders(self) -> tuple[SampleFolder, ...]:
         """The motions of every folder of samples, read when they are first asked for; raises `SampleFolderError`."""
         folders = []
         # Guo's evaluators alone read pose vectors and KIT-ML's joints.
-        options = replace(self.sample_options, keep_published=self.guo is not None)
-        for name, path in self.samples.items():
+        options = replace(self.evaluated.sample_options, keep_published=self.evaluators.guo is not None)
+        for name, path in self.evaluated.samples.items():
             with task(self.on_progress, f"reading {name}") as work:
                 folders.append(read_sample_folder(name, path, options, work.set))
         return tuple(folders)

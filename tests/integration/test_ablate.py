@@ -24,6 +24,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
 from tests.helpers.nerm_corpus import analytic_positions
+from tests.helpers.table_request import table_request
 
 TINY = (
     "codebook.schedule.steps=3",
@@ -156,7 +157,7 @@ def test_faults_are_told_before_anything_is_trained(arguments: tuple[str, ...], 
 def request(project: Path, run: str, results: str, *rates: int) -> TableRequest:
     protocol = Protocol(sizes=PoseRange(16, 16), num_clips=80, replications=2, detailed_replications=0)
     fps = tuple(Fraction(rate) for rate in rates)
-    return TableRequest(project / "store", project / results, project / "runs" / run, fps=fps, protocol=protocol)
+    return table_request(project / "store", project / results, run=project / "runs" / run, fps=fps, protocol=protocol)
 
 
 def table(project: Path, number: str, run: str, results: str) -> Result:

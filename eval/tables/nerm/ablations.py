@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.clip_fid.score import CLIP_FID
-from eval.report.results import Block, Cell, Result, Row, environment, measure
+from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.found import Found
 from eval.tables.models import Trained
 from eval.tables.nerm.clip_fid_column import P1, P2
@@ -56,13 +56,14 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     Raises `UsageError` without a run's name, or where none of the table's runs is trained, and what loading the store
     raises.
     """
-    if request.run is None:
+    prefix = request.evaluated.run
+    if prefix is None:
         raise UsageError("an ablation table needs the name of its runs: --run NAME for runs/NAME-VARIANT")
-    rows = [_Trained(entry, _runs(request.run, entry)) for entry in ablation.entries]
+    rows = [_Trained(entry, _runs(prefix, entry)) for entry in ablation.entries]
     if not any(row.runs for row in rows):
         raise UsageError(
-            f"no run of this table is trained in {str(request.run.parent)!r}: motionkit ablate {ablation.table} "
-            f"--run {request.run.name} trains {', '.join(run_name(request.run.name, v, 0) for v in ablation.variants)}"
+            f"no run of this table is trained in {str(prefix.parent)!r}: motionkit ablate {ablation.table} --run "
+            f"{prefix.name} trains {', '.join(run_name(prefix.name, variant, 0) for variant in ablation.variants)}"
         )
     yardstick = Yardstick(request.open_store(), request, request.fps or COLUMNS)
     reconstruction = _reconstruction_blocks(ablation, rows, yardstick)
@@ -74,7 +75,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         missing += synthesis.missing
         if not any(row.cells for row in blocks[-1].rows):
             missing.append(
-                f"clip-FID: no {generating} is trained (motionkit ablate {ablation.table} --run {request.run.name})"
+                f"clip-FID: no {generating} is trained (motionkit ablate {ablation.table} --run {prefix.name})"
             )
     paper = _paper_blocks(ablation)
     return Result(
@@ -84,18 +85,15 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         caption=(
             "What one setting does to the first stage's reconstructions and to generated motion. All rows have the "
             "same recipe but for what they name, the same codebook and the same windows; 'global' is the paper's "
-            f"layout of z, 'local' ours. Compared with split {request.split!r}{request.restriction}."
+            f"layout of z, 'local' ours. Compared with {request.real.named}."
         ),
         blocks=(*(block for block in blocks if any(row.cells for row in block.rows)), *paper),
         definition=_definition(rows, request),
         notes=(*_differences(rows), *(() if paper else (_nothing_printed(ablation),))),
         missing=tuple(dict.fromkeys(missing)),
-        provenance={
-            "store": {"path": request.store.name, "fingerprint": yardstick.store.fingerprint},
-            "runs": {run.name: _facts(run) for row in rows for run in row.runs},
-            "seed": request.seed,
-            "environment": environment(),
-        },
+        provenance=request.provenance(
+            yardstick.store, runs={run.name: _facts(run) for row in rows for run in row.runs}
+        ),
     )
 
 
@@ -146,7 +144,7 @@ def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Ya
         floors = yardstick.floors()
         missing = (*missing, *floors.missing)
         references = tuple(Row(name, "reference", floors.rows[name], ROW_NOTES[name]) for name in (P1, P2))
-    protocol = yardstick.request.protocol
+    protocol = yardstick.request.clip_fid.protocol
     block = Block(
         "Motion synthesis: clip-FID on the kinematic descriptor",
         tuple(label(fps) for fps in yardstick.rates),
@@ -208,12 +206,12 @@ def _mean_cell(cells: Sequence[Cell]) -> Cell:
 def _row(
     ablation: Ablation, row: _Trained, cells: Mapping[str, Cell], loader: Loader[Any], request: TableRequest
 ) -> Row:
-    assert request.run is not None
+    assert request.evaluated.run is not None
     stage = loader.stages[-1]
     num_seeds = sum(RunFolder(run).stage(stage).is_complete for run in row.runs)
     if not num_seeds:
         what = "not trained" if loader is _encoder() else f"its {stage} is not trained"
-        command = NERM.command_for(ablation.table, request.run.name, row.entry.variant)
+        command = NERM.command_for(ablation.table, request.evaluated.run.name, row.entry.variant)
         return Row(row.entry.label, "ours", {}, f"{what}: {command}")
     several = f"mean of {num_seeds} seeds" if num_seeds > 1 else ""
     return Row(row.entry.label, "ours", cells, several)
@@ -226,10 +224,10 @@ def _definition(rows: Sequence[_Trained], request: TableRequest) -> dict[str, An
         "held-out windows": "z by L-BFGS on evenly spaced native poses against the frozen field",
         "MRE": "root of the mean squared difference of `native` pose vectors (263 numbers; m, m/s, rad/s)",
         "truth": "the capture, brought down band-limited to the column's framerate; slower takes are left out",
-        "split": request.split,
-        "where": request.where,
-        "low_pass_hz": request.low_pass_hz,
-        "motions": request.max_motions,
+        "split": request.real.split,
+        "where": request.real.where,
+        "low_pass_hz": request.clip_fid.low_pass_hz,
+        "motions": request.evaluated.max_motions,
     }
 
 

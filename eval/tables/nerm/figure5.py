@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 from eval.clip_fid.score import CLIP_FID
-from eval.report.results import Block, Cell, Result, Row, environment, measure
+from eval.report.results import Block, Cell, Result, Row, measure
 from eval.tables.models import require_models
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
@@ -20,24 +20,24 @@ def build_figure5(request: TableRequest) -> Result:
 
     Raises `UsageError` without a run, `RunError` where it holds no model, and what loading the store raises.
     """
-    if request.run is None:
+    if request.evaluated.run is None:
         raise UsageError("figure 5 needs a trained model: --run NAME (motionkit train makes one)")
     store = request.open_store()
-    models = require_models(request.run)
+    models = require_models(request.evaluated.run)
     yardstick = Yardstick(store, request, request.fps or COLUMNS)
     parts = {f"{name}, unconditional": yardstick.unconditional(model) for name, model in models.items()}
     floors = yardstick.floors()
     first = next(iter(parts.values()))
     columns = tuple(label(Fraction(fps)) for fps in yardstick.rates)
     nothing: dict[str, Cell] = {}
-    protocol = request.protocol
+    protocol = request.clip_fid.protocol
     return Result(
         task="nerm-figure5",
         version=VERSION,
         title="Figure 5: unconditional generation",
         caption=(
-            f"Motions generated without text or action, as long as the real sequences of split {request.split!r}"
-            f"{request.restriction}: mean ± half the 95 % interval over {protocol.replications} replications of "
+            "Motions generated without text or action, as long as the real sequences of "
+            f"{request.real.named}: mean ± half the 95 % interval over {protocol.replications} replications of "
             f"N = {protocol.num_clips:,} random clips on each side."
         ),
         blocks=(
@@ -62,18 +62,17 @@ def build_figure5(request: TableRequest) -> Result:
                 metrics=(measure("diversity"),),
             ),
         ),
-        definition={"split": request.split, "where": request.where, "low_pass_hz": request.low_pass_hz},
+        definition={
+            "split": request.real.split,
+            "where": request.real.where,
+            "low_pass_hz": request.clip_fid.low_pass_hz,
+        },
         notes=(
             "The paper draws this figure as bars without numbers, for methods trained on another data set; its FID of "
             "whole motions needs the evaluator of Guo et al.",
         ),
         missing=tuple(dict.fromkeys(line for part in (*parts.values(), floors) for line in part.missing)),
-        provenance={
-            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "run": request.run.name,
-            "seed": request.seed,
-            "environment": environment(),
-        },
+        provenance=request.provenance(store, run=request.evaluated.run.name),
     )
 
 

@@ -6,7 +6,7 @@ from fractions import Fraction
 from itertools import product
 
 from eval.clip_fid.score import CLIP_FID
-from eval.report.results import Block, Cell, Result, Row, environment, measure
+from eval.report.results import Block, Cell, Result, Row, measure
 from eval.tables.models import require_models
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import SYNTHESIS, Yardstick, label
@@ -28,12 +28,12 @@ def build_figure8(request: TableRequest) -> Result:
 
     Raises `UsageError` without a run, `RunError` where it holds no model, and what loading the store raises.
     """
-    if request.run is None:
+    if request.evaluated.run is None:
         raise UsageError("figure 8 needs a trained model: --run NAME (motionkit train makes one)")
     fps, *others = request.fps or (TARGET_FPS,)
     if others:
         raise UsageError(f"figure 8 is at one framerate: --fps {fps}")
-    store, models = request.open_store(), require_models(request.run)
+    store, models = request.open_store(), require_models(request.evaluated.run)
     yardstick = Yardstick(store, request, (fps,))
     floors = yardstick.floors()
     missing = list(floors.missing)
@@ -53,7 +53,7 @@ def build_figure8(request: TableRequest) -> Result:
         title="Figure 8: inference time and quality",
         caption=(
             f"Generating one motion of {seconds:g} s at {label(fps)} without a condition, the quickest of {REPEATS} "
-            f"calls. clip-FID as in Table 2, split {request.split!r}{request.restriction}."
+            f"calls. clip-FID as in Table 2, {request.real.named}."
         ),
         blocks=(
             Block(
@@ -63,18 +63,13 @@ def build_figure8(request: TableRequest) -> Result:
                 metrics=(measure(CLIP_FID, column=quality),),
             ),
         ),
-        definition={"seconds": seconds, "fps": str(fps), "repeats": REPEATS, "split": request.split},
+        definition={"seconds": seconds, "fps": str(fps), "repeats": REPEATS, "split": request.real.split},
         notes=(
             "The paper draws this figure without numbers, for one GPU (RTX 3090). Seconds are of this machine, and "
             "wall seconds of whatever else it did; CPU seconds count all threads.",
         ),
         missing=tuple(dict.fromkeys(missing)),
-        provenance={
-            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "run": request.run.name,
-            "seed": request.seed,
-            "environment": environment(),
-        },
+        provenance=request.provenance(store, run=request.evaluated.run.name),
     )
 
 

@@ -55,7 +55,7 @@ class Yardstick:
     @cached_property
     def real(self) -> RealMotion:
         """The compared sequences."""
-        return real_motion(self.store, self.request.split, self.request.where)
+        return real_motion(self.store, self.request.real.split, self.request.real.where)
 
     def floors(self) -> Part:
         """clip-FID of real motion with itself: independent draws (P1), and disjoint halves of the takes (P2)."""
@@ -85,7 +85,7 @@ class Yardstick:
         terms = {
             "version": RECONSTRUCTION_VERSION,
             "models": dict(trained.identity),
-            "motions": self.request.max_motions,
+            "motions": self.request.evaluated.max_motions,
             **self._terms(),
         }
         return kept(self.request.results, "reconstruction", terms, lambda: self._reconstruction(trained))
@@ -94,19 +94,24 @@ class Yardstick:
         request = self.request
         return {
             "store": self.store.fingerprint,
-            "split": request.split,
-            "where": request.where,
+            "split": request.real.split,
+            "where": request.real.where,
             "fps": [str(fps) for fps in self.rates],
             "seed": request.seed,
         }
 
     def _generated_terms(self, trained: TrainedModel) -> dict[str, Any]:
-        return {"models": dict(trained.identity), "motions": self.request.max_motions, **self._clip_terms()}
+        return {"models": dict(trained.identity), "motions": self.request.evaluated.max_motions, **self._clip_terms()}
 
     def _clip_terms(self) -> dict[str, Any]:
         versions = [CLIP_FID_VERSION, KINEMATIC_VERSION]
-        protocol = asdict(self.request.protocol)
-        return {"versions": versions, "protocol": protocol, "low_pass_hz": self.request.low_pass_hz, **self._terms()}
+        protocol = asdict(self.request.clip_fid.protocol)
+        return {
+            "versions": versions,
+            "protocol": protocol,
+            "low_pass_hz": self.request.clip_fid.low_pass_hz,
+            **self._terms(),
+        }
 
     @cached_property
     def _columns(self) -> Found[dict[Fraction, Comparison]]:
@@ -114,8 +119,8 @@ class Yardstick:
         train, source = training_motion(self.store, self.real), kinematic_source()
 
         def comparison(fps: Fraction) -> Comparison:
-            column = real_column(fps, self.real, train).low_passed(self.request.low_pass_hz)
-            return column.comparison(source, self.request.protocol)
+            column = real_column(fps, self.real, train).low_passed(self.request.clip_fid.low_pass_hz)
+            return column.comparison(source, self.request.clip_fid.protocol)
 
         return each_found(self.rates, comparison, lambda fps: f"clip-FID, {label(fps)}")
 
@@ -137,7 +142,7 @@ class Yardstick:
         if not self._columns.value:
             return Part({SYNTHESIS: {}}, self._columns.missing)
         model, request = trained.loaded, self.request
-        fields = generate_fields(model, self._windows(model), request.seed, request.max_motions, sampling)
+        fields = generate_fields(model, self._windows(model), request.seed, request.evaluated.max_motions, sampling)
         cells: dict[str, Cell] = {}
         missing = list(self._columns.missing)
         for fps in self._columns.value:
@@ -158,7 +163,7 @@ class Yardstick:
             replace(window, request=GenerationRequest(window.request.duration_seconds))
             for window in self._windows(model)
         ]
-        fields = generate_fields(model, windows, request.seed, request.max_motions)
+        fields = generate_fields(model, windows, request.seed, request.evaluated.max_motions)
         rows: dict[str, dict[str, Cell]] = {SYNTHESIS: {}, DIVERSITY: {}, REAL_DIVERSITY: {}}
         missing = list(self._columns.missing)
         for fps, comparison in self._columns.value.items():
@@ -175,7 +180,7 @@ class Yardstick:
     def _sampled(self, name: str, fields: Mapping[Window, MotionField], fps: Fraction) -> SampleSet | None:
         """A model's motions at a framerate, smoothed like the real ones; None where it has none for it."""
         samples = sample_fields(fields, self._columns.value[fps].real.sequence_ids, fps, name)
-        cutoff = self.request.low_pass_hz
+        cutoff = self.request.clip_fid.low_pass_hz
         return samples if samples is None or cutoff is None else low_passed(samples, cutoff)
 
     def _scored(self, samples: SampleSet) -> Found[dict[str, Cell]]:

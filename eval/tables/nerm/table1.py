@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.metrics.replications import Scores
-from eval.report.results import Block, Result, environment
+from eval.report.results import Block, Result
 from eval.sample_folder import SampleFolder
 from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
@@ -70,13 +70,13 @@ def build_table1(request: TableRequest) -> Result:
     Raises `UsageError` for a protocol, evaluator or framerate that there is not, `StoreError` for a store that cannot
     be used, and `NoRealMotionError` where it has no captioned motion.
     """
-    protocol = find_text_motion_protocol(request.published)
+    protocol = find_text_motion_protocol(request.published.name)
     store, folders = request.open_store(), request.sample_folders
     with task(request.on_progress, "loading"):
         evaluators = text_motion_evaluators(request, protocol)
         found = _models(request)
         models = found.value
-        check_names(request.samples, models)
+        check_names(request.evaluated.samples, models)
         for each in models.values():
             longest = each.loaded.max_duration_seconds
             lengths, kit_lengths = (limited(rule, longest) for rule in (protocol.lengths, protocol.kit_lengths))
@@ -86,7 +86,9 @@ def build_table1(request: TableRequest) -> Result:
             sight = _sight(request, evaluator)
             if sight not in real:
                 rule = protocol.lengths_at(sight.fps)
-                real[sight] = captioned_motions(store, request.split, request.where, sight.fps, rule, sight.layout)
+                real[sight] = captioned_motions(
+                    store, request.real.split, request.real.where, sight.fps, rule, sight.layout
+                )
                 _check_pool(real[sight], protocol, request)
     blocks = _all_blocks(_Job(request, protocol, models, folders), evaluators.value, real)
     return Result(
@@ -98,13 +100,11 @@ def build_table1(request: TableRequest) -> Result:
         definition=_definition(request, protocol, real),
         notes=_notes(protocol, real),
         missing=tuple(dict.fromkeys((*evaluators.missing, *found.missing, *blocks.missing))),
-        provenance={
-            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "runs": {each.run.name: dict(each.identity) for each in models.values()},
-            "samples": {folder.name: folder.fingerprint for folder in folders},
-            "seed": request.seed,
-            "environment": environment(),
-        },
+        provenance=request.provenance(
+            store,
+            runs={each.run.name: dict(each.identity) for each in models.values()},
+            samples={folder.name: folder.fingerprint for folder in folders},
+        ),
     )
 
 
@@ -113,11 +113,11 @@ TABLE = Table("nerm", "1", "text-to-motion at 20 fps", build_table1)
 
 def _models(request: TableRequest) -> Found[dict[str, TrainedModel]]:
     """The run's models and, where they are trained, those of a single framerate: of the run with `-fixed` behind it."""
-    of_run = trained_models(request.run)
-    if request.run is None:
+    of_run = trained_models(request.evaluated.run)
+    if request.evaluated.run is None:
         return of_run
     found, missing = dict(of_run.value), list(of_run.missing)
-    run = request.run.with_name(request.run.name + FIXED_SUFFIX)
+    run = request.evaluated.run.with_name(request.evaluated.run.name + FIXED_SUFFIX)
     for loader in installed_models().values():
         if not loader.fixed_fps_setting:
             continue
@@ -155,9 +155,9 @@ def _check_pool(real: CaptionedMotions, protocol: TextMotionProtocol, request: T
             f"{real.samples.name}: {real.samples.num_sequences} captioned motions take part, but a text chooses among "
             f"{protocol.pool} (protocol {protocol.name!r}); name a larger split (--split all) or ingest more"
         )
-    if request.max_motions < protocol.pool:
+    if request.evaluated.max_motions < protocol.pool:
         raise UsageError(
-            f"--motions {request.max_motions}: a text chooses among {protocol.pool}; give that many at least"
+            f"--motions {request.evaluated.max_motions}: a text chooses among {protocol.pool}; give that many at least"
         )
 
 
@@ -214,7 +214,7 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
 def _chosen(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> npt.NDArray[np.int64]:
     """The real motions that models answer: all, or a random choice of as many as are asked for."""
     number = real.samples.num_sequences
-    most = min(request.max_motions, protocol.num_motions or number)
+    most = min(request.evaluated.max_motions, protocol.num_motions or number)
     if number <= most:
         return np.arange(number)
     return np.sort(np.random.default_rng((request.seed, 7)).choice(number, size=most, replace=False))
@@ -246,8 +246,8 @@ def _model_row(
         motions = ModelMotions(
             *(name, trained.loaded, trained.identity, request.seed, lengths), on_motions=work.advance
         )
-        draws = [motions.draw(wanted, number, embedder) for number in range(request.draws)]
-        repeated = motions.repeated(wanted, job.protocol.multimodality, request.max_motions, embedder)
+        draws = [motions.draw(wanted, number, embedder) for number in range(request.evaluated.draws)]
+        repeated = motions.repeated(wanted, job.protocol.multimodality, request.evaluated.max_motions, embedder)
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
     remarks = size_remarks(pairs.motions, reference.motions, draws[0].motions, job.request.seed)
     note = "; ".join((f"run {trained.run.name!r}", *([] if lengths is None else [MADE_OF_22]), *remarks))
@@ -277,7 +277,7 @@ def _score(
             job.protocol,
             job.request.seed,
             repeated=repeated,
-            compat=job.request.compat,
+            compat=job.request.published.compat,
             on_replication=work.advance,
         )
 
@@ -285,10 +285,10 @@ def _score(
 def _caption(request: TableRequest, protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]) -> str:
     caption = (
         f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean ± half the 95 % "
-        f"interval over {protocol.replications} replications, split {request.split!r}{request.restriction}."
+        f"interval over {protocol.replications} replications, {request.real.named}."
     )
-    if request.compat:
-        caption += f" Known bugs switched on: {', '.join(request.compat)}."
+    if request.published.compat:
+        caption += f" Known bugs switched on: {', '.join(request.published.compat)}."
     fewest = min(each.samples.num_sequences for each in real.values())
     if fewest < SMALL:
         caption += (
@@ -304,9 +304,9 @@ def _definition(
     return {
         "version": VERSION,
         "protocol": asdict(protocol),
-        "compat": list(request.compat),
-        "draws": request.draws,
-        "motions": request.max_motions,
+        "compat": list(request.published.compat),
+        "draws": request.evaluated.draws,
+        "motions": request.evaluated.max_motions,
         "real_motions": {
             sight.label: {
                 "motions": each.samples.num_sequences,
@@ -318,8 +318,8 @@ def _definition(
         },
         "captions": "a sequence's first one, and the stretch that it is about",
         "generated": "for the caption and the duration of each real motion, sampled at the framerate",
-        "split": request.split,
-        "where": request.where,
+        "split": request.real.split,
+        "where": request.real.where,
     }
 
 

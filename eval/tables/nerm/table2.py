@@ -11,7 +11,7 @@ import numpy as np
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
 from eval.clip_fid.kinematic import KinematicDescriptor
 from eval.clip_fid.score import CLIP_FID, VERSION
-from eval.report.results import Block, Cell, Result, Row, environment, measure
+from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sample_folder import SampleFolder
 from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
@@ -80,16 +80,16 @@ def build_table2(request: TableRequest) -> Result:
     """
     store = request.open_store()
     folders = request.sample_folders
-    real = real_motion(store, request.split, request.where)
+    real = real_motion(store, request.real.split, request.real.where)
     train = training_motion(store, real)
     with task(request.on_progress, "real sets"):
         rates = _usable_rates(request.fps or COLUMNS, real)
     with task(request.on_progress, "generating", 1):
         generated = _generated_fields(request, real, rates.value)
     fields = generated.value
-    check_names(request.samples, _model_notes(fields))
+    check_names(request.evaluated.samples, _model_notes(fields))
     notes = ROW_NOTES | _model_notes(fields) | {folder.name: folder.describe() for folder in folders}
-    sources = feature_sources(request.run, request.features, request.guo)
+    sources = feature_sources(request.evaluated.run, request.evaluators.names, request.evaluators.guo)
     sheets: list[dict[str, _Scored]] = [{} for _ in sources.value]
     absent: list[list[str]] = [[] for _ in sources.value]
     sizes: list[ColumnSize] = []
@@ -98,7 +98,7 @@ def build_table2(request: TableRequest) -> Result:
     for fps in rates.value:
         # One column's motions at a time: those of all framerates together are three times as many.
         made = make_column(fps, real, train, fields, samples_at(folders, fps, request.on_progress))
-        column = made.value.low_passed(request.low_pass_hz)
+        column = made.value.low_passed(request.clip_fid.low_pass_hz)
         slow += made.missing
         sizes.append(column.size)
         remarks += set_remarks(column.real, column.others)
@@ -122,13 +122,11 @@ def build_table2(request: TableRequest) -> Result:
         definition=_definition(sizes, request),
         notes=(*_notes(sizes), *_sample_notes(sizes, folders), *dict.fromkeys(remarks)),
         missing=tuple(dict.fromkeys(missing)),
-        provenance={
-            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "run": request.run.name if request.run and fields else None,
-            "samples": {folder.name: folder.fingerprint for folder in folders},
-            "seed": request.seed,
-            "environment": environment(),
-        },
+        provenance=request.provenance(
+            store,
+            run=request.evaluated.run.name if request.evaluated.run and fields else None,
+            samples={folder.name: folder.fingerprint for folder in folders},
+        ),
     )
 
 
@@ -146,12 +144,12 @@ def _generated_fields(
     request: TableRequest, real: RealMotion, rates: list[Fraction]
 ) -> Found[dict[str, dict[Window, MotionField]]]:
     """Motions that each of the run's models generates for the real sequences of the lowest framerate."""
-    models = trained_models(request.run)
+    models = trained_models(request.evaluated.run)
 
     def generated(name: str) -> dict[Window, MotionField]:
         model = models.value[name].loaded
         windows = windows_of(real.at(min(rates)), model.max_duration_seconds)
-        return generate_fields(model, windows, request.seed, request.max_motions)
+        return generate_fields(model, windows, request.seed, request.evaluated.max_motions)
 
     found = each_found(models.value, generated)
     return Found(found.value, (*models.missing, *found.missing))
@@ -188,7 +186,7 @@ def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Fou
     """A column's rows on one feature set, under the column's label."""
     label = column.label
     try:
-        comparison = column.comparison(source, request.protocol)
+        comparison = column.comparison(source, request.clip_fid.protocol)
         with task(request.on_progress, f"{source.name}, {label}", 2 * comparison.protocol.replications) as work:
             cells = score_column(comparison, column.rows, work.advance)
     except MotionkitError as error:
@@ -221,7 +219,7 @@ def _block(
         note=" ".join((source.note, *warnings)).strip(),
         provenance={
             "fingerprints": {label: scored.fingerprint for label, scored in sheet.items()},
-            "replications": source.protocol(request.protocol).replications,
+            "replications": source.protocol(request.clip_fid.protocol).replications,
         },
         metrics=(measure(CLIP_FID),),
     )
@@ -270,15 +268,15 @@ def _paper_block() -> Block:
 
 
 def _caption(columns: Sequence[ColumnSize], request: TableRequest) -> str:
-    protocol = request.protocol
+    protocol = request.clip_fid.protocol
     seconds = [column.duration_seconds for column in columns]
     caption = (
         f"clip-FID ({VERSION}), lower is better: mean ± half the 95 % interval over {protocol.replications} "
         f"replications of N = {protocol.num_clips:,} random clips on each side, "
-        f"split {request.split!r}{request.restriction}."
+        f"{request.real.named}."
     )
-    if request.low_pass_hz is not None:
-        caption += f" Every set, the real one too, was low-passed at {request.low_pass_hz:g} Hz."
+    if request.clip_fid.low_pass_hz is not None:
+        caption += f" Every set, the real one too, was low-passed at {request.clip_fid.low_pass_hz:g} Hz."
     if min(seconds) < SMALL_SECONDS:
         caption += (
             f" A small-scale run: the real sets hold {min(seconds) / 60:.1f} to {max(seconds) / 60:.1f} minutes of "
@@ -288,8 +286,8 @@ def _caption(columns: Sequence[ColumnSize], request: TableRequest) -> str:
 
 
 def _definition(columns: Sequence[ColumnSize], request: TableRequest) -> dict[str, Any]:
-    protocol = asdict(request.protocol)
-    kind = type(request.protocol.sizes).__name__
+    protocol = asdict(request.clip_fid.protocol)
+    kind = type(request.clip_fid.protocol.sizes).__name__
     return {
         "version": VERSION,
         "protocol": protocol | {"sizes": {"kind": kind, **protocol["sizes"]}},
@@ -303,9 +301,9 @@ def _definition(columns: Sequence[ColumnSize], request: TableRequest) -> dict[st
         "generated_motions": {column.label: dict(column.num_generated) for column in columns if column.num_generated},
         "sequences": "native framerate at least the column's, brought to it by anti-aliased resampling",
         "clips": "both sides share sizes and centre quantiles; each draws sequences in proportion to duration",
-        "split": request.split,
-        "where": request.where,
-        "low_pass_hz": request.low_pass_hz,
+        "split": request.real.split,
+        "where": request.real.where,
+        "low_pass_hz": request.clip_fid.low_pass_hz,
     }
 
 

@@ -15,7 +15,7 @@ from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_a
 from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
 from eval.metrics.replications import Score, Scores
-from eval.report.results import Block, Cell, Origin, Result, Row, environment, measure
+from eval.report.results import Block, Cell, Origin, Result, Row, measure
 from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
 from eval.sets.real import RealMotion, has_training, real_motion
@@ -105,12 +105,12 @@ def build_table3(request: TableRequest) -> Result:
         definition=_definition(source, recogniser, protocols, real, request),
         notes=_notes(source, real),
         missing=tuple(dict.fromkeys(chain(*absent))),
-        provenance={
-            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "run": request.run.name if request.run and any(each.is_model for each in systems) else None,
-            "seed": request.seed,
-            "environment": environment(),
-        },
+        provenance=request.provenance(
+            store,
+            run=request.evaluated.run.name
+            if request.evaluated.run and any(each.is_model for each in systems)
+            else None,
+        ),
     )
 
 
@@ -118,22 +118,22 @@ TABLE = Table("nerm", "3", "action-to-motion", build_table3)
 
 
 def _choices(request: TableRequest) -> tuple[RecogniserSource, list[ActionProtocol]]:
-    names = request.features or (DEFAULT,)
+    names = request.evaluators.names or (DEFAULT,)
     if len(names) != 1:
         raise UsageError(f"--evaluator {','.join(names)}: table 3 has one recogniser of actions at a time")
-    return find_recogniser(names[0]), [find_action_protocol(name) for name in request.published.split(",")]
+    return find_recogniser(names[0]), [find_action_protocol(name) for name in request.published.name.split(",")]
 
 
 def _recogniser(source: RecogniserSource, store: "Store", request: TableRequest) -> ActionRecogniser:
     def train() -> SampleSet:
         if not has_training(store):
             raise UsageError(
-                f"{request.store} has no training split, and {source.name!r} is fitted on one: `motionkit split` "
+                f"{request.real.store} has no training split, and {source.name!r} is fitted on one: `motionkit split` "
                 "makes it"
             )
         return _long_enough(real_motion(store, "train").at(source.fps))
 
-    return source.make(train, request.guo.weights if request.guo else None)
+    return source.make(train, request.evaluators.guo.weights if request.evaluators.guo else None)
 
 
 def _long_enough(samples: SampleSet) -> SampleSet:
@@ -149,9 +149,9 @@ def _real(
         found = known_actions(motion.at(source.fps), recogniser.actions)
         return replace(found, samples=with_rotations(store, found.samples)) if source.needs_rotations else found
 
-    compared = known(real_motion(store, request.split, request.where))
-    missing = tuple(f"real ({request.split}): {line}" for line in compared.left_out)
-    if request.split in ("train", "all") or not has_training(store):
+    compared = known(real_motion(store, request.real.split, request.real.where))
+    missing = tuple(f"real ({request.real.split}): {line}" for line in compared.left_out)
+    if request.real.split in ("train", "all") or not has_training(store):
         return Found(_Real(compared, None), missing)
     try:
         return Found(_Real(compared, known(real_motion(store, "train"))), missing)
@@ -161,7 +161,7 @@ def _real(
 
 def _real_system(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> _System:
     return _System(
-        f"real ({request.split})",
+        f"real ({request.real.split})",
         (real.compared.recognised(recogniser),),
         _counted(real.compared.samples.num_sequences, 1)
         + ("" if real.train is None else "; its FID (train) is what other takes leave"),
@@ -176,14 +176,16 @@ def _counted(motions: int, draws: int) -> str:
 def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> Found[list[_System]]:
     """A row for each model of the run: one motion for every real one, or for a random choice of `max_motions`, --draws
     times over."""
-    asked = _at_most(real.compared, request.max_motions, request.seed)
-    note = f"{_counted(asked.samples.num_sequences, request.draws)}, with the actions and durations of real ones"
-    models = trained_models(request.run)
-    check_names(request.samples, models.value)
+    asked = _at_most(real.compared, request.evaluated.max_motions, request.seed)
+    note = (
+        f"{_counted(asked.samples.num_sequences, request.evaluated.draws)}, with the actions and durations of real ones"
+    )
+    models = trained_models(request.evaluated.run)
+    check_names(request.evaluated.samples, models.value)
 
     def system(name: str) -> _System:
         model = models.value[name].loaded
-        draws = generated_like(asked, model, real.compared.samples.fps, request.draws, request.seed)
+        draws = generated_like(asked, model, real.compared.samples.fps, request.evaluated.draws, request.seed)
         return _System(name, tuple(draw.recognised(recogniser) for draw in draws), note, is_model=True)
 
     found = each_found(models.value, system)
@@ -229,7 +231,7 @@ def _block(
     systems: Sequence[_System],
     request: TableRequest,
 ) -> Found[Block]:
-    fids = {"fid_train": "FID (train)", "fid_test": f"FID ({request.split})"}
+    fids = {"fid_train": "FID (train)", "fid_test": f"FID ({request.real.split})"}
     rows, missing = [], []
     shown: dict[str, str] = {}
     for system in systems:
@@ -343,7 +345,7 @@ def _caption(source: RecogniserSource, real: _Real, request: TableRequest) -> st
     actions = len(np.unique(compared.labels))
     caption = (
         f"What a recogniser of actions ({source.title}) says of {compared.samples.num_sequences:,} real motions of "
-        f"{actions} actions, split {request.split!r}{request.restriction}, and of motions generated for the same "
+        f"{actions} actions, {request.real.named}, and of motions generated for the same "
         "actions: mean ± half the 95 % interval over the protocol's replications."
     )
     if compared.samples.num_sequences < SMALL_MOTIONS:
@@ -368,8 +370,8 @@ def _definition(
             "train": None if real.train is None else real.train.samples.num_sequences,
         },
         "generated": "one motion for every real one, with its action and its duration (l_max where that is longer)",
-        "split": request.split,
-        "where": request.where,
+        "split": request.real.split,
+        "where": request.real.where,
     }
 
 

@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Int64
 
 from eval.reconstruction.errors import WindowErrors, mpjpe_cell, mre_cell, window_errors
-from eval.report.results import Block, Cell, Result, Row, environment, measure
+from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.found import Found
-from eval.sets.real import of_split_and
 from eval.tables.models import reconstructor, trained_reconstructors
 from eval.tables.parts import reported_figures
 from eval.tables.registry import Table, TableRequest
@@ -68,13 +67,13 @@ def build_table4(request: TableRequest) -> Result:
 
     Raises `UsageError` without a run or with a run of another store, and what loading the run or the store raises.
     """
-    if request.run is None:
+    if request.evaluated.run is None:
         raise UsageError("table 4 needs a trained model that reconstructs windows of motion: --run NAME")
     store = request.open_store()
     rates = request.fps or COLUMNS
     sets: dict[str, DescribedWindows] = {}
     missing: list[str] = []
-    found = trained_reconstructors(request.run)
+    found = trained_reconstructors(request.evaluated.run)
     for name, trained in found.items():
         each = described_windows(reconstructor(trained, store), store, request)
         whose = f"{name}: " if len(found) > 1 else ""
@@ -96,7 +95,7 @@ def build_table4(request: TableRequest) -> Result:
         title="Table 4: reconstruction by framerate",
         caption=(
             "Root-aligned mean per-joint position error in millimetres over 22 joints, windows weighing by duration. "
-            f"Held-out windows are of split {request.split!r}{request.restriction}."
+            f"Held-out windows are of {request.real.named}."
         ),
         blocks=tuple(block for block in blocks if block.rows),
         definition={
@@ -104,7 +103,7 @@ def build_table4(request: TableRequest) -> Result:
             "root-aligned": "both roots at the origin, no rotation fitted; the root counts as a joint with error 0",
             "training windows": "do not overlap, not mirrored; decoded from the posterior mean, not fitted again",
             "sample": f"at most {MOST_WINDOWS} windows a row, those fast enough for every column first",
-            "held-out sequences": of_split_and(request.split, request.where),
+            "held-out sequences": request.real.condition,
             "held-out windows": "z by L-BFGS on evenly spaced native poses against the frozen field",
             "MRE": "root of the mean squared difference of `native` pose vectors (263 numbers; m, m/s, rad/s)",
         },
@@ -115,12 +114,7 @@ def build_table4(request: TableRequest) -> Result:
             "velocities, so capture noise counts, the more the higher the framerate.",
         ),
         missing=tuple(missing),
-        provenance={
-            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "run": request.run.name,
-            "seed": request.seed,
-            "environment": environment(),
-        },
+        provenance=request.provenance(store, run=request.evaluated.run.name),
     )
 
 
@@ -133,9 +127,9 @@ def described_windows(
     """Samples of the windows that an encoder was trained on, and of another split's where there are any."""
     found = {TRAINING: _described(encoder.training_windows(store), request)}
     try:
-        if request.split in ("all", "train"):
-            raise UsageError(f"split {request.split!r} holds training windows; name another (--split test)")
-        found[HELD_OUT] = _described(encoder.other_windows(store, of_split_and(request.split, request.where)), request)
+        if request.real.split in ("all", "train"):
+            raise UsageError(f"split {request.real.split!r} holds training windows; name another (--split test)")
+        found[HELD_OUT] = _described(encoder.other_windows(store, request.real.condition), request)
     except UsageError as error:
         return Found(found, (f"{HELD_OUT}: {error}",))
     return Found(found)
@@ -151,7 +145,7 @@ def _sample(rows: Int64[np.ndarray, "windows"], windows: Windows, request: Table
     shuffled = np.random.default_rng(request.seed).permutation(rows)
     fast = comparable(windows, request.fps or COLUMNS)[shuffled]
     first_fast = np.concatenate((shuffled[fast], shuffled[~fast]))
-    return np.sort(first_fast[: min(MOST_WINDOWS, request.max_motions)])
+    return np.sort(first_fast[: min(MOST_WINDOWS, request.evaluated.max_motions)])
 
 
 def _measure(described: DescribedWindows, rates: Sequence[Fraction]) -> _Measured:

@@ -32,12 +32,12 @@ def text_motion_evaluators(request: TableRequest, protocol: TextMotionProtocol) 
     Raises `UsageError` for a name that is no evaluator of text and motion, for a known bug that the protocol or the
     evaluator does not have, and where not one can be had.
     """
-    chosen_bugs(protocol.name, protocol.known_bugs, request.compat)
+    chosen_bugs(protocol.name, protocol.known_bugs, request.published.compat)
     known: dict[str, Callable[[TableRequest], TextMotionEvaluator]] = {
         "native": _native,
         "guo": partial(_guo, leak=protocol.leak),
     }
-    wanted = request.features or DEFAULT
+    wanted = request.evaluators.names or DEFAULT
     for name in wanted:
         if name not in known:
             raise UsageError(f"--evaluator {name}: not an evaluator of text and motion; give {', '.join(known)}")
@@ -51,23 +51,23 @@ def _native(request: TableRequest) -> TextMotionEvaluator:
     from eval.native_evaluator.evaluator import load_native
     from eval.native_evaluator.text_motion import NativeTextMotion
 
-    if PADDING_LEAK.name in request.compat:
+    if PADDING_LEAK.name in request.published.compat:
         raise UsageError(f"--compat {PADDING_LEAK.name} is a bug of Guo's evaluator: --evaluator guo --weights FILE")
-    if request.run is None:
+    if request.evaluated.run is None:
         raise MotionkitError("it belongs to a run, and none was given (motionkit train --stage evaluator)")
-    return NativeTextMotion(load_native(request.run))
+    return NativeTextMotion(load_native(request.evaluated.run))
 
 
 def _guo(request: TableRequest, leak: Padding) -> TextMotionEvaluator:
     from eval.text_motion.guo.evaluator import load_guo
 
-    if request.guo is None:
+    if request.evaluators.guo is None:
         raise UsageError("--evaluator guo needs its weights: --weights finest.tar (docs/evaluators.md)")
-    if request.guo.glove is None:
+    if request.evaluators.guo.glove is None:
         raise UsageError("--evaluator guo reads captions with GloVe's word vectors: --glove DIR (docs/evaluators.md)")
-    if PADDING_LEAK.name in request.compat and request.guo.padding == "masked":
-        return load_guo(replace(request.guo, padding=leak))
-    return load_guo(request.guo)
+    if PADDING_LEAK.name in request.published.compat and request.evaluators.guo.padding == "masked":
+        return load_guo(replace(request.evaluators.guo, padding=leak))
+    return load_guo(request.evaluators.guo)
 
 
 ORACLE, FLOOR = "each motion on its caption's point", "real, disjoint halves"

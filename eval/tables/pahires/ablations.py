@@ -15,8 +15,7 @@ from eval.completion.encoders import INTERPOLATION, completer_of
 from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
 from eval.completion.takes import NoTakesError, data_sets_of
 from eval.metrics.metric import find_metric
-from eval.report.results import Block, Cell, Result, Row, environment
-from eval.sets.real import of_split_and
+from eval.report.results import Block, Cell, Result, Row
 from eval.tables.pahires.interpolation import caption, definition
 from eval.tables.pahires.measured import measure_all
 from eval.tables.parts import SOURCES, reported_figures
@@ -42,7 +41,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     """
     trained = _trained(ablation, request)
     store, protocol = request.open_store(), InterpolationProtocol()
-    store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
+    store.select(request.real.condition)  # a condition that cannot be asked is told at once
     all_runs = list({run.path: run for runs in trained.values() for run in runs.values()}.values())
     rates = {Fraction(recorded_settings(run, STAGE)["training"]["fps"]) for run in all_runs}
     completers = [completer_of(PAHIRES.paper, run.path, run.path.name) for run in all_runs]
@@ -74,13 +73,11 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         },
         notes=(*(remark for each in measured for remark in each.remarks), *_notes(ablation, trained)),
         missing=tuple(dict.fromkeys((*found.missing, *not_trained))),
-        provenance={
-            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "runs": {run.path.name: run.stage(STAGE).read_summary() for run in all_runs},
-            "trained": {completer.name: completer.facts for completer in completers},
-            "seed": request.seed,
-            "environment": environment(),
-        },
+        provenance=request.provenance(
+            store,
+            runs={run.path.name: run.stage(STAGE).read_summary() for run in all_runs},
+            trained={completer.name: completer.facts for completer in completers},
+        ),
     )
 
 
@@ -95,11 +92,11 @@ _Trained = Mapping[str, Mapping[int, RunFolder]]
 
 
 def _trained(ablation: Ablation, request: TableRequest) -> _Trained:
-    if request.run is None:
+    if request.evaluated.run is None:
         raise UsageError("an ablation needs the name of its runs: --run NAME for runs/NAME-VARIANT")
     runs = {
         entry.name: {
-            seed: RunFolder(request.run.parent / run_name(request.run.name, entry.variant, seed))
+            seed: RunFolder(request.evaluated.run.parent / run_name(request.evaluated.run.name, entry.variant, seed))
             for seed in range(MOST_SEEDS)
         }
         for entry in ablation.entries
@@ -111,15 +108,15 @@ def _trained(ablation: Ablation, request: TableRequest) -> _Trained:
     if not any(found.values()):
         names = ", ".join(dict.fromkeys(of_label[0].path.name for of_label in runs.values()))
         raise UsageError(
-            f"no run of it is trained in {str(request.run.parent)!r}: motionkit ablate {ablation.table} "
-            f"--paper {PAHIRES.paper} --run {request.run.name} trains {names}"
+            f"no run of it is trained in {str(request.evaluated.run.parent)!r}: motionkit ablate {ablation.table} "
+            f"--paper {PAHIRES.paper} --run {request.evaluated.run.name} trains {names}"
         )
     return {label: of_label for label, of_label in found.items() if of_label}
 
 
 def _command(ablation: Ablation, request: TableRequest, variant: Variant) -> str:
-    assert request.run is not None
-    return f"not trained ({PAHIRES.command_for(ablation.table, request.run.name, variant)})"
+    assert request.evaluated.run is not None
+    return f"not trained ({PAHIRES.command_for(ablation.table, request.evaluated.run.name, variant)})"
 
 
 def _described_training(runs: Sequence[RunFolder]) -> str:

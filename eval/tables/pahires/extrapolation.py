@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from eval.completion.encoders import HOLD, INTERPOLATION
 from eval.completion.protocol import EXTRAPOLATION_VERSION, continuations
-from eval.report.results import Result, environment
+from eval.report.results import Result
 from eval.tables.pahires.inbetweening import definition
 from eval.tables.pahires.window_rows import WindowTable, measure_table
 from eval.tables.registry import Table, TableRequest
@@ -31,8 +31,7 @@ def build_extrapolation(request: TableRequest) -> Result:
         title="PA-HiRes: extrapolation",
         caption=(
             "30 frames (one second) are given, the n frames after or before them asked for and scored; windows and "
-            f"statistics of the in-betweening table. Split {request.split!r}{request.restriction}: "
-            + " ".join(found.told)
+            f"statistics of the in-betweening table. S{request.real.named[1:]}: " + " ".join(found.told)
         ),
         blocks=found.blocks,
         definition={**definition(request), "given": "frames 0-29 of a window for what comes after, 30-59 for before"},
@@ -42,7 +41,7 @@ def build_extrapolation(request: TableRequest) -> Result:
             "not that it foresees.",
         ),
         missing=found.missing,
-        provenance={**found.provenance, "environment": environment()},
+        provenance=found.provenance,
     )
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from eval.completion.encoders import INTERPOLATION
 from eval.completion.protocol import INBETWEENING_VERSION, gaps
-from eval.report.results import Block, Cell, Result, Row, environment
+from eval.report.results import Block, Cell, Result, Row
 from eval.tables.pahires.window_rows import WindowTable, measure_table
 from eval.tables.parts import SOURCES, Reported, reported_figures
 from eval.tables.registry import Table, TableRequest
@@ -40,7 +40,7 @@ def build_inbetweening(request: TableRequest) -> Result:
         title="PA-HiRes, Table 3: in-betweening",
         caption=(
             "10 past frames and the first future one are given, the n frames between them asked for and scored "
-            f"(LaFAN1's protocol, 30 fps). Split {request.split!r}{request.restriction}: {' '.join(found.told)}"
+            f"(LaFAN1's protocol, 30 fps). S{request.real.named[1:]}: {' '.join(found.told)}"
         ),
         blocks=(*found.blocks, *_published(columns)),
         definition=definition(request),
@@ -50,7 +50,7 @@ def build_inbetweening(request: TableRequest) -> Result:
             "that L2Q stands under further metrics.",
         ),
         missing=found.missing,
-        provenance={**found.provenance, "environment": environment()},
+        provenance=found.provenance,
     )
 
 
@@ -69,8 +69,8 @@ def definition(request: TableRequest) -> dict[str, object]:
         "l2q": "mean over frames of the norm of all global quaternions' differences, signs aligned joint by joint",
         "npss": "of global quaternions; power of the real part of the Fourier coefficients, weighted by the truth's",
         "LaFAN1": "subjects 1-4 train, subject 5 tests, whatever the store's split",
-        "split": request.split,
-        "where": request.where,
+        "split": request.real.split,
+        "where": request.real.where,
     }
 
 

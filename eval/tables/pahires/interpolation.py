@@ -11,8 +11,7 @@ from eval.completion.interpolation import timed_metrics
 from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, VERSION, InterpolationProtocol, scale_label
 from eval.completion.takes import data_sets_of
 from eval.metrics.metric import find_metric
-from eval.report.results import Block, Cell, Result, Row, environment
-from eval.sets.real import of_split_and
+from eval.report.results import Block, Cell, Result, Row
 from eval.tables.pahires.measured import Measured, measure_all
 from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import Table, TableRequest
@@ -45,8 +44,8 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
     the store raises.
     """
     store, protocol = request.open_store(), InterpolationProtocol()
-    store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
-    trained = trained_completers("interpolation", request.run, request.encoders)
+    store.select(request.real.condition)  # a condition that cannot be asked is told at once
+    trained = trained_completers("interpolation", request.evaluated.run, request.evaluated.encoders)
     completers = [*INTERPOLATION, *trained.value]
     found = measure_all(store, data_sets_of(store, request.fps), scales, completers, request)
     measured = found.value
@@ -66,13 +65,11 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
         definition=definition(protocol, request),
         notes=(*(remark for each in measured for remark in each.remarks), *NOTES),
         missing=tuple(dict.fromkeys((*trained.missing, *found.missing))),
-        provenance={
-            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "encoders": {completer.name: completer.fingerprint for completer in completers},
-            "trained": {completer.name: completer.facts for completer in completers if completer.trained},
-            "seed": request.seed,
-            "environment": environment(),
-        },
+        provenance=request.provenance(
+            store,
+            encoders={completer.name: completer.fingerprint for completer in completers},
+            trained={completer.name: completer.facts for completer in completers if completer.trained},
+        ),
     )
 
 
@@ -95,7 +92,7 @@ def caption(measured: Sequence[Measured], protocol: InterpolationProtocol, reque
     small = min(each.clips.num_takes for each in measured) < SMALL_TAKES
     return (
         f"Of every clip {protocol.num_kept} real frames are given and all frames between them asked for; no frame of "
-        f"the truth is interpolated. Split {request.split!r}{request.restriction}: {counts}."
+        f"the truth is interpolated. S{request.real.named[1:]}: {counts}."
         + (" **Small scale**: a data set of fewer than 100 takes says little about others." if small else "")
     )
 
@@ -114,8 +111,8 @@ def definition(protocol: InterpolationProtocol, request: TableRequest) -> dict[s
         "ssim": "data range 1, windows of 7 frames a number, over the whole clip",
         "mpjpe, rotation error": "synthesised frames; global positions; local rotations",
         "velocity, acceleration, jerk": "mean distance of per-second differences, over the whole clip",
-        "split": request.split,
-        "where": request.where,
+        "split": request.real.split,
+        "where": request.real.where,
     }
 
 

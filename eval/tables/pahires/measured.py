@@ -105,7 +105,9 @@ def _measure(
     Raises `NoTakesError` where the compared split has no clip.
     """
     protocol = InterpolationProtocol()
-    clips = open_clips(store, data_set, request.split, request.where, protocol.clip_frames, protocol.clip_frames)
+    clips = open_clips(
+        store, data_set, request.real.split, request.real.where, protocol.clip_frames, protocol.clip_frames
+    )
     remarks, missing = [], []
     try:
         training = open_clips(store, data_set, "train", None, protocol.clip_frames, protocol.clip_frames)
@@ -116,8 +118,8 @@ def _measure(
         "version": VERSION,
         "store": store.fingerprint,
         "data set": [data_set.column, data_set.value, str(data_set.fps)],
-        "split": request.split,
-        "where": request.where,
+        "split": request.real.split,
+        "where": request.real.where,
         "scales": [str(scale) for scale in scales],
     }
     rows: dict[str, Scores] = {}
@@ -138,7 +140,7 @@ def _measure(
                 keep_scores(request.results, "interpolation", {**terms, "encoder": completer.fingerprint}, scores)
         missing += [f"{data_set.label}, {name}: {why}" for name, why in failed.items()]
     remarks.append(_told_clips(data_set, clips))
-    remarks.append(f"{data_set.label}: {told_split(store, clips, request.split)}")
+    remarks.append(f"{data_set.label}: {told_split(store, clips, request.real.split)}")
     ordered = {completer.name: rows[completer.name] for completer in completers if completer.name in rows}
     return Found(Measured(data_set, clips, ordered, tuple(remarks)), tuple(missing))
 

@@ -13,7 +13,6 @@ from eval.completion.takes import DataSet, NoTakesError, data_sets_of, shared_re
 from eval.completion.windows import FPS, PoseWindows, data_set_windows, lafan1_windows, num_lafan1_takes
 from eval.report.results import Block
 from eval.sets.found import Found, each_found
-from eval.sets.real import of_split_and
 from eval.tables.pahires.measured import find_scores, keep_scores
 from eval.tables.registry import TableRequest
 from motionkit.complete.encoders import Task
@@ -58,8 +57,8 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     the store raises.
     """
     store = request.open_store()
-    store.select(of_split_and(request.split, request.where))  # a condition that cannot be asked is told at once
-    trained = trained_completers(table.task, request.run, request.encoders)
+    store.select(request.real.condition)  # a condition that cannot be asked is told at once
+    trained = trained_completers(table.task, request.evaluated.run, request.evaluated.encoders)
     completers = [*table.rows, *trained.value]
     found = _all_windows(store, request)
     if not found.value:
@@ -72,12 +71,11 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
         tuple(blocks_of(with_pools(scopes, "windows"), completers, shown)),
         tuple(f"{windows.name}: {windows.told}" for windows in found.value),
         tuple(dict.fromkeys((*trained.missing, *failed, *found.missing))),
-        {
-            "store": {"path": request.store.name, "fingerprint": store.fingerprint},
-            "encoders": {completer.name: completer.fingerprint for completer in completers},
-            "trained": {completer.name: completer.facts for completer in completers if completer.trained},
-            "seed": request.seed,
-        },
+        request.provenance(
+            store,
+            encoders={completer.name: completer.fingerprint for completer in completers},
+            trained={completer.name: completer.facts for completer in completers if completer.trained},
+        ),
     )
 
 
@@ -87,7 +85,7 @@ def _all_windows(store: "Store", request: TableRequest) -> Found[list[PoseWindow
     def windows(data_set: DataSet) -> PoseWindows:
         with task(request.on_progress, f"windows of {data_set.name}") as work:
             if data_set.value != "lafan1":
-                return data_set_windows(store, data_set, request.split, request.where)
+                return data_set_windows(store, data_set, request.real.split, request.real.where)
             work.set_total(num_lafan1_takes(store))
             return lafan1_windows(store, work.advance)
 
@@ -107,8 +105,8 @@ def _rows(
         "version": table.version,
         "store": fingerprint,
         "windows": windows.name,
-        "split": request.split,
-        "where": request.where,
+        "split": request.real.split,
+        "where": request.real.where,
     }
     columns = [question.label for question in table.questions]
     rows: dict[str, Scores] = {}

@@ -1,7 +1,6 @@
 """Tables 1 and 2 of PA-HiRes: which frames are given, figures held against their definition, data sets and refusals."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -34,6 +33,7 @@ from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
+from tests.helpers.table_request import table_request
 
 PROTOCOL = InterpolationProtocol()
 
@@ -198,7 +198,7 @@ def test_smoother_is_better_and_positions_alone_can_be_scored(store: Path) -> No
 
 
 def request(store: Path, tmp_path: Path, **more: object) -> TableRequest:
-    return replace(TableRequest(store=store, results=tmp_path / "results", run=tmp_path / "runs" / "nano"), **more)  # type: ignore[arg-type]
+    return table_request(store, tmp_path / "results", run=tmp_path / "runs" / "nano", **more)
 
 
 def test_tables_1_and_2_have_all_data_sets_and_the_papers_figures(store: Path, tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import pytest
 
 from eval.reconstruction.errors import DISTANCE
 from eval.tables.nerm.table4 import build_table4
-from eval.tables.registry import TableRequest
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -18,6 +17,7 @@ from nerm.field.trained import load_field
 from nerm.recipes import NermConfig, demo
 from nerm.stages import CODEBOOK, FIELD
 from tests.helpers.nerm_corpus import analytic_positions
+from tests.helpers.table_request import table_request
 
 TINY = [
     "codebook.schedule.steps=10",
@@ -91,7 +91,7 @@ def test_a_field_without_its_codebook_is_explained(store: Path, tmp_path: Path) 
 
 
 def test_table_4_is_built_from_a_store_and_a_run(store: Path, run: Path, tmp_path: Path) -> None:
-    result = build_table4(TableRequest(store=store, results=tmp_path, run=run))
+    result = build_table4(table_request(store, tmp_path, run=run))
     same, everything, paper, mre, paper_mre = result.blocks
     assert [row.name for row in same.rows] == ROWS
     assert set(same.rows[0].cells) == {"20 fps", "40 fps", "60 fps", "100 fps", "120 fps"}
@@ -107,6 +107,6 @@ def test_table_4_is_built_from_a_store_and_a_run(store: Path, run: Path, tmp_pat
 
 
 def test_table_4_of_a_split_that_is_not_there_says_so(store: Path, run: Path, tmp_path: Path) -> None:
-    result = build_table4(TableRequest(store=store, results=tmp_path, run=run, split="nobody's"))
+    result = build_table4(table_request(store, tmp_path, run=run, split="nobody's"))
     assert [row.name for row in result.blocks[0].rows] == ROWS[:1]
     assert any(line.startswith("held-out windows: ") for line in result.missing)

@@ -18,7 +18,6 @@ from eval.sets.sets import SampleSet
 from eval.tables import registry
 from eval.tables.nerm import table1, text_motion
 from eval.tables.nerm.text_motion import FLOOR, ORACLE, title_of
-from eval.tables.registry import TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
@@ -26,6 +25,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
+from tests.helpers.table_request import table_request
 
 TAKES = 70
 TOP1, TOP3, FID, MM_DIST = (title_of(name) for name in ("r_precision_top1", "r_precision_top3", "fid", "mm_dist"))
@@ -98,8 +98,7 @@ def models(run: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, ScriptedMode
 
 
 def build(store: Path, folder: Path, run: Path | None, **changes: object) -> Result:
-    request = TableRequest(store=store, results=folder, run=run, max_motions=400)
-    return table1.build_table1(replace(request, **changes))
+    return table1.build_table1(table_request(store, folder, **{"run": run, "max_motions": 400, **changes}))
 
 
 def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:

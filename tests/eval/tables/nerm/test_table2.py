@@ -11,7 +11,7 @@ from eval.clip_fid import features
 from eval.clip_fid.score import PoseRange, Protocol
 from eval.report.results import Result
 from eval.tables.nerm import clip_fid_column, table2
-from eval.tables.registry import TableRequest, find_table, installed_tables
+from eval.tables.registry import find_table, installed_tables
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
@@ -19,6 +19,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
+from tests.helpers.table_request import table_request
 
 FPS = (Fraction(20), Fraction(60))
 NERM, NERM_SLERP = "NeRM", "NeRM generated at 20 fps, SLERP"
@@ -68,7 +69,7 @@ def few_clips_in_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
 def build(store: Path, folder: Path, **changes: object) -> Result:
     protocol = Protocol(num_clips=400, replications=2, detailed_replications=1)
     values: dict[str, object] = {"fps": FPS, "protocol": protocol, "features": ("kinematic",)} | changes
-    return table2.build_table2(TableRequest(store=store, results=folder, **values))  # type: ignore[arg-type]
+    return table2.build_table2(table_request(store, folder, **values))
 
 
 def rows_of(result: Result) -> dict[str, dict[str, float]]:

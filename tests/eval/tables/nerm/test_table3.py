@@ -16,7 +16,6 @@ from eval.report.render import to_markdown
 from eval.report.results import Result, read_result, write_result
 from eval.sets.sets import sample_set
 from eval.tables.nerm import table3
-from eval.tables.registry import TableRequest
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
@@ -31,6 +30,7 @@ from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from tests.helpers.acting import ACTIONS, acted, acted_at
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
+from tests.helpers.table_request import table_request
 
 EACH = 12
 FPS = Fraction(20)
@@ -73,7 +73,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def build(store: Path, folder: Path, **changes: object) -> Result:
-    return table3.build_table3(replace(TableRequest(store=store, results=folder), **changes))  # type: ignore[arg-type]
+    return table3.build_table3(table_request(store, folder, **changes))
 
 
 def with_model(monkeypatch: pytest.MonkeyPatch, folder: Path, model: ScriptedModel) -> Path:

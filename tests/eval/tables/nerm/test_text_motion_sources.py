@@ -8,12 +8,12 @@ import pytest
 
 from eval.sets.sets import SampleSet
 from eval.tables.nerm.text_motion import text_motion_evaluators
-from eval.tables.registry import TableRequest
 from eval.text_motion.guo import evaluator
 from eval.text_motion.guo.kind import GuoFiles
 from eval.text_motion.protocol import find_text_motion_protocol
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
+from tests.helpers.table_request import table_request
 
 
 class Loaded:
@@ -38,7 +38,7 @@ PUBLISHED = GuoFiles(Path("finest.tar"), glove=Path("glove"))
 
 
 def evaluators(protocol: str, **changes: object) -> tuple[list[object], list[str]]:
-    request = TableRequest(Path("store"), Path("results"), **changes)  # type: ignore[arg-type]
+    request = table_request(Path("store"), Path("results"), **changes)
     found = text_motion_evaluators(request, find_text_motion_protocol(protocol))
     return found.value, list(found.missing)
 

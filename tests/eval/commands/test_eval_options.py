@@ -1,0 +1,76 @@
+"""The options of `motionkit eval`: flat for people, nested as a table's request is."""
+
+import inspect
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from eval.clip_fid.score import SecondsRange
+from eval.commands import eval_options
+from eval.commands.eval_options import ClipOptions, EvaluatedOptions, EvaluatorOptions, TableOptions, in_groups
+from motionkit.core.errors import UsageError
+
+
+@dataclass(frozen=True)
+class First:
+    """Some options."""
+
+    store: eval_options.StorePath = None
+    split: eval_options.Split = "test"
+
+
+@dataclass(frozen=True)
+class Second:
+    """Others."""
+
+    seed: eval_options.Seed = 0
+
+
+def test_options_of_groups_are_options_of_the_command() -> None:
+    seen: list[tuple[First, Second]] = []
+
+    @in_groups
+    def command(first: First, second: Second) -> None:
+        seen.append((first, second))
+
+    assert list(inspect.signature(command).parameters) == ["store", "split", "seed"]
+    app = typer.Typer()
+    app.command()(command)
+    result = CliRunner().invoke(app, ["--seed", "3", "--store", "here"])
+    assert result.exit_code == 0, result.output
+    command(split="all")
+    assert seen == [(First(Path("here")), Second(3)), (First(split="all"), Second())]
+    assert CliRunner().invoke(app, ["--seed", "-1"]).exit_code == 2
+
+
+def test_options_become_what_tables_take(tmp_path: Path) -> None:
+    (tmp_path / "wide").mkdir()
+    evaluated = EvaluatedOptions(runs=tmp_path, run="mine", encoder=["liif=wide"], samples_fps="12.5").chosen()
+    assert (evaluated.run, evaluated.encoders) == (tmp_path / "mine", (("liif", tmp_path / "wide"),))
+    assert evaluated.sample_options.fps == Fraction(25, 2)
+    clips = ClipOptions(fps="20, 59.94", sizes="0.4s:1.6s", clips=128)
+    assert clips.framerates() == (Fraction(20), Fraction(60000, 1001))
+    settings = clips.chosen(seed=7)
+    assert (settings.protocol.sizes, settings.protocol.num_clips) == (SecondsRange(0.4, 1.6), 128)
+    assert settings.protocol.seed == 7
+    assert TableOptions(figure="5").number == "figure5" and TableOptions(calibrate=True).number is None
+
+
+@pytest.mark.parametrize(
+    ("ask", "told"),
+    [
+        (lambda: EvaluatorOptions(glove=Path("glove")).chosen(), "--glove belongs to a published evaluator"),
+        (lambda: EvaluatedOptions(samples_fps="x").chosen(), "--samples-fps x"),
+        (lambda: EvaluatedOptions(samples=["real=here"]).chosen(), "choose another name"),
+        (lambda: ClipOptions(sizes="64:16").chosen(0), "--sizes 64:16"),
+        (lambda: ClipOptions(fps="fast").framerates(), "--fps fast"),
+        (lambda: TableOptions(table="1", calibrate=True).number, "give --table NUMBER"),
+    ],
+)
+def test_what_means_nothing_is_refused(ask, told: str) -> None:
+    with pytest.raises(UsageError, match=told):
+        ask()
