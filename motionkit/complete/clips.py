@@ -125,24 +125,13 @@ def clip_of_document(document: BvhDocument) -> Clip:
             document.timegrid.seconds()[frames], lambda rows: document.poses(frames[rows]), document.skeleton
         )
 
-    def label(made: Motion) -> Motion:
-        return replace(
-            made,
-            sequence_id=document.sequence_id,
-            captions=document.captions,
-            action=document.action,
-            style=document.style,
-            split=document.split,
-            provenance=document.provenance,
-        )
-
     return Clip(
         document.timegrid,
         document.skeleton,
         document.seen,
         document.poses,
         observe,
-        label,
+        document.annotated,
         ".bvh",
         lambda completion, path, progress: write_document(document, completion, path, progress),
     )

@@ -75,18 +75,6 @@ def encoder_loader(name: str) -> EncoderLoader:
     return loader_of(next(iter(found)), EncoderLoader)
 
 
-def load_encoder(name: str, run: Path) -> MotionEncoder:
-    """The encoder of this name: an interpolator, or a trained one out of a run folder.
-
-    Raises `UsageError` for a name that nothing has; a loader raises `MotionkitError` where the run holds none of its
-    kind.
-    """
-    for interpolator in INTERPOLATORS.values():
-        if interpolator.name == name:
-            return interpolator
-    return encoder_loader(name).load(run)
-
-
 def runs_with(name: str, runs: Path) -> tuple[Path, ...]:
     """Run folders in `runs` that hold all stages of this trained encoder, the one trained last at the end.
 

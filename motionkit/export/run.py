@@ -26,7 +26,6 @@ class Export:
     """
 
     name: str
-    description: str
     write: Callable[[Selection, Path], Iterator[Outcome]]
     fps: Fraction | None = None
 
@@ -34,10 +33,10 @@ class Export:
 def export_kinds() -> Mapping[str, Export]:
     """All kinds of output: a file for each motion in every format that is written, and data sets of all of them."""
     kinds = (
-        *(Export(name, each.written, partial(export_files, format=each)) for name, each in writers().items()),
-        Export("humanml3d", "HumanML3D's folder: joints, 263 numbers, texts, splits", export_humanml3d, HUMANML3D.fps),
-        Export("kit", "KIT-ML's folder: 21 joints, 251 numbers, texts, splits", export_kit, KIT.fps),
-        Export("parquet", "Parquet by split with a dataset card: datasets, pandas, polars, duckdb", export_parquet),
+        *(Export(name, partial(export_files, format=each)) for name, each in writers().items()),
+        Export("humanml3d", export_humanml3d, HUMANML3D.fps),
+        Export("kit", export_kit, KIT.fps),
+        Export("parquet", export_parquet),
     )
     return {kind.name: kind for kind in kinds}
 

@@ -16,7 +16,7 @@ from jaxtyping import Float32, Float64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.motion import Motion, Provenance
+from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.asf import ROTATIONS, AsfSkeleton, read_asf
 from motionkit.formats.format import Format, of_path
@@ -71,12 +71,7 @@ def read_asfamc(path: Path, options: ReadOptions | None = None, skeleton_path: P
         local_rotations=np.ascontiguousarray(rotations),
         root_translation=root,
         sequence_id=path.stem,
-        provenance=Provenance(
-            source_path=path.name,
-            source_sha256=source_file.sha256(data),
-            source_format="asfamc",
-            operations=tuple(operations),
-        ),
+        provenance=source_file.provenance(path, data, "asfamc", operations),
     )
 
 
@@ -284,9 +279,6 @@ def _local_rotations(
 
 FORMAT = Format(
     name="asfamc",
-    description="Acclaim skeleton and motion (.amc with its .asf beside it), as CMU publishes them",
-    framerate="not stated: annotation CSV or --fps",
-    rotations=True,
     read=of_path(read_asfamc),
     suffixes=(".amc",),
     beside=skeletons,

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from motionkit.core.errors import FormatError
-from motionkit.core.motion import Motion, Provenance
+from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.formats.bvh import channels
@@ -143,13 +143,8 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
         skeleton=skeleton,
         timegrid=TimeGrid(fps, len(positions)),
         sequence_id=path.stem,
-        provenance=Provenance(
-            source_path=path.name,
-            source_sha256=source_file.sha256(data),
-            source_format="c3d",
-            subject=subjects[0] if len(subjects) == 1 else "",
-            stated_fps=f"POINT:RATE {rate:g}",
-            operations=tuple(log),
+        provenance=source_file.provenance(
+            path, data, "c3d", log, subject=subjects[0] if len(subjects) == 1 else "", stated_fps=f"POINT:RATE {rate:g}"
         ),
     )
 
@@ -292,9 +287,6 @@ def _some(names: Sequence[str]) -> str:
 
 FORMAT = Format(
     name="c3d",
-    description="C3D (.c3d): markers without bones; a --skeleton-map makes the 22 joints of them",
-    framerate="POINT:RATE",
-    rotations=False,
     read=of_path(read_c3d),
     suffixes=(".c3d",),
 )

@@ -22,10 +22,11 @@ from jaxtyping import Float32, Float64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.motion import Motion, Provenance
+from motionkit.core.motion import Motion
 from motionkit.core.plain_text import parse_json
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
+from motionkit.formats.arrays import npy
 from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file
@@ -38,7 +39,6 @@ FIRST_ROTATION = 4
 # In the published clips quaternions are off unit length by up to 0.42 (kick; most by less than 0.01), and DeepMimic
 # normalises them: so are they here, and logged. One that is shorter or longer than this is something else.
 MAX_LENGTH_ERROR, LOGGED_LENGTH_ERROR = 0.5, 0.01
-MAX_NUMBER = 1e6
 NAME = re.compile(r"(?:sie_)?humanoid3d_(?P<action>[a-z]\w*?)_?\d*", re.IGNORECASE)
 
 
@@ -92,13 +92,7 @@ def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
         root_translation=root,
         action=named["action"].lower() if named else "",
         sequence_id=path.stem,
-        provenance=Provenance(
-            source_path=path.name,
-            source_sha256=source_file.sha256(data),
-            source_format="deepmimic",
-            stated_fps=stated,
-            operations=tuple(operations),
-        ),
+        provenance=source_file.provenance(path, data, "deepmimic", operations, stated_fps=stated),
     )
     return in_metres(motion, options.unit_metres)
 
@@ -163,21 +157,13 @@ def _table(frames: Any, character: Character, path: Path) -> Float64[np.ndarray,
     if table.dtype.kind not in "fi":
         wrong = next(i for i, frame in enumerate(frames) if not all(_is_number(value) for value in frame))
         raise FormatError("not all are numbers", path=path, reason="not-a-number", frame=wrong)
-    return _checked(table.astype(np.float64), path)
+    table = table.astype(np.float64)
+    npy.checked_numbers(table, path)
+    return table
 
 
 def _is_number(value: object) -> bool:
     return isinstance(value, float) or (type(value) is int and abs(value) < 2**62)
-
-
-def _checked(table: Float64[np.ndarray, "frames numbers"], path: Path) -> Float64[np.ndarray, "frames numbers"]:
-    for reason, bad in (("nan", ~np.isfinite(table)), ("range", np.abs(table) > MAX_NUMBER)):
-        if bad.any():
-            frame, column = (int(index[0]) for index in np.nonzero(bad))
-            raise FormatError(
-                f"{table[frame, column]} where a number of a body was expected", path=path, reason=reason, frame=frame
-            )
-    return table
 
 
 def _framerate(
@@ -249,9 +235,6 @@ def _rotations(
 
 FORMAT = Format(
     name="deepmimic",
-    description="DeepMimic's motions (.txt or .json, Loop and Frames; the humanoid of 15 joints)",
-    framerate="the frames' durations",
-    rotations=True,
     read=of_path(read_deepmimic),
     suffixes=(".txt", ".json"),
     accepts=accepts,

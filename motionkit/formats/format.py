@@ -13,7 +13,7 @@ Reader = Callable[[SourceItem, ReadOptions], Motion]
 
 @dataclass(frozen=True)
 class Format:
-    """One format: detection, reader, writer, and its description for users.
+    """One format: how its files are found, how they are read, how a motion is written.
 
     A file format has `suffixes`, and `accepts` where the suffix alone does not tell; a single file of another name is
     known by a word that it `begins` with, comments aside. A folder format has `claims`, which says whether a folder is
@@ -22,14 +22,11 @@ class Format:
     with them, and what a data set is known to put there. A text file that can be written again with its own lines has
     `document`, which reads the same skeleton, frames and clock as `read`, but frames where they are needed.
 
-    `write` writes one motion to a file of the first of its `suffixes`; `written` says what that is. Where all files of
-    a folder share a framerate and their joints, `shared_file` is the name of the file beside them that says which.
+    `write` writes one motion to a file of the first of its `suffixes`. Where all files of a folder share a framerate
+    and their joints, `shared_file` is the name of the file beside them that says which.
     """
 
     name: str
-    description: str = ""
-    framerate: str = ""
-    rotations: bool = True
     read: Reader | None = None
     suffixes: tuple[str, ...] = ()
     accepts: Callable[[Path], bool] | None = None
@@ -39,7 +36,6 @@ class Format:
     beside: Callable[[Path], Iterable[Path]] = lambda folder: ()
     document: Callable[[Path, ReadOptions], BvhDocument] | None = None
     write: Callable[[Motion, Path], None] | None = None
-    written: str = ""
     shared_file: str = ""
 
 

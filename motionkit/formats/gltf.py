@@ -278,5 +278,4 @@ FORMAT = Format(
     name="gltf",
     suffixes=(".glb",),
     write=write_gltf,
-    written="a .glb each: an animated, visible skeleton for viewers and engines",
 )

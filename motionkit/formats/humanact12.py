@@ -64,9 +64,6 @@ def read_humanact12(path: Path, options: ReadOptions | None = None) -> Motion:
 
 FORMAT = Format(
     name="humanact12",
-    description="HumanAct12 clips (.npy, 24 joints, action in the name)",
-    framerate="20, by definition",
-    rotations=False,
     read=of_path(read_humanact12),
     suffixes=(".npy",),
     accepts=accepts,

@@ -17,7 +17,7 @@ from jaxtyping import Float, Float32, Float64
 from motionkit.core.errors import FormatError
 from motionkit.core.files import naming
 from motionkit.core.moments import Moments, merge, moments
-from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats import texts
@@ -153,13 +153,7 @@ def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMA
         captions=texts.read_texts(described) if described.is_file() else (),
         split=item.split,
         sequence_id=item.sequence_id,
-        provenance=Provenance(
-            source_path=item.path.name,
-            source_sha256=source_file.sha256(data),
-            source_format=layout.name,
-            stated_fps=str(float(stated)),
-            operations=tuple(operations),
-        ),
+        provenance=source_file.provenance(item.path, data, layout.name, operations, stated_fps=str(float(stated))),
     )
 
 
@@ -290,9 +284,6 @@ def _arrays(folder: Path) -> dict[str, Path]:
 
 FORMAT = Format(
     name="humanml3d",
-    description="HumanML3D folder: new_joints and/or new_joint_vecs (263 numbers), texts, splits",
-    framerate="20, by definition",
-    rotations=False,
     read=read_humanml3d,
     claims=claims,
     find=find,
@@ -302,9 +293,6 @@ FORMAT = Format(
 
 KIT_FORMAT = Format(
     name="kit",
-    description="KIT-ML folder in HumanML3D's form: 21 joints, 251 numbers",
-    framerate="12.5, by definition",
-    rotations=False,
     read=partial(read_humanml3d, layout=KIT),
     claims=partial(claims, layout=KIT),
     find=partial(find, layout=KIT),

@@ -16,7 +16,7 @@ import pyarrow.csv as pc
 from jaxtyping import Float64
 
 from motionkit.core.errors import FormatError
-from motionkit.core.motion import Motion, Provenance
+from motionkit.core.motion import Motion
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid, format_fps
 from motionkit.formats.arrays.npy import MAX_NUMBER
@@ -62,13 +62,7 @@ def read_joints_csv(path: Path, options: ReadOptions | None = None) -> Motion:
         skeleton=skeleton,
         timegrid=grid,
         sequence_id=path.stem,
-        provenance=Provenance(
-            source_path=path.name,
-            source_sha256=source_file.sha256(data),
-            source_format="csv",
-            stated_fps=stated,
-            operations=tuple(operations),
-        ),
+        provenance=source_file.provenance(path, data, "csv", operations, stated_fps=stated),
     )
     return in_metres(motion, options.unit_metres)
 
@@ -187,12 +181,8 @@ def _skeleton(joints: tuple[str, ...]) -> tuple[Skeleton | None, tuple[str, ...]
 
 FORMAT = Format(
     name="csv",
-    description="joint positions (.csv, time_seconds or frame, then JOINT_x, JOINT_y, JOINT_z)",
-    framerate="time_seconds; else annotation CSV or --fps",
-    rotations=False,
     read=of_path(read_joints_csv),
     suffixes=(".csv",),
     accepts=accepts,
     write=write_joints_csv,
-    written="a table of joint positions each, with time stamps",
 )

@@ -380,9 +380,6 @@ def row_of(motion: Motion) -> dict[str, Any]:
 
 FORMAT = Format(
     name="parquet",
-    description="rows of motions as export --format parquet writes them, a folder of .parquet files",
-    framerate="fps_numerator/fps_denominator, or fps",
-    rotations=True,
     read=read_parquet,
     claims=claims,
     find=find,

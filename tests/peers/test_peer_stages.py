@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from motionkit.clips.temporal.settings import TaskSettings, TemporalSettings
-from motionkit.complete.encoders import load_encoder
+from motionkit.complete.encoders import encoder_loader
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
@@ -107,7 +107,7 @@ def test_a_tiny_training_learns(run: RunFolder, name: str) -> None:
 
 @pytest.mark.parametrize("name", ON_GRIDS_ONLY)
 def test_a_trained_grid_peer_upsamples_and_refuses_gaps(run: RunFolder, name: str) -> None:
-    encoder, motion = load_encoder(name, run.path), capture()
+    encoder, motion = encoder_loader(name).load(run.path), capture()
     assert encoder.name == name
     made = upsample(motion, Fraction(60), encoder)
     assert made.num_frames == 91
@@ -126,7 +126,7 @@ def test_a_trained_grid_peer_upsamples_and_refuses_gaps(run: RunFolder, name: st
 
 @pytest.mark.parametrize("name", ["delta-interp", "ts-former"])
 def test_a_trained_inbetweener_fills_a_gap_at_any_framerate(run: RunFolder, name: str) -> None:
-    encoder, motion = load_encoder(name, run.path), capture()
+    encoder, motion = encoder_loader(name).load(run.path), capture()
     observed = np.ones(46, bool)
     observed[20:28] = False
     made = inbetween(motion, observed, encoder)
@@ -150,7 +150,7 @@ def test_a_run_of_another_peer_is_not_taken_for_this_one(run: RunFolder, tmp_pat
     wrong.parent.mkdir()
     wrong.write_bytes(run.stage("lmf").model_path.read_bytes())
     with pytest.raises(CheckpointError, match=r"expected .*'liif'"):
-        load_encoder("liif", tmp_path)
+        encoder_loader("liif").load(tmp_path)
 
 
 @pytest.mark.parametrize("name", ON_GRIDS_ONLY)

@@ -12,7 +12,7 @@ import numpy as np
 
 from motionkit.core.checksums import unsealed, write_json
 from motionkit.core.errors import FormatError
-from motionkit.core.motion import Motion, Provenance
+from motionkit.core.motion import Motion
 from motionkit.core.plain_text import parse_json, shown
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
@@ -80,12 +80,8 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
         skeleton=skeleton,
         timegrid=TimeGrid(fps, len(positions)),
         sequence_id=path.stem,
-        provenance=Provenance(
-            source_path=path.name,
-            source_sha256=source_file.sha256(data),
-            source_format="joints-npy",
-            stated_fps="" if manifest.fps is None else format_fps(manifest.fps),
-            operations=tuple(operations),
+        provenance=source_file.provenance(
+            path, data, "joints-npy", operations, stated_fps="" if manifest.fps is None else format_fps(manifest.fps)
         ),
     )
 
@@ -144,15 +140,11 @@ def _skeleton(num_joints: int, manifest: Manifest, path: Path) -> Skeleton:
 
 FORMAT = Format(
     name="joints-npy",
-    description="joint positions (.npy, frames × joints × 3; 21, 22 or 24 joints)",
-    framerate="motions.json, annotation CSV or --fps",
-    rotations=False,
     read=of_path(read_joints_npy),
     suffixes=(".npy",),
     accepts=accepts,
     beside=manifests,
     begins=npy.MAGIC,
     write=write_joints_npy,
-    written="22 joints in metres as .npy, one framerate",
     shared_file=MANIFEST,
 )

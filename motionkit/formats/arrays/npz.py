@@ -320,12 +320,8 @@ def _text(archive: NpzArchive, key: str) -> str:
 
 FORMAT = Format(
     name="npz",
-    description="this project's .npz: joint_positions, a clock, anything else that is known",
-    framerate="fps_numerator/fps_denominator, fps, or time_seconds",
-    rotations=True,
     read=of_path(read_npz),
     suffixes=(".npz",),
     accepts=accepts,
     write=write_npz,
-    written="an .npz file each, everything that is known",
 )

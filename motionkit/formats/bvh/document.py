@@ -133,10 +133,13 @@ class BvhDocument:
         """All of it, in memory; raises `FormatError` (`too-large`)."""
         check_size(self.num_frames, self.skeleton.num_joints, self.lines.file.path)
         pieces = (_decoded(table, self.head.hierarchy, self.body.skeleton.name) for table in self.lines.tables())
+        made = self.body.motion(pieces, self.num_frames, self.fps)
+        return self.annotated(replace(made, skeleton=self.skeleton, timegrid=self.timegrid))
+
+    def annotated(self, motion: Motion) -> Motion:
+        """A motion with the document's id, captions, labels and provenance."""
         return replace(
-            self.body.motion(pieces, self.num_frames, self.fps),
-            skeleton=self.skeleton,
-            timegrid=self.timegrid,
+            motion,
             sequence_id=self.sequence_id,
             captions=self.captions,
             action=self.action,

@@ -116,9 +116,6 @@ def _turn_to_x(root: Float64[np.ndarray, "windows 4"]) -> Float64[np.ndarray, "w
 
 FORMAT = Format(
     name="lafan1",
-    description="LaFAN1's takes (.bvh named walk1_subject5), with theme, subject and the benchmark's split",
-    framerate="Frame Time",
-    rotations=True,
     read=of_path(read_lafan1),
     document=read_lafan1_document,
     suffixes=(".bvh",),

@@ -157,9 +157,6 @@ def _numbers(cells: list[str], table: Path, line: int) -> tuple[int, int]:
 
 FORMAT = Format(
     name="100style",
-    description="100STYLE's takes (.bvh named Style_FW), cut as Frame_Cuts.csv says, with style and movement",
-    framerate="Frame Time",
-    rotations=True,
     read=of_path(read_100style),
     document=read_100style_document,
     suffixes=(".bvh",),

@@ -245,13 +245,9 @@ def _places(
 
 FORMAT = Format(
     name="bvh",
-    description="BioVision hierarchy (.bvh), any skeleton and channel order",
-    framerate="Frame Time",
-    rotations=True,
     read=of_path(read_bvh),
     document=read_document,
     suffixes=(".bvh",),
     begins=b"HIERARCHY",
     write=write_bvh,
-    written="a BVH file each, own skeleton and framerate",
 )

@@ -14,7 +14,7 @@ from jaxtyping import Float32
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.motion import Motion, Provenance
+from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
@@ -78,13 +78,13 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
         local_rotations=rotations,
         root_translation=root,
         sequence_id=item.sequence_id,
-        provenance=Provenance(
-            source_path=path.name,
-            source_sha256=source_file.sha256(data),
-            source_format="amass",
+        provenance=source_file.provenance(
+            path,
+            data,
+            "amass",
+            operations,
             subject="" if path.parent == item.root else path.parent.name,
             stated_fps=stated_fps,
-            operations=tuple(operations),
         ),
     )
 
@@ -186,9 +186,6 @@ def _text(archive: NpzArchive, key: str) -> str:
 
 FORMAT = Format(
     name="amass",
-    description="AMASS (.npz): SMPL, SMPL-H or SMPL-X poses, both generations of files",
-    framerate="mocap_framerate or mocap_frame_rate",
-    rotations=True,
     read=read_amass,
     suffixes=(".npz",),
     accepts=accepts,

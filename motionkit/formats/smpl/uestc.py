@@ -17,7 +17,7 @@ from jaxtyping import Float32
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.motion import Motion, Provenance
+from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
@@ -119,13 +119,8 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
         action=name.action,
         split=name.split,
         sequence_id=path.stem,
-        provenance=Provenance(
-            source_path=path.name,
-            source_sha256=source_file.sha256(data),
-            source_format="uestc",
-            subject=f"p{name.subject:03}",
-            stated_fps=str(FPS),
-            operations=tuple(operations),
+        provenance=source_file.provenance(
+            path, data, "uestc", operations, subject=f"p{name.subject:03}", stated_fps=str(FPS)
         ),
     )
 
@@ -166,9 +161,6 @@ def _to_front(name: _Name) -> tuple[Float32[np.ndarray, "4"], list[str]]:
 
 FORMAT = Format(
     name="uestc",
-    description="UESTC as ACTOR uses it (.npz, SMPL poses, action, view and subject in the name)",
-    framerate="30, by definition",
-    rotations=True,
     read=of_path(read_uestc),
     suffixes=(".npz", ".pkl"),
     accepts=accepts,

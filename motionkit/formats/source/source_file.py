@@ -4,11 +4,12 @@ import hashlib
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from motionkit.core.errors import FormatError
+from motionkit.core.motion import Provenance
 from motionkit.formats.scan.folders import dangling
 
 MAX_BYTES = 4 << 30
@@ -65,6 +66,20 @@ def unreadable(path: Path, error: OSError) -> FormatError:
 def sha256(data: bytes) -> str:
     """Hash of a file's bytes in hex."""
     return hashlib.sha256(data).hexdigest()
+
+
+def provenance(
+    path: Path, data: bytes, source_format: str, operations: Iterable[str], *, stated_fps: str = "", subject: str = ""
+) -> Provenance:
+    """Where a motion comes from that was read of a file's bytes, and what was done to it."""
+    return Provenance(
+        source_path=path.name,
+        source_sha256=sha256(data),
+        source_format=source_format,
+        subject=subject,
+        stated_fps=stated_fps,
+        operations=tuple(operations),
+    )
 
 
 def decode(data: bytes, path: Path) -> str:

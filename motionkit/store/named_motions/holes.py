@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float64
 
 from motionkit.core.checksums import write_json
 from motionkit.core.errors import FormatError, MotionkitError
-from motionkit.core.motion import Motion, Provenance
+from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
@@ -165,13 +165,7 @@ def read_vectors(path: Path, options: ReadOptions) -> ReadClip:
         skeleton=layout.skeleton,
         timegrid=TimeGrid(fps, len(positions)),
         sequence_id=path.stem,
-        provenance=Provenance(
-            source_path=path.name,
-            source_sha256=source_file.sha256(data),
-            source_format=layout.name,
-            stated_fps=format_fps(fps),
-            operations=tuple(operations),
-        ),
+        provenance=source_file.provenance(path, data, layout.name, operations, stated_fps=format_fps(fps)),
     )
     return ReadClip(motion, seen)
 

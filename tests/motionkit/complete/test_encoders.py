@@ -10,8 +10,8 @@ import pytest
 from motionkit.complete import encoders
 from motionkit.complete.encoders import (
     choose_encoder,
+    encoder_loader,
     installed_encoders,
-    load_encoder,
     runs_with,
     trained_encoder_names,
 )
@@ -23,10 +23,10 @@ from motionkit.training.run import RunFolder
 
 MODULE = '''
 """An encoder that a package brings: the named interpolator that its run folder's file asks for."""
-from motionkit.complete.encoders import load_encoder
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 
 def load(run):
-    return load_encoder((run / "wanted.txt").read_text(), run)
+    return INTERPOLATORS[(run / "wanted.txt").read_text()]
 '''
 
 PREFERRED = """
@@ -42,15 +42,10 @@ def package(install: Callable[..., None]) -> None:
     install("borrowed_encoder", MODULE, {"motionkit.encoders": "borrowed = borrowed_encoder:load"})
 
 
-def test_interpolators_need_no_run(tmp_path: Path) -> None:
-    for name, interpolator in INTERPOLATORS.items():
-        assert load_encoder(name, tmp_path / "no such run") is interpolator
-
-
 def test_a_registered_encoder_is_loaded_from_the_run(tmp_path: Path, package: None) -> None:
     assert "borrowed" in trained_encoder_names()
     (tmp_path / "wanted.txt").write_text("linear", encoding="utf-8")
-    encoder = load_encoder("borrowed", tmp_path)
+    encoder = encoder_loader("borrowed").load(tmp_path)
     assert isinstance(encoder, MotionEncoder)
     positions = np.zeros((2, 22, 3), np.float32)
     positions[1] = 2.0
@@ -60,7 +55,7 @@ def test_a_registered_encoder_is_loaded_from_the_run(tmp_path: Path, package: No
 
 def test_an_unknown_name_is_answered_with_all_that_there_are(tmp_path: Path, package: None) -> None:
     with pytest.raises(UsageError, match=r"'sprline'.*squad.*borrowed"):
-        load_encoder("sprline", tmp_path)
+        encoder_loader("sprline")
 
 
 def test_tables_find_encoders_by_their_task() -> None:
