@@ -52,7 +52,7 @@ def ablate(
     """Train all variants of an ablation, a run each; what is complete is kept, what was stopped goes on."""
     ablations = find_ablations(paper)
     chosen = [ablations.find(table) for table in _named(tables or [], ablations)]
-    # Runs of other models than the default one are told apart by its paper.
+    # Runs of other models than the default one have its paper in their names.
     named = recipe if ablations.is_default else f"{ablations.paper}-{recipe}"
     folder, prefix = runs or default_path("runs"), run or named
     if listing:
@@ -68,7 +68,7 @@ def ablate(
     from motionkit.store.manifest import read_manifest
 
     store_path = store or default_path("store")
-    read_manifest(store_path)  # a store that is missing is told before anything heavy is imported
+    read_manifest(store_path)  # a store that is missing is found before anything heavy is imported
     sweep = Sweep(store_path, folder, prefix, recipe, seed=seed, overwrite=overwrite, device=device)
     with progress() as show:
         trained = _train_all(ablations, replace(sweep, on_progress=show), jobs, configs, as_json)
@@ -111,7 +111,7 @@ def _train_all(
     configs: dict[str, Any],
     as_json: bool,
 ) -> list[dict[str, Any]]:
-    """All jobs in order; one that fails is told on stderr and does not stop the others."""
+    """All jobs in order; one that fails is reported on stderr and does not stop the others."""
     from motionkit.training.ablations import train_variant
 
     trained = []

@@ -147,11 +147,11 @@ def _complete_each(
                 stderr.print(f"motionkit: {named}")
             else:
                 done.append(completed)
-                _tell(completed, as_json)
+                _print_completed(completed, as_json)
     return done, failures
 
 
-def _tell(completed: "CompletedClip", as_json: bool) -> None:
+def _print_completed(completed: "CompletedClip", as_json: bool) -> None:
     for warning in completed.warnings:
         stderr.print(f"motionkit: warning: {completed.source}: {warning}")
     if not as_json:

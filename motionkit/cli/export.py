@@ -37,7 +37,7 @@ def export(
 ) -> None:
     """Write a store's motions as files that other tools read, and that `motionkit ingest` reads again.
 
-    The folder appears when it is complete. Sequences that a format cannot hold are left out and told.
+    The folder appears when it is complete. Sequences that a format cannot hold are left out and reported.
     """
     from motionkit.export.run import export as export_selection
     from motionkit.export.run import export_kinds
@@ -55,14 +55,14 @@ def export(
         raise UsageError(f"no sequence of {opened.path} satisfies {where!r}" if where else f"{opened.path} is empty")
     with progress() as show, task(show, "export", num_chosen) as work:
         report = export_selection(selection, out, kinds[format], on_outcome=lambda outcome: work.advance())
-    _tell_left_out(report.left_out)
+    _print_left_out(report.left_out)
     if as_json:
         print_json(_as_json(report))
     else:
         _print_summary(report)
 
 
-def _tell_left_out(left_out: "tuple[Outcome, ...]") -> None:
+def _print_left_out(left_out: "tuple[Outcome, ...]") -> None:
     for outcome in left_out[:SHOWN_LEFT_OUT]:
         stderr.print(f"left out {outcome.sequence_id}: {outcome.message}")
     if len(left_out) > SHOWN_LEFT_OUT:

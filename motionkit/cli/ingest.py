@@ -32,7 +32,7 @@ class OnError(StrEnum):
 
 Sources = Annotated[list[Path], typer.Argument(help="Files and folders of motions.", show_default=False)]
 StorePath = Annotated[Path | None, typer.Option(help="Store to make or to add to.", show_default="./store")]
-FormatName = Annotated[str, typer.Option(help="auto tells formats by name and content; or one format's name.")]
+FormatName = Annotated[str, typer.Option(help="auto finds it by name and content; or one format's name.")]
 CaptionsTable = Annotated[
     Path | None, typer.Option(help="CSV with a column 'file' and any of caption, action, split, fps …")
 ]
@@ -79,7 +79,7 @@ BodyModels = Annotated[
 OnErrorChoice = Annotated[
     OnError,
     typer.Option(
-        help="skip: good sequences are stored, bad ones are told, exit code 0. "
+        help="skip: good sequences are stored, bad ones are reported, exit code 0. "
         "stop: the first bad one ends it, the store stays as it was, exit code 1."
     ),
 ]
@@ -261,7 +261,7 @@ def _ignored_line(report: "IngestReport") -> str:
     more = ", …" if len(kinds) > SHOWN_KINDS else ""
     line = f"ignored: {len(report.ignored):,} ({shown}{more}; the first: {report.ignored[0]})"
     has_arrays = any(path.suffix.lower() in (".npy", ".npz") for path in report.ignored)
-    return f"{line}; ingest an array alone to be told what it holds" if has_arrays else line
+    return f"{line}; ingest an array alone to see what it holds" if has_arrays else line
 
 
 def _counted(number: int, noun: str) -> str:

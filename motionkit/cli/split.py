@@ -51,7 +51,7 @@ def split(
 
 
 def parse_shares(text: str) -> dict[str, float]:
-    """`train=0.8,test=0.2` as numbers by split; raises `UsageError` for what is none."""
+    """`train=0.8,test=0.2` as numbers by split; raises `UsageError` for anything else."""
     found: dict[str, float] = {}
     for part in text.split(","):
         name, equals, number = (piece.strip() for piece in part.partition("="))

@@ -33,7 +33,7 @@ UnitMetres = Annotated[
     float | None,
     typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.", show_default=False),
 ]
-FormatName = Annotated[str, typer.Option(help="auto tells formats by name and content; or one format's name.")]
+FormatName = Annotated[str, typer.Option(help="auto finds it by name and content; or one format's name.")]
 SkeletonMaps = Annotated[
     list[Path] | None, typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md).")
 ]

@@ -125,7 +125,7 @@ class FileDigest:
 
     @classmethod
     def parse(cls, value: Any) -> "FileDigest":
-        """A digest out of JSON; raises `ValueError` for what is none."""
+        """A digest out of JSON; raises `ValueError` for anything else."""
         if not isinstance(value, dict) or {name: type(each) for name, each in value.items()} != _TYPES:
             raise ValueError(f"{str(value)[:80]!r} is no digest of a file")
         return cls(**value)

@@ -18,7 +18,7 @@ def mirror(motion: Motion) -> Motion:
 
     Rotations come with a mirrored skeleton, so that forward kinematics gives the mirrored positions exactly, also for a
     body that is not symmetric. Raises `ValueError` for a skeleton without left/right pairs, or whose pairs hang from
-    joints that are none. Source of the rule: HumanML3D, raw_pose_processing.ipynb (`swap_left_right`).
+    joints that are not a pair. Source of the rule: HumanML3D, raw_pose_processing.ipynb (`swap_left_right`).
     """
     order = _partners(motion.skeleton)
     rotations, root = motion.local_rotations, motion.root_translation

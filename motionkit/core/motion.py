@@ -94,7 +94,7 @@ class Motion:
         """A motion of bare joint positions [T, J, 3] in metres, y up; frame 0 is at 0 s.
 
         22 joints are SMPL's (HumanML3D's) and 21 are KIT-ML's unless a skeleton is given. Raises `ValueError` for any
-        other number of joints without a skeleton, and for a framerate that is none.
+        other number of joints without a skeleton, and for a framerate that is not positive.
 
         >>> mk.Motion.from_joints(np.zeros((100, 22, 3)), fps=59.94)
         Motion('', 100 frames at 60000/1001 fps = 1.67 s, smpl22 (22 joints), positions only, 0 captions)

@@ -26,7 +26,7 @@ def whole_number(text: str) -> int | None:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The table of a TOML text; raises `ValueError` for what is none.
+    """The table of a TOML text; raises `ValueError` for anything else.
 
     So it does for numbers beyond 64 bits, and for sizes that no settings have: a million letters, or 500 points in a
     line, since `a.b.c…` takes time with the square of its parts.

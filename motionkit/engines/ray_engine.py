@@ -61,7 +61,7 @@ class RayEngine:
             options |= {"num_cpus": self._wanted or usable_cores(), "include_dashboard": False}
         try:
             with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", "Ray Client connection timed out", UserWarning)  # told below
+                warnings.filterwarnings("ignore", "Ray Client connection timed out", UserWarning)  # explained below
                 ray.init(**options)
         except (OSError, ValueError, RuntimeError) as error:
             where = self._address or os.environ.get("RAY_ADDRESS", "on this machine")

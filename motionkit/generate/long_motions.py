@@ -48,9 +48,9 @@ def pieces_of(script: Script, longest_seconds: float, overlap_seconds: float) ->
     for number, request in enumerate(script):
         seconds = request.duration_seconds
         if seconds is None or not overlap_seconds < seconds < float("inf"):
-            told = "has no length" if seconds is None else f"lasts {seconds:g} s"
+            lasting = "has no length" if seconds is None else f"lasts {seconds:g} s"
             raise UsageError(
-                f"part {number + 1} of {len(script)} of a joined motion {told}: each lasts longer than the "
+                f"part {number + 1} of {len(script)} of a joined motion {lasting}: each lasts longer than the "
                 f"{overlap_seconds:g} s by which they overlap"
             )
         inner_ends = (number > 0) + (number < len(script) - 1)

@@ -101,7 +101,7 @@ class Manifest:
             "format_version": self.format_version,
             "tool": self.tool,
             "counts": counts,
-            # Only where removals left gaps, so that a store without them is told by its content alone.
+            # Only where removals left gaps, so that a store without them is identified by its content alone.
             **({"next": following} if following != free else {}),
             "files": {name: entry.plain() for name, entry in sorted(self.files.items())},
         }

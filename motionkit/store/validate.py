@@ -36,7 +36,7 @@ from motionkit.store.table_checks import (
 
 
 def faults(path: Path, on_file: Callable[[str], None] = lambda name: None, *, deep: bool = False) -> Iterator[str]:
-    """One line for each fault of a store, none where it is intact; `on_file` is told before each file is read.
+    """One line for each fault of a store, none where it is intact; `on_file` is called before each file is read.
 
     If `deep`, its training caches are read too. Raises `StoreError` where there is no store, its manifest is
     unreadable or of another format version, or a writer has changed it meanwhile.

@@ -152,8 +152,8 @@ def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[i
         step, logged = int(description["step"]), int(description["logged"])
         trainable.load_state_tensors(unprefixed("state", tensors))
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        told = f"{path} does not fit these settings or this version ({one_line(error)})"
-        raise CheckpointError(f"{told}: {mend}") from None
+        fault = f"{path} does not fit these settings or this version ({one_line(error)})"
+        raise CheckpointError(f"{fault}: {mend}") from None
     logged_until = description.get("metrics") or folder.metrics.extent_until(step)
     ranks.on_first(lambda: folder.metrics.cut(logged_until))
     return step, _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)

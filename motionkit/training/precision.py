@@ -33,7 +33,7 @@ def has_bfloat16(device: torch.device) -> bool:
     """Whether the processor multiplies bfloat16 itself; elsewhere it is emulated, and slower than float32."""
     if device.type == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
-    # torch calls it "avx512_bf16", "amx_bf16" or alike; older versions don't tell.
+    # torch calls it "avx512_bf16", "amx_bf16" or alike; older versions don't say.
     capabilities: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
     return device.type == "cpu" and any("bf16" in name and found is True for name, found in capabilities.items())
 

@@ -84,7 +84,7 @@ class Stage(Generic[ConfigT]):
     """One thing to train: `train(context, config)` writes RUN/NAME/ and ends with `StageFolder.finish`.
 
     `builds_on(config)` names the other stages whose results it reads; `train` hands the same to `StageContext.begin`.
-    `check(context, config)` raises what can be told before anything is trained, so that hours of an earlier stage are
+    `check(context, config)` raises what can be known before anything is trained, so that hours of an earlier stage are
     not spent first; it may not need another stage's results. `order` ranks the stages of `--stage all` (low first),
     `in_all` says whether this one is among them; `recipes` maps a recipe's name to the function that makes its
     configuration. Stages of one model may share a configuration whose parts are named after the stages: a change of

@@ -134,7 +134,7 @@ class TrainedNetwork:
 
     @property
     def spacing_seconds(self) -> float:
-        """Seconds between the frames that training asked for: what networks are told is aimed at."""
+        """Seconds between the frames that training asked for: the spacing that networks are given to aim at."""
         return 1.0 / float(self.settings.framerate)
 
     @property

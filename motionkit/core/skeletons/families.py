@@ -30,7 +30,7 @@ Way = Mapping[str, float]
 
 @dataclass(frozen=True)
 class SkeletonFamily:
-    """A kind of skeleton: `requires` (canonical names) tells it, `rows` says how each layout joint is made.
+    """A kind of skeleton: `requires` (canonical names) identifies it, `rows` says how each layout joint is made.
 
     A row is a sequence of ways, the first possible one being taken; a way is a weighted sum of joints and `X.tip`.
     `metres_per_unit` is the length unit of the family's files, where it has one.
@@ -70,11 +70,11 @@ def read_skeleton_map(path: Path) -> str:
 
 @lru_cache(maxsize=256)
 def parse_layout_map(text: str) -> SkeletonFamily:
-    """The family that a skeleton's `layout_map` describes; raises `MotionkitError` for a text that is none."""
+    """The family that a skeleton's `layout_map` describes; raises `MotionkitError` for any other text."""
     try:
         return _family(parse_json(text))
     except ValueError as error:
-        raise MotionkitError(f"the layout map of a skeleton is none: {error}") from None
+        raise MotionkitError(f"the layout map of a skeleton cannot be read: {error}") from None
 
 
 def with_layout_map(skeleton: Skeleton, layout_maps: Sequence[str]) -> Skeleton:
@@ -100,7 +100,7 @@ def fits(family: SkeletonFamily, names: Sequence[str]) -> bool:
 
 @lru_cache(maxsize=1024)
 def canonical_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names as families are told by: "mixamorig:LeftArm", "Character1_LeftArm" and "left arm" are the same joint."""
+    """Names as families are found by: "mixamorig:LeftArm", "Character1_LeftArm" and "left arm" are the same joint."""
     plain = [name.rsplit(":", 1)[-1] for name in joint_names]
     prefix, count = (
         Counter(name.split("_", 1)[0] for name in plain if "_" in name).most_common(1)[0]
@@ -148,7 +148,7 @@ def _family(table: Any) -> SkeletonFamily:
         raise ValueError(f"unknown key {shown(unknown[0])}, expected {', '.join(KEYS)}")
     name = table.get("name")
     if not isinstance(name, str) or not name.strip() or name in STANDARD_SKELETONS:
-        raise ValueError(f"name = {shown(name)}, expected a text that is none of {', '.join(STANDARD_SKELETONS)}")
+        raise ValueError(f"name = {shown(name)}, expected a text other than {', '.join(STANDARD_SKELETONS)}")
     requires = table.get("requires")
     if not isinstance(requires, list) or not requires or not all(isinstance(joint, str) for joint in requires):
         raise ValueError(

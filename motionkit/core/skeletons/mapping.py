@@ -110,7 +110,7 @@ def rest_positions(skeleton: Skeleton) -> Float32[np.ndarray, "joints 3"]:
 def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
     """The table that takes a skeleton to a layout; raises `SkeletonMapError` where a joint has no source."""
     if layout not in STANDARD_SKELETONS:
-        raise ValueError(f"layout {layout!r} is none of {', '.join(STANDARD_SKELETONS)}")
+        raise ValueError(f"layout {layout!r} is not one of {', '.join(STANDARD_SKELETONS)}")
     target = STANDARD_SKELETONS[layout]
     if skeleton.joint_names == target.joint_names and not skeleton.layout_map:
         eye = np.eye(target.num_joints, dtype=np.float32)

@@ -144,8 +144,8 @@ def _chosen(wanted: Wanted) -> tuple["pd.DataFrame", list[Skipped]]:
     store, where, maps = wanted.store, wanted.where, wanted.maps
     chosen = store.columns("sequence_id", "skeleton", *INDEX_COLUMNS).loc[store.select(where)]
     if chosen.empty:
-        told = f"no sequence of {store.path} satisfies {where!r}" if where else f"{store.path} is empty"
-        raise UsageError(f"{told} (motionkit info --store {store.path} says what it holds)")
+        nothing = f"no sequence of {store.path} satisfies {where!r}" if where else f"{store.path} is empty"
+        raise UsageError(f"{nothing} (motionkit info --store {store.path} says what it holds)")
     faults = chosen["skeleton"].map(lambda fingerprint: maps[fingerprint].fault)
     kept = chosen[faults == ""]
     if kept.empty:

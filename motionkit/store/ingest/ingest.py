@@ -1,4 +1,4 @@
-"""Sources → store: scan, read and write stretch by stretch, commit; what cannot be read is told and counted."""
+"""Sources → store: scan, read and write stretch by stretch, commit; what cannot be read is reported and counted."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -82,7 +82,7 @@ class IngestReport:
 
 @dataclass(frozen=True)
 class Listener:
-    """Who is told what during an ingest.
+    """Callbacks of an ingest.
 
     `on_start` the number of sequences, again where it grows, `on_item` after each, `on_problem` what cost a sequence,
     `on_warning` what looks odd and cost none.
@@ -279,8 +279,8 @@ class _Run:
         self._duration_seconds += read.row["duration_seconds"]
 
     def _check_rig(self, item: SourceItem, skeleton: Skeleton) -> None:
-        # Joints that no layout knows are told once, whatever the lengths of their bones; the motions are kept. Markers,
-        # which have no bones, are told once for all their sets.
+        # Joints that no layout knows are reported once, whatever the lengths of their bones; the motions are kept.
+        # Markers, which have no bones, are reported once for all their sets.
         rig = (skeleton.joint_names if skeleton.offsets.any() else (), skeleton.layout_map)
         if rig in self._rigs:
             return

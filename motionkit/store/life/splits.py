@@ -70,8 +70,9 @@ def split(
     `by` is `performer` (source and subject together) or a SQL expression over the table of sequences; equal
     values are a group. `shares` are those of the sequences' seconds, in any unit; how near they are come by depends on
     how large the groups are (`assign_groups`). With `dry_run` nothing is written. Raises `UsageError` for shares that
-    are none, bad SQL, sequences without a group, fewer groups than splits, and a group that would be in two splits
-    because `where` leaves out a part of it; `StoreError` for a store that is missing, busy or of an earlier version.
+    are not positive, bad SQL, sequences without a group, fewer groups than splits, and a group that would be in two
+    splits because `where` leaves out a part of it; `StoreError` for a store that is missing, busy or of an earlier
+    version.
     """
     asked = _checked(shares)
     if dry_run:
@@ -195,14 +196,14 @@ def _require_groups(
     if None in groups:
         nameless = [row for row in chosen if names[row] is None]
         sources = sorted({store.sequences_table["source"][int(row)].as_py() or "unnamed" for row in nameless})
-        told = f"{len(nameless):,} of {len(chosen):,} sequences of {store.path} (sources: {_some(sources)}) "
+        without = f"{len(nameless):,} of {len(chosen):,} sequences of {store.path} (sources: {_some(sources)}) "
         if by == PERFORMER:
             raise UsageError(
-                f"{told}have no performer: leave them out (--where \"subject <> ''\"), say who they are in a column "
+                f"{without}have no performer: leave them out (--where \"subject <> ''\"), say who they are in a column "
                 f"'subject' beside the files and ingest again, or hold out something else (--by source, --by "
                 f"source_path, or any SQL over their ids)"
             )
-        raise UsageError(f"{told}have no value of {by!r}: leave them out with --where")
+        raise UsageError(f"{without}have no value of {by!r}: leave them out with --where")
     if len(groups) < len(shares):
         raise UsageError(
             f"{len(chosen):,} sequences of {store.path} have {len(groups)} different values of {by!r}, which cannot "

@@ -133,7 +133,7 @@ def read(
 ) -> Motion:
     """Read one motion from a file, or from a folder that holds one, at its native framerate.
 
-    The format is told by name and content, or given by its name (docs/formats.md). `fps` and `unit_metres` (length of
+    The format is found by name and content, or given by its name (docs/formats.md). `fps` and `unit_metres` (length of
     one file unit) replace what the file says; `skeleton_map` is a TOML table of how its rig becomes the 22 joints.
     Captions, action and licence come from an annotation table beside the file. Of a folder, `sequence` chooses one by
     its id or the end of it.
@@ -207,7 +207,7 @@ def read_options(
     unit_metres: int | float | None = None,
     skeleton_map: str | Path | None = None,
 ) -> ReadOptions:
-    """Options of readers as people give them in Python; raises `ValueError` for a framerate or a unit that is none."""
+    """Options of readers as people give them in Python; raises `ValueError` unless rate and unit are positive."""
     if unit_metres is not None and not 0 < unit_metres < float("inf"):
         raise ValueError(f"unit_metres is a positive length, not {unit_metres}")
     return ReadOptions(

@@ -76,7 +76,7 @@ def in_list(column: str, row: int, place: int, value: object) -> Any:
         (SKELETONS, with_value("parents", 0, [-1]), "22 names, 1 parents"),
         (SKELETONS, with_value("left_right_pairs", 0, [{"left": 1, "right": 22}]), "name joint 22 of 22"),
         (SKELETONS, with_value("end_sites", 0, [{"joint": -1, "x": 0.0, "y": 0.0, "z": 0.0}]), "name joint -1 of 22"),
-        (SKELETONS, with_value("layout_map", 0, "{"), "the layout map of a skeleton is none"),
+        (SKELETONS, with_value("layout_map", 0, "{"), "the layout map of a skeleton cannot be read"),
         (SKELETONS, with_value("skeleton", 0, "0" * 16), "its joints are those of "),
         (SKELETONS, lambda table: table.slice(0, 0), "its skeleton is not in skeletons.parquet"),
         (SKELETONS, lambda table: table.take([0, 0]), "occurs more than once"),

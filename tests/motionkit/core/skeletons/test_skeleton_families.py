@@ -161,7 +161,7 @@ def test_a_map_travels_in_an_npz_file(tmp_path: Path) -> None:
     assert again.skeleton == motion.skeleton and again.skeleton.layout_map == layout_map
     with np.load(tmp_path / "walk.npz") as arrays:
         np.savez(tmp_path / "bad.npz", **{**arrays, "layout_map": np.array("{}")})
-    with pytest.raises(FormatError, match="layout map of a skeleton is none: name = None"):
+    with pytest.raises(FormatError, match="layout map of a skeleton cannot be read: name = None"):
         read_npz(tmp_path / "bad.npz")
 
 
@@ -185,7 +185,7 @@ BAD = {
     robot_map().replace("requires", "require"): r"unknown key 'require', expected name",
     robot_map().replace('requires = ["base", "torso_mid", "skull"]\n', ""): r"requires is missing",
     robot_map().replace('["base", "torso_mid", "skull"]', "[]"): r"requires is missing",
-    robot_map().replace('"robot"', '"smpl22"'): r"name = 'smpl22', expected a text that is none of",
+    robot_map().replace('"robot"', '"smpl22"'): r"name = 'smpl22', expected a text other than",
     robot_map().replace("[smpl22]", "[kit21]"): r"unknown key 'kit21'",
     'name = "robot"\nrequires = ["base"]\n': r"no table \[smpl22\]",
     "units_per_metre = -1\n" + robot_map(): r"units_per_metre = -1, expected a positive number",
@@ -215,5 +215,5 @@ def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000])
 def test_a_damaged_map_in_a_store_is_explained(text: str) -> None:
-    with pytest.raises(MotionkitError, match="the layout map of a skeleton is none"):
+    with pytest.raises(MotionkitError, match="the layout map of a skeleton cannot be read"):
         parse_layout_map(text)
