@@ -3,30 +3,17 @@
 Nothing heavy is imported before something is loaded.
 """
 
-from pathlib import Path
-from typing import TYPE_CHECKING
-
 from motionkit.complete.encoders import EncoderLoader
 from motionkit.generate.models import ModelLoader
+from motionkit.training.stage import lazily
 
-if TYPE_CHECKING:
-    from nerm.field.motion_encoder import NermEncoder
-    from nerm.model import NermModel
-
-
-def _load_model(run: Path) -> "NermModel":
-    from nerm.model import load
-
-    return load(run)
-
-
-def _load_encoder(run: Path) -> "NermEncoder":
-    from nerm.field.motion_encoder import load
-
-    return load(run)
-
-
-MODEL = ModelLoader("NeRM", ("field", "denoiser"), _load_model, order=30, fixed_fps_setting="field.clips.fixed_fps")
+MODEL = ModelLoader(
+    "NeRM", ("field", "denoiser"), lazily("nerm.model:load"), order=30, fixed_fps_setting="field.clips.fixed_fps"
+)
 ENCODER = EncoderLoader(
-    "NeRM (latents by optimisation)", ("field",), _load_encoder, order=90, tasks=("reconstruction",)
+    "NeRM (latents by optimisation)",
+    ("field",),
+    lazily("nerm.field.motion_encoder:load"),
+    order=90,
+    tasks=("reconstruction",),
 )

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from jaxtyping import Float, Float32, Float64
 
-from pahires.settings import Initialisation
+from pahires.recipes import Initialisation
 
 
 @dataclass(frozen=True)

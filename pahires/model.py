@@ -13,7 +13,7 @@ from jaxtyping import Float, Int64
 from motionkit.clips.temporal.base_curves import located, seconds_beyond
 from motionkit.clips.temporal.network import ObservedWindow
 from pahires.activation import FourierActivation, linear
-from pahires.settings import NetworkSettings
+from pahires.recipes import NetworkSettings
 
 # Signed times enter as asinh(Δt · 30 / s): in frames near by, in octaves far away.
 _FRAME_SECONDS = 1 / 30

@@ -1,6 +1,6 @@
 """How far a trained field's motions move when it is told another framerate, in millimetres.
 
-    python benchmarks/nerm/framerate_shift.py runs/nano [--windows 256] [--json]
+    python benchmarks/nerm/model.py runs/nano [--windows 256] [--json]
 
 Each window's posterior mean is decoded told 20, 30, 60 and 120 fps, at the instants that all of these share; distances
 of joints over every pair of framerates. Needs the stage `field` alone.
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from nerm.field.trained import load_field
-from nerm.framerate_shift import RATES, FramerateShift, framerate_shift
+from nerm.model import RATES, FramerateShift, framerate_shift
 
 
 def measure(run: Path, num_windows: int) -> FramerateShift:

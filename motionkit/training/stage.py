@@ -7,6 +7,7 @@ An entry point names a module attribute that is a `Stage`. That module must impo
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
@@ -118,6 +119,16 @@ def registered_stages() -> dict[str, Stage[Any]]:
     """All installed stages by name, in the order in which `--stage all` trains them."""
     stages: list[Stage[Any]] = [entry.load() for entry in entry_points(group="motionkit.stages")]
     return {stage.name: stage for stage in sorted(stages, key=lambda stage: (stage.order, stage.name))}
+
+
+def lazily(place: str) -> Callable[..., Any]:
+    """The function "module:name", whose module is imported when it is called: stages and loaders are listed without."""
+
+    def call(*arguments: Any, **options: Any) -> Any:
+        module, _, name = place.partition(":")
+        return getattr(import_module(module), name)(*arguments, **options)
+
+    return call
 
 
 def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:

@@ -21,8 +21,7 @@ from motionkit.training.run import RunFolder, StageFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from nerm.field.network import EncodedCoordinates, FieldNetwork
 from nerm.latents.linear_fit import LinearModel, PoseComponents
-from nerm.pose_vectors.choice import described, restored
-from nerm.pose_vectors.convention import PoseVectors, VectorScaling
+from nerm.pose_vectors.convention import PoseVectors, VectorScaling, described, restored
 from nerm.pose_vectors.field import FIELD_VECTORS
 from nerm.settings import FieldConfig
 

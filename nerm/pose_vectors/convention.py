@@ -5,6 +5,7 @@ on the batch is computed once, the rest when poses are drawn) and how vectors at
 (`decode`).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -19,7 +20,9 @@ from motionkit.fields.motion_field import Poses
 from motionkit.store.cache.positions import PositionCache
 from motionkit.store.reader import Store
 from nerm.pose_vectors.field import FIELD_VECTORS
-from nerm.settings import FieldConfig
+from nerm.pose_vectors.native import NativeVectors
+from nerm.pose_vectors.rotations import RotationVectors, smpl_rig, training_rig
+from nerm.settings import FieldConfig, PoseVectorsName
 
 
 @runtime_checkable
@@ -113,3 +116,25 @@ def measure_scaling(
     scale = variance.clamp(min=SMALLEST_SCALE**2).sqrt()
     scale[groups[0]] /= config.loss.root_weight
     return VectorScaling(mean.float(), scale.float())
+
+
+RIG = "rig.offsets"
+
+
+def training_vectors(name: PoseVectorsName, store: Store, where: str | None) -> PoseVectors:
+    """The convention that a training on some sequences of a store learns; raises `UsageError` as `open` does."""
+    if name == "field":
+        return FIELD_VECTORS
+    return NativeVectors() if name == "native" else RotationVectors(training_rig(store, where))
+
+
+def described(vectors: PoseVectors) -> dict[str, torch.Tensor]:
+    """What a convention adds to a trained field's file: the rig of `rotations`, nothing else."""
+    return {RIG: torch.from_numpy(vectors.skeleton.offsets)} if isinstance(vectors, RotationVectors) else {}
+
+
+def restored(name: PoseVectorsName, tensors: Mapping[str, torch.Tensor]) -> PoseVectors:
+    """A trained field's convention from its file; raises `KeyError` where the rig is missing."""
+    if name == "rotations":
+        return RotationVectors(smpl_rig(tensors[RIG].numpy()))
+    return FIELD_VECTORS if name == "field" else NativeVectors()

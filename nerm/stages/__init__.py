@@ -1,5 +1,43 @@
-"""NeRM's trainable stages, from a store to what each leaves in the run folder, one file each."""
+"""NeRM's trainable stages, registered under `motionkit.stages`: from a store to what each leaves in the run folder."""
 
-from nerm.stages.registered import CODEBOOK, DENOISER, FIELD
+from motionkit.training.stage import Stage, lazily
+from nerm.recipes import RECIPES, NermConfig
 
-__all__ = ["CODEBOOK", "DENOISER", "FIELD"]
+
+def _codebook_where_used(config: NermConfig) -> tuple[str, ...]:
+    return ("codebook",) if config.field.encoder.kind == "codebook" else ()
+
+
+def _field(config: NermConfig) -> tuple[str, ...]:
+    return ("field",)
+
+
+CODEBOOK = Stage(
+    "codebook",
+    10,
+    "VQ-VAE codebook of poses at 20 fps (NeRM's prior for coordinates)",
+    RECIPES,
+    lazily("nerm.stages.codebook:train_codebook"),
+    check=lazily("nerm.stages.codebook:check_codebook"),
+    shared=True,
+)
+FIELD = Stage(
+    "field",
+    20,
+    "variational implicit motion field with one latent per window (NeRM, stage 1)",
+    RECIPES,
+    lazily("nerm.stages.field:train_field"),
+    check=lazily("nerm.stages.field:check_field"),
+    shared=True,
+    builds_on=_codebook_where_used,
+)
+DENOISER = Stage(
+    "denoiser",
+    30,
+    "latent diffusion under a text, an action or no condition (NeRM, stage 2)",
+    RECIPES,
+    lazily("nerm.stages.denoiser:train_denoiser"),
+    check=lazily("nerm.stages.denoiser:check_denoiser"),
+    shared=True,
+    builds_on=_field,
+)

@@ -18,8 +18,7 @@ from motionkit.training.stage import StageContext
 from nerm.codebook.network import load_codes
 from nerm.field.trained import TrainedField, save_field
 from nerm.field.training import FieldTraining, remarks, training_windows
-from nerm.pose_vectors.choice import training_vectors
-from nerm.pose_vectors.convention import PoseVectors
+from nerm.pose_vectors.convention import PoseVectors, training_vectors
 from nerm.recipes import NermConfig
 from nerm.settings import FieldConfig
 

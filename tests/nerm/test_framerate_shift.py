@@ -8,7 +8,7 @@ import pytest
 
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.motion_field import Poses, check_times
-from nerm.framerate_shift import common_fps, framerate_shift
+from nerm.model import common_fps, framerate_shift
 
 
 @dataclass(frozen=True, eq=False)

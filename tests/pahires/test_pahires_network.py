@@ -18,8 +18,7 @@ from motionkit.training.schedule import seeded_initialisation
 from motionkit.training.stage import StageContext
 from pahires.loaders import load
 from pahires.model import PaHiRes
-from pahires.recipes import RECIPES, PaHiResConfig, nano
-from pahires.settings import NetworkSettings
+from pahires.recipes import RECIPES, NetworkSettings, PaHiResConfig, nano
 from pahires.stage import STAGE
 from tests.helpers.small_network import TASKS
 from tests.helpers.tiny import write_store

@@ -24,8 +24,7 @@ from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from nerm.field.motion_encoder import encode_windows
 from nerm.field.trained import load_field
-from nerm.pose_vectors.choice import training_vectors
-from nerm.pose_vectors.convention import PoseVectors
+from nerm.pose_vectors.convention import PoseVectors, training_vectors
 from nerm.pose_vectors.native import NativeVectors
 from nerm.pose_vectors.rotations import RotationVectors, smpl_rig, training_rig, with_rotations
 from nerm.recipes import nano

