@@ -16,7 +16,6 @@ from motionkit.complete import job
 from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import Skeleton
-from motionkit.export.player.takes import unpack
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.completion import complete
@@ -32,6 +31,7 @@ from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 from tests.helpers.outcome import Outcome
+from tests.helpers.packed import unpack
 from tests.helpers.repository import REPOSITORY
 from tests.helpers.whole_documents import lines_of, poses_of
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from motionkit.core.motion import Caption, Motion
-from motionkit.export.player.takes import unpack
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.motion_field import to_motion
@@ -28,6 +27,7 @@ from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
 from tests.helpers.every_format import SOURCES
 from tests.helpers.outcome import Outcome
+from tests.helpers.packed import unpack
 
 Run = Callable[..., Outcome]
 HALF_STEP = 5.1e-5

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -18,7 +19,7 @@ from jaxtyping import Bool, Float64, Int64
 from motionkit.core.errors import FormatError
 from motionkit.formats.bvh.text import BvhText
 from motionkit.formats.source import number_table
-from motionkit.formats.source.number_table import TablePart
+from motionkit.formats.source.number_table import RowsFound, TablePart
 from motionkit.formats.source.source_file import FileParts, check_size
 
 TABLE_FRAMES = 4096
@@ -76,10 +77,9 @@ class FrameLines:
         for place in np.flatnonzero(~self.seen[first:stop]).tolist():
             source = int(self._sources[first + place])
             whole[place] = lines[source - first] if source >= first else self._lines(source, source + 1)[0]
-        table = number_table.parse_table(
-            b"\n".join(whole), num_rows=stop - first, num_columns=self.num_columns, path=self.file.path, first_line=1
-        )
-        return _Block(lines, table)
+        part = TablePart(1, 0, stop - first, is_end=True)
+        rows = number_table.find_rows(b"\n".join(whole), self.num_columns, self.file.path, part)
+        return _Block(lines, rows.table)
 
     def _lines(self, first: int, stop: int) -> tuple[bytes, ...]:
         starts = self.starts[first : stop + 1]
@@ -103,51 +103,54 @@ def read_tables(file: FileParts, head: BvhText) -> Iterator[Float64[np.ndarray, 
     """All frames' numbers (file units, degrees) in order, in tables of at least 4,096 frames but for the last.
 
     Nothing is yielded of a file too small for the frames that it declares. Raises `FormatError`: `too-large` before the
-    first table, for frames that are missing after the last, and else as `number_table.parse_table` does.
+    first table, for frames that are missing after the last, and else as `number_table.find_rows` does.
     """
-    path, columns = file.path, head.hierarchy.num_channels
-    end, line, found = file.end_of_text(), head.body_line, 0
+    end = file.end_of_text()
     # A number takes at least a digit and a separator.
-    believed = 2 * head.num_frames * columns - 1 <= end - head.body_start
+    believed = 2 * head.num_frames * head.hierarchy.num_channels - 1 <= end - head.body_start
     if believed:
-        check_size(head.num_frames, len(head.hierarchy.joints), path)
+        check_size(head.num_frames, len(head.hierarchy.joints), file.path)
     waiting: list[Float64[np.ndarray, "some channels"]] = []
-    num_waiting = 0
-    for place, block in file.line_blocks(head.body_start, end, number_table.BLOCK_BYTES):
-        part = TablePart(line, found, head.num_frames, is_end=place + len(block) == end)
-        table = number_table.find_rows(block, columns, path, part).table
-        found += len(table)
-        line += block.count(b"\n")
+    for _, rows in _blocks_of_rows(file, head, end, number_table.find_rows):
         if believed:
-            waiting.append(table)
-            num_waiting += len(table)
-        if num_waiting >= TABLE_FRAMES:
+            waiting.append(rows.table)
+        if sum(map(len, waiting)) >= TABLE_FRAMES:
             yield np.concatenate(waiting)
-            waiting, num_waiting = [], 0
-    if found < head.num_frames:
-        raise number_table.too_few_rows(found, head.num_frames, path, line)
+            waiting = []
     if waiting:
         yield np.concatenate(waiting)
 
 
 def find_frame_lines(file: FileParts, head: BvhText) -> FrameLines:
-    """Find and check all lines of numbers; raises `FormatError` as `number_table.parse_table` does.
+    """Find and check all lines of numbers; raises `FormatError` as `number_table.find_rows` does.
 
     Lines that hold `nan` are frames that are not seen; where all do, that is an error.
     """
-    path, columns = file.path, head.hierarchy.num_channels
-    end, line, found = file.end_of_text(), head.body_line, 0
+    end = file.end_of_text()
     starts, seen = [], []
+    for place, rows in _blocks_of_rows(file, head, end, _find_seen_rows):
+        starts.append(rows.starts + place)
+        seen.append(rows.seen)
+    whole = checked_seen(np.concatenate(seen), file.path)
+    return FrameLines(file, np.concatenate((*starts, [end])), head.hierarchy.num_channels, whole)
+
+
+Rows = TypeVar("Rows", bound=RowsFound)
+
+
+def _blocks_of_rows(
+    file: FileParts, head: BvhText, end: int, find: Callable[[bytes, int, Path, TablePart], Rows]
+) -> Iterator[tuple[int, Rows]]:
+    """The byte where each block of lines begins, and what `find` finds in it; raises `FormatError` (`truncated`)."""
+    line, found = head.body_line, 0
     for place, block in file.line_blocks(head.body_start, end, number_table.BLOCK_BYTES):
-        is_end = place + len(block) == end
-        here, whole = _rows(block, columns, path, TablePart(line, found, head.num_frames, is_end))
-        starts.append(here + place)
-        seen.append(whole)
-        found += len(here)
+        part = TablePart(line, found, head.num_frames, is_end=place + len(block) == end)
+        rows = find(block, head.hierarchy.num_channels, file.path, part)
+        found += len(rows.starts)
         line += block.count(b"\n")
+        yield place, rows
     if found < head.num_frames:
-        raise number_table.too_few_rows(found, head.num_frames, path, line)
-    return FrameLines(file, np.concatenate((*starts, [end])), columns, checked_seen(np.concatenate(seen), path))
+        raise number_table.too_few_rows(found, head.num_frames, file.path, line)
 
 
 def checked_seen(seen: Bool[np.ndarray, "frames"], path: Path) -> Bool[np.ndarray, "frames"]:
@@ -157,13 +160,17 @@ def checked_seen(seen: Bool[np.ndarray, "frames"], path: Path) -> Bool[np.ndarra
     return seen
 
 
-def _rows(
-    block: bytes, num_columns: int, path: Path, part: TablePart
-) -> tuple[Int64[np.ndarray, "rows"], Bool[np.ndarray, "rows"]]:
-    """Where the rows of a block begin in it, and which hold no nan: the others need not be numbers at all."""
+@dataclass(frozen=True, eq=False)
+class _SeenRows(RowsFound):
+    """Rows, and which hold no nan: the others need not be numbers at all."""
+
+    seen: Bool[np.ndarray, "rows"]
+
+
+def _find_seen_rows(block: bytes, num_columns: int, path: Path, part: TablePart) -> _SeenRows:
     if b"nan" not in block.lower() or _NAN.search(block) is None:
         rows = number_table.find_rows(block, num_columns, path, part)
-        return rows.starts, np.ones(len(rows.starts), bool)
+        return _SeenRows(rows.table, rows.starts, np.ones(len(rows.starts), bool))
     lines = block.splitlines(keepends=True)
     there = np.array([bool(line.strip()) for line in lines], bool)
     starts = np.cumsum([0, *map(len, lines)])[:-1][there]
@@ -171,5 +178,4 @@ def _rows(
     # What has nan becomes zeros, so that lines and frames are counted as they are.
     zeros = b" ".join([b"0"] * num_columns) + b"\n"
     clean = b"".join(zeros if _NAN.search(line) else line for line in lines)
-    number_table.find_rows(clean, num_columns, path, part)
-    return starts, seen
+    return _SeenRows(number_table.find_rows(clean, num_columns, path, part).table, starts, seen)

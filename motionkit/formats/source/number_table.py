@@ -100,22 +100,6 @@ def to_numbers(words: Words) -> Float64[np.ndarray, "words"] | None:
     return values if (np.abs(values) < LARGEST_VALUE).all() else None
 
 
-def parse_table(
-    text: bytes, *, num_rows: int, num_columns: int, path: Path, first_line: int
-) -> Float64[np.ndarray, "rows columns"]:
-    """The numbers of `num_rows` lines with `num_columns` numbers each; empty lines are skipped.
-
-    `first_line` is the 1-based line of the file where `text` begins. Raises `FormatError` (`truncated`,
-    `channel-count`, `frame-count`, `not-a-number`, `nan`, `range`) naming the line and the frame.
-    """
-    # Declared sizes are believed only where the bytes are there: a number takes at least a digit and a separator.
-    if 2 * num_rows * num_columns - 1 <= len(text):
-        table = _parse_quickly(text, num_rows, num_columns)
-        if table is not None:
-            return table
-    return _parse_slowly(text, num_rows, num_columns, path, first_line)
-
-
 @dataclass(frozen=True, eq=False)
 class RowsFound:
     """The rows of a text, and the byte of it at which the line of each one begins."""
@@ -138,9 +122,10 @@ class TablePart:
 
 
 def find_rows(text: bytes, num_columns: int, path: Path, part: TablePart) -> RowsFound:
-    """The rows of one block of a table too long for memory; raises what `parse_table` raises for them.
+    """The rows of one block of a table; empty lines are skipped.
 
-    That rows are missing at the end is for the caller to see (`too_few_rows`).
+    Raises `FormatError` (`truncated`, `channel-count`, `frame-count`, `not-a-number`, `nan`, `range`) naming the line
+    and the frame. That rows are missing at the end is for the caller to see (`too_few_rows`).
     """
     found = _rows_of_block(text, num_columns)
     if found is not None and part.first_row + len(found.table) <= part.num_rows:
@@ -172,18 +157,6 @@ def blocks(text: bytes) -> Iterator[bytes]:
         start = stop
 
 
-def _parse_quickly(text: bytes, num_rows: int, num_columns: int) -> Float64[np.ndarray, "rows columns"] | None:
-    table = np.empty((num_rows, num_columns))
-    row = 0
-    for block in blocks(text):
-        found = _rows_of_block(block, num_columns)
-        if found is None or row + len(found.table) > num_rows:
-            return None
-        table[row : row + len(found.table)] = found.table
-        row += len(found.table)
-    return table if row == num_rows else None
-
-
 def _rows_of_block(block: bytes, num_columns: int) -> "RowsFound | None":
     words = find_words(block)
     rows, rest = divmod(len(words.starts), num_columns)
@@ -195,15 +168,6 @@ def _rows_of_block(block: bytes, num_columns: int) -> "RowsFound | None":
     if numbers is None:
         return None
     return RowsFound(numbers.reshape(rows, num_columns), words.starts[::num_columns] - LENGTH_BYTES)
-
-
-def _parse_slowly(
-    text: bytes, num_rows: int, num_columns: int, path: Path, first_line: int
-) -> Float64[np.ndarray, "rows columns"]:
-    table = _parse_lines(text, num_columns, path, TablePart(first_line, 0, num_rows, is_end=True))
-    if len(table) < num_rows:
-        raise too_few_rows(len(table), num_rows, path, first_line + len(text.rstrip().splitlines()) - 1)
-    return table
 
 
 def too_few_rows(found: int, num_rows: int, path: Path, last_line: int) -> FormatError:

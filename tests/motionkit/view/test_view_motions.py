@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import motionkit as mk
-from motionkit.export.player.takes import unpack
 from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import make_body, perform
 from motionkit.view.motions import MOST_BYTES
+from tests.helpers.packed import unpack
 
 HALF_STEP = 5.1e-5
 

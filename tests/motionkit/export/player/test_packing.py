@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.export.player.takes import STEP_METRES, Packed, pack, packed_bytes, unpack
+from motionkit.export.player.takes import STEP_METRES, Packed, pack, packed_bytes
+from tests.helpers.packed import unpack
 
 
 @st.composite

@@ -17,7 +17,8 @@ from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.export.player.page import write_page
-from motionkit.export.player.takes import Take, unpack
+from motionkit.export.player.takes import Take
+from tests.helpers.packed import unpack
 
 
 def standing(name: str, num_frames: int, fps: int, **more: Any) -> Take:
