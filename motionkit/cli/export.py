@@ -49,11 +49,8 @@ def export(
         raise UsageError(f"unknown format {format!r}, expected one of {', '.join(kinds)}")
     rate = parse_rate(fps)
     opened = Store.open(store or default_path("store"))
-    selection = Selection(opened, opened.select(where), rate or kinds[format].fps)
-    num_chosen = len(selection.indices)
-    if not num_chosen:
-        raise UsageError(f"no sequence of {opened.path} satisfies {where!r}" if where else f"{opened.path} is empty")
-    with progress() as show, task(show, "export", num_chosen) as work:
+    selection = Selection(opened, opened.select_some(where), rate or kinds[format].fps)
+    with progress() as show, task(show, "export", len(selection.indices)) as work:
         report = export_selection(selection, out, kinds[format], on_outcome=lambda outcome: work.advance())
     _print_left_out(report.left_out)
     if as_json:

@@ -1,6 +1,5 @@
 """`motionkit generate`: motions from texts, actions or nothing, at any framerate or at arbitrary instants."""
 
-from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -52,7 +51,6 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as 
 if TYPE_CHECKING:
     from motionkit.generate.folder import GeneratedFolder
     from motionkit.generate.job import Job
-    from motionkit.generate.models import GenerativeModel
 
 
 def generate(
@@ -95,12 +93,12 @@ def generate(
 
     from motionkit.generate.folder import begin_folder, replace_folder, resume_folder
     from motionkit.generate.job import Job
-    from motionkit.generate.models import load_model, model_of
+    from motionkit.generate.models import load_model, model_of, warn_above_training
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)
     job = Job(request, loaded, place, output, seed, SamplingOptions(guidance, sampler, sampling_steps))
-    _warn_above_training(loaded, job.fps)
+    warn_above_training(loaded, job.fps)
     _say_joined(job)
     opening = resume_folder if resume else replace_folder if overwrite else begin_folder
     with opening(out, job.manifest()) as folder:
@@ -127,15 +125,6 @@ def _write_all(job: "Job", folder: "GeneratedFolder", as_json: bool) -> dict[str
     if folder.num_done and not as_json:
         stderr.print(f"motionkit: {folder.num_done:,} of {num_motions:,} motions were there already")
     return report
-
-
-def _warn_above_training(model: "GenerativeModel", fps: Fraction) -> None:
-    """Say on stderr where a framerate is above the highest of the training data (the paper's limitation, B.3)."""
-    if fps > model.max_training_fps:
-        stderr.print(
-            f"motionkit: warning: {float(fps):g} fps is above the {float(model.max_training_fps):g} fps of the model's "
-            "fastest training data; detail beyond that is interpolated, not learned",
-        )
 
 
 def _say_joined(job: "Job") -> None:

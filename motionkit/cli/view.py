@@ -69,8 +69,6 @@ def view(
     options = read_options(parse_rate(fps), skeleton_map, format, unit_metres)
     place = store or default_path("store")
     stored = [] if where is None else stored_where(place, where)
-    if where is not None and not stored:
-        raise UsageError(f"no sequence of {place} satisfies {where!r}")
     if not clips and not stored:
         raise UsageError(
             "name motions to look at: files, folders, ids of a store, or --where for some of its sequences"

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from motionkit.core.errors import UsageError
+from motionkit.core.progress import warn
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
 from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
@@ -151,3 +152,12 @@ def model_of(run: Path) -> str:
     if held:
         raise UsageError(f"{run} holds several models, {' and '.join(held)}: name one of them (--model {held[0]})")
     raise UsageError(f"{run} holds none of the installed models ({', '.join(installed) or 'there is none'})")
+
+
+def warn_above_training(model: GenerativeModel, fps: Fraction) -> None:
+    """Warn of a framerate above the highest of the training data (the paper's limitation, B.3)."""
+    if fps > model.max_training_fps:
+        warn(
+            f"{float(fps):g} fps is above the {float(model.max_training_fps):g} fps of {model.name}'s fastest training "
+            "data; detail beyond that is interpolated, not learned"
+        )

@@ -4,18 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import overload
+from typing import Any, overload
 
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
-from motionkit.core.progress import warn
 from motionkit.core.settings import default_path
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import Framerate, format_fps, parse_fps
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate import models
 from motionkit.generate.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts
-from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, model_of
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, model_of, warn_above_training
 from motionkit.generate.samples import motion_name, sample_field
 
 Several = list[str] | tuple[str, ...]
@@ -115,7 +114,17 @@ class MotionModel:
         >>> [motion.duration_seconds for motion in model.generate("a person jumps", fps=30, seconds=2, n=2, seed=1)]
         [2.0, 2.0]
         """
-        return _generate(self, text, action, fps, seconds, n, seed, sampling)
+        rate = self.max_training_fps if fps is None else parse_fps(fps)
+        warn_above_training(self.model, rate)
+        scripts = _scripts(text, action, seconds, n)
+        fields = self.draw(scripts, seed, sampling or SamplingOptions())
+        motions = [
+            sample_field(field, motion_name(number, script), script, rate)
+            .motion()
+            .logged(f"generate motion {number} of seed {seed} at {format_fps(rate)} fps ({self.name}, {self.run})")
+            for number, (script, field) in enumerate(zip(scripts, fields, strict=True))
+        ]
+        return motions[0] if n is None and not isinstance(text, list | tuple) else motions
 
     def fields(
         self,
@@ -223,34 +232,11 @@ def generate(
     >>> mk.generate("a person walks", run="runs/nano", fps="30000/1001", seconds=1).fps
     Fraction(30000, 1001)
     """
-    return _generate(load_model(run), text, action, fps, seconds, n, seed, sampling)
-
-
-def _generate(
-    model: MotionModel,
-    text: str | Several | None,
-    action: str | None,
-    fps: Framerate | None,
-    seconds: int | float | None,
-    n: int | None,
-    seed: int,
-    sampling: SamplingOptions | None,
-) -> Motion | list[Motion]:
-    rate = model.max_training_fps if fps is None else parse_fps(fps)
-    if rate > model.max_training_fps:
-        warn(
-            f"{float(rate):g} fps is above the {float(model.max_training_fps):g} fps of {model.name}'s fastest "
-            "training data; detail beyond that is interpolated, not learned"
-        )
-    scripts = _scripts(text, action, seconds, n)
-    fields = model.draw(scripts, seed, sampling or SamplingOptions())
-    motions = [
-        sample_field(field, motion_name(number, script), script, rate)
-        .motion()
-        .logged(f"generate motion {number} of seed {seed} at {format_fps(rate)} fps ({model.name}, {model.run})")
-        for number, (script, field) in enumerate(zip(scripts, fields, strict=True))
-    ]
-    return motions[0] if n is None and not isinstance(text, list | tuple) else motions
+    model: Any = load_model(run)  # whose overloads are those above
+    made: Motion | list[Motion] = model.generate(
+        text, action=action, fps=fps, seconds=seconds, n=n, seed=seed, sampling=sampling
+    )
+    return made
 
 
 def _scripts(

@@ -301,6 +301,14 @@ class Store:
             raise UsageError(f"the condition {where!r} cannot be asked: {error}") from None
         return np.asarray(chosen["sequence_index"], np.int64)
 
+    def select_some(self, where: str | None = None) -> Int64[np.ndarray, "selected"]:
+        """As `select`, for what needs a sequence at least: raises `UsageError` where none is selected."""
+        indices = self.select(where)
+        if not len(indices):
+            fault = f"no sequence of {self.path} satisfies {where!r}" if where else f"{self.path} is empty"
+            raise UsageError(f"{fault} (motionkit info --store {self.path} says what it holds)")
+        return indices
+
     def __repr__(self) -> str:
         counts = self.manifest
         return f"Store({str(self.path)!r}, {counts.num_sequences} sequences, {counts.num_frames} frames)"

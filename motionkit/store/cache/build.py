@@ -142,10 +142,7 @@ def _skeleton_map(skeleton: Skeleton, layout: str) -> SkeletonMap:
 def _chosen(wanted: Wanted) -> tuple["pd.DataFrame", list[Skipped]]:
     """Rows of the sequences that the cache holds, and those that it leaves out."""
     store, where, maps = wanted.store, wanted.where, wanted.maps
-    chosen = store.columns("sequence_id", "skeleton", *INDEX_COLUMNS).loc[store.select(where)]
-    if chosen.empty:
-        nothing = f"no sequence of {store.path} satisfies {where!r}" if where else f"{store.path} is empty"
-        raise UsageError(f"{nothing} (motionkit info --store {store.path} says what it holds)")
+    chosen = store.columns("sequence_id", "skeleton", *INDEX_COLUMNS).loc[store.select_some(where)]
     faults = chosen["skeleton"].map(lambda fingerprint: maps[fingerprint].fault)
     kept = chosen[faults == ""]
     if kept.empty:

@@ -142,9 +142,7 @@ def _plan(
     store: Store, shares: Mapping[str, float], by: str, where: str | None, seed: int
 ) -> tuple[SplitReport, pa.Array]:
     """What becomes of the chosen sequences, and the whole column `split` with it."""
-    chosen = store.rows_of(store.select(where))
-    if not len(chosen):
-        raise UsageError(f"no sequence of {store.path} satisfies {where!r}" if where else f"{store.path} is empty")
+    chosen = store.rows_of(store.select_some(where))
     names, before = _groups(store, by), store.sequences_table["split"].to_pylist()
     _require_groups(store, names, chosen, by, shares)
     # By name, so that neither the order of the sequences nor what is left out moves a group.

@@ -99,7 +99,7 @@ def _of_item(item: SourceItem, named: Path, read: Callable[[SourceItem], ReadT])
 def find_stored(store: Path, where: str, stored: Callable[[Motion], ReadT]) -> list[Found[ReadT]]:
     """The sequences of a store for which a condition holds, in its order; raises `StoreError` or `UsageError`."""
     opened = Store.open(store)
-    rows = opened.rows_of(opened.select(where))
+    rows = opened.rows_of(opened.select_some(where))
     ids: list[str] = opened.sequences_table["sequence_id"].take(rows).to_pylist()
     return [_stored(sequence_id, opened, stored) for sequence_id in ids]
 
