@@ -1,0 +1,61 @@
+"""A model whose motions need no training, and what its generated folders hold."""
+
+import csv
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import SMPL22
+from motionkit.fields.motion_field import Poses, check_times
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """The standing skeleton, drifting along z at 1 m/s from `offset`."""
+
+    offset: float
+    end_seconds: float
+    skeleton = SMPL22
+    start_seconds = 0.0
+
+    def query(self, times_seconds):
+        check_times(self, times_seconds)
+        rest = np.zeros((22, 3), dtype=np.float32)
+        for joint, parent in enumerate(SMPL22.parents[1:], start=1):
+            rest[joint] = rest[parent] + SMPL22.offsets[joint]
+        positions = np.repeat(rest[None], len(times_seconds), axis=0)
+        positions[..., 2] += (self.offset + times_seconds[:, None]).astype(np.float32)
+        return Poses(positions)
+
+
+class DriftModel:
+    name, skeleton, max_training_fps, max_duration_seconds = "Drift", SMPL22, Fraction(120), 10.0
+
+    def __init__(self, fails_at=None):
+        self.fails_at = fails_at
+
+    def check(self, request, sampling=None):
+        if request.action == "fly":
+            raise UsageError("the model knows no action 'fly'")
+
+    def generate(self, requests, *, seed, sampling=None, first=0):
+        if self.fails_at is not None and first >= self.fails_at:
+            raise KeyboardInterrupt
+        return [
+            Drift(seed % 89 + index / 10, 3.0 if request.duration_seconds is None else request.duration_seconds)
+            for index, request in enumerate(requests, start=first)
+        ]
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def rows_of(table):
+    return list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
