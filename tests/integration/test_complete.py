@@ -8,6 +8,7 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ import pytest
 from motionkit.complete import job
 from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Caption, Motion
-from motionkit.core.skeleton import Skeleton
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.completion import complete
@@ -29,6 +29,8 @@ from motionkit.formats.bvh.writing import write_bvh
 from motionkit.formats.humanml3d import Entry, write_humanml3d
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
+from tests.helpers.bones import bone_lengths
+from tests.helpers.encoder_package import write_encoder_package
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 from tests.helpers.outcome import Outcome
 from tests.helpers.packed import unpack
@@ -108,31 +110,22 @@ def test_models_of_joint_positions_are_written_with_the_file_s_bones(
 @pytest.mark.parametrize(
     "name",
     [
-        "cmu/bvh/05_06.bvh",
-        "cmu/bvh-converted/10_01.bvh",
-        "cmu-more/bvh-motionbuilder/35_03.bvh",
-        "mixed-bvh/mass_snu/backflip.bvh",
-        "mixed-bvh/animated_drawings/dab.bvh",
+        *("cmu/bvh/05_06.bvh", "cmu/bvh-converted/10_01.bvh", "cmu-more/bvh-motionbuilder/35_03.bvh"),
+        *("mixed-bvh/mass_snu/backflip.bvh", "mixed-bvh/animated_drawings/dab.bvh"),
         "bandai-namco/bvh/dataset-1_bow_active_001.bvh",
     ],
 )
 def test_models_of_joint_positions_on_every_rig(motionkit: Run, captures: Path, tmp_path: Path, name: str) -> None:
     before = read_document(captures / name)
     fps = 2 * before.timegrid.fps
-    outcome = motionkit(
-        *("complete", captures / name, "--fps", fps, "--model", "linear", "--out", tmp_path / "made.bvh")
-    )
-    assert outcome.code == 0
-    made = poses_of(read_document(tmp_path / "made.bvh")).joint_positions[:400]
+    out = tmp_path / "made.bvh"
+    assert motionkit("complete", captures / name, "--fps", fps, "--model", "linear", "--out", out).code == 0
+    made = poses_of(read_document(out)).joint_positions[:400]
     field = INTERPOLATORS["linear"].encode(Observation.of(before.motion()))
     expected = field.query(np.arange(len(made)) / float(fps)).joint_positions
     shortened = bone_lengths(expected, before.skeleton) - bone_lengths(made, before.skeleton)
     distance = np.linalg.norm(made - expected, axis=-1)
     assert distance.max() < 2 * np.abs(shortened).max() and distance.mean() < 1e-3
-
-
-def bone_lengths(positions: np.ndarray, skeleton: Skeleton) -> np.ndarray:
-    return np.asarray(np.linalg.norm(positions[:, 1:] - positions[:, skeleton.parents[1:]], axis=-1))
 
 
 def test_the_page_of_the_docs_is_right_about_python(
@@ -279,34 +272,12 @@ def test_a_bad_file_costs_nothing_of_the_others(motionkit: Run, tmp_path: Path, 
     assert len(report["clips"]) == 2
 
 
-LEARNT = """
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
-from motionkit.core.skeleton import SMPL22
-
-class Learnt:
-    name, longest_gap_seconds, reach_seconds = "Learnt", 0.2, 0.1
-    def encode(self, observation, **reach):
-        assert observation.skeleton.joint_names == SMPL22.joint_names
-        return INTERPOLATORS["hold"].encode(observation, **reach)
-
-def load(run):
-    (run / "learnt" / "summary.json").read_text()
-    return Learnt()
-"""
-
-
 @pytest.fixture
 def learnt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A package with an encoder for 22 joints, which holds poses; and a folder of runs of which one has it trained."""
-    metadata = tmp_path / "site" / "learnt-1.0.dist-info"
-    metadata.mkdir(parents=True)
-    (tmp_path / "site" / "learnt_encoder.py").write_text(LEARNT, encoding="utf-8")
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: learnt\nVersion: 1.0\n", encoding="utf-8")
-    (metadata / "entry_points.txt").write_text("[motionkit.encoders]\nlearnt = learnt_encoder:load\n", encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    (tmp_path / "runs" / "nano" / "learnt").mkdir(parents=True)
-    (tmp_path / "runs" / "nano" / "learnt" / "summary.json").write_text("{}", encoding="utf-8")
-    return tmp_path / "runs"
+    """Runs of which one has the encoder of an installed package trained."""
+    site, runs = write_encoder_package(tmp_path)
+    monkeypatch.syspath_prepend(str(site))
+    return runs
 
 
 def test_trained_encoders_complete_own_skeletons(motionkit: Run, tmp_path: Path, learnt: Path) -> None:
@@ -364,7 +335,7 @@ def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "told"),
+    ("arguments", "code", "message"),
     [
         ([], 2, "nothing to make"),
         (["--fps", "24"], 1, "less than its 30"),
@@ -383,12 +354,10 @@ def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
         (["--fps", "60", "--compare", "slerp,"], 2, "is empty"),
     ],
 )
-def test_what_makes_no_sense_is_told_in_a_line(
-    motionkit: Run, walk: Path, arguments: list[str], code: int, told: str
-) -> None:
+def test_requests_that_make_no_sense(motionkit: Run, walk: Path, arguments: list[str], code: int, message: str) -> None:
     outcome = motionkit("complete", walk, *arguments)
     assert outcome.code == code and outcome.stdout == ""
-    assert told in outcome.stderr.splitlines()[-1]
+    assert message in outcome.stderr.splitlines()[-1]
     assert sorted(path.name for path in walk.parent.iterdir()) == ["walk.bvh"]
 
 
@@ -400,9 +369,7 @@ def test_a_folder_that_cannot_be_written(motionkit: Run, walk: Path, tmp_path: P
     assert outcome.code == 2 and "no such.bvh is no file" in outcome.stderr
 
 
-def test_a_clip_is_replaced_by_its_completion_when_nothing_is_read_from_it_any_more(
-    motionkit: Run, walk: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_clip_is_replaced_by_its_completion(motionkit: Run, walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Of so few frames none would be read twice.
     monkeypatch.setattr(frame_lines, "FRAMES_AT_ONCE", 8)
     monkeypatch.setattr(frame_lines, "BLOCKS_KEPT", 2)
@@ -414,13 +381,8 @@ def test_a_clip_is_replaced_by_its_completion_when_nothing_is_read_from_it_any_m
     assert lines_of(read_document(walk))[::2] == given
 
 
-def test_a_comparison_that_fails_leaves_nothing_behind(
-    motionkit: Run, walk: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refused(*_: object) -> None:
-        raise MotionkitError("no page")
-
-    monkeypatch.setattr(job, "write_comparison", refused)
+def test_a_failed_comparison_leaves_nothing(motionkit: Run, walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(job, "write_comparison", Mock(side_effect=MotionkitError("no page")))
     outcome = motionkit("complete", walk, "--fps", "60", "--model", "slerp", "--compare", "hold")
     assert outcome.code == 1 and "no page" in outcome.stderr and outcome.stdout == ""
     assert [path.name for path in walk.parent.iterdir()] == ["walk.bvh"]

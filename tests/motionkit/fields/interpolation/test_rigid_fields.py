@@ -13,6 +13,7 @@ from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.interpolation.rigid import on_bones
 from motionkit.fields.motion_field import Observation, Poses, to_motion
 from motionkit.synthetic import make_body, perform
+from tests.helpers.bones import bone_lengths
 from tests.helpers.turning_body import random_motion
 
 ON_POSITIONS = ("linear", "catmull-rom", "cubic")
@@ -31,10 +32,6 @@ LEG = Skeleton(
 def walk() -> Motion:
     performance = perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0)
     return to_motion(performance, Fraction(30)).frames(0, 60)
-
-
-def bone_lengths(positions: np.ndarray, skeleton: Skeleton) -> np.ndarray:
-    return np.linalg.norm(positions[:, 1:] - positions[:, skeleton.parents[1:]], axis=-1)
 
 
 @pytest.mark.parametrize("name", ON_POSITIONS)
