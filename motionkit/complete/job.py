@@ -63,16 +63,12 @@ class CompletedClip:
 
 @dataclass(frozen=True)
 class Job:
-    """What is done with every clip: what to make, by which encoder, what to compare with, in which format, where.
-
-    `out` is a folder or, for a single clip, a file; None writes beside the clip.
-    """
+    """What is done with every clip: what to make, by which encoder, what to compare with, in which format."""
 
     request: CompletionRequest
     chosen: ChosenEncoder
     compared: Sequence[ChosenEncoder] = ()
     suffix: str | None = None
-    out: Path | None = None
     overwrite: bool = False
 
     def complete(self, source: ClipSource, path_of: "OutputPath", progress: Progress) -> CompletedClip:

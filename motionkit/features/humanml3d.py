@@ -19,7 +19,6 @@ from motionkit.formats.humanml3d import recover_positions
 
 CONVENTION = "humanml3d"
 SMOOTHING_FRAMES = 20.0
-SMOOTHING_REACH = 80
 # What a block needs fits into a core's cache; rows of 2ⁿ bytes would all compete for the same few places in it.
 _FRAMES_AT_ONCE = 200
 

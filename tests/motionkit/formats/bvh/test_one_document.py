@@ -101,7 +101,7 @@ def test_every_kind_is_completed_and_read_again(tmp_path: Path, kind: str) -> No
     (source,), _ = find_clips([str(path)], OPTIONS, tmp_path / "none")
     before = source.read()
     out, request = tmp_path / "out.bvh", CompletionRequest(fps=2 * before.timegrid.fps)
-    job = Job(request, choose_encoder("slerp", None, tmp_path), out=out)
+    job = Job(request, choose_encoder("slerp", None, tmp_path))
     job.complete(source, OutputPath(out, 1, ()), lambda frames: None)
     after = clip_of(out)
     frames, made = np.arange(before.timegrid.num_frames), np.arange(after.timegrid.num_frames)
