@@ -1,7 +1,4 @@
-"""Settings of the stages `codebook`, `field` and `denoiser`, nested as their parts are (no torch).
-
-`MOVED` says what settings were called before they were nested (motionkit.training.config).
-"""
+"""Settings of the stages `codebook`, `field` and `denoiser`, nested as their parts are (no torch)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,16 +6,7 @@ from fractions import Fraction
 from typing import ClassVar, Literal, get_args
 
 from motionkit.core.timegrid import parse_fps
-from motionkit.training.config import Precision, Schedule, moved
-
-SCHEDULE_MOVED = moved(
-    "schedule",
-    "steps epochs",
-    batch="batch_size",
-    rate="learning_rate",
-    schedule="kind",
-    rate_warmup_fraction="warmup_fraction",
-)
+from motionkit.training.config import SCHEDULE_MOVED, Precision, Schedule, moved, require_positive
 
 
 @dataclass(frozen=True)
@@ -54,9 +42,7 @@ class CodebookScheduleConfig:
     weight_decay: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("batch_size", "steps"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        require_positive(self, "steps", "batch_size")
 
 
 @dataclass(frozen=True)
@@ -91,8 +77,7 @@ class CodebookConfig:
 
     def __post_init__(self) -> None:
         parse_fps(self.fps)
-        if self.window_frames <= 0:
-            raise ValueError(f"window_frames must be positive, not {self.window_frames}")
+        require_positive(self, "window_frames")
 
 
 TimeEncoding = Literal["none", "raw", "fourier", "codebook"]
@@ -111,9 +96,7 @@ class WindowsConfig:
     mirrored: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("max_duration_seconds", "stride_seconds"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        require_positive(self, "max_duration_seconds", "stride_seconds")
 
 
 @dataclass(frozen=True)
@@ -134,8 +117,7 @@ class ClipsConfig:
     fixed_fps: str | None = None
 
     def __post_init__(self) -> None:
-        if self.num_poses <= 0:
-            raise ValueError(f"num_poses must be positive, not {self.num_poses}")
+        require_positive(self, "num_poses")
         for fps in (self.warmup_fps, self.lowest_fps, self.fixed_fps):
             if fps is not None:
                 parse_fps(fps)

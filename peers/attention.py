@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from motionkit.clips.temporal.network import ObservedWindow
 
-# Distances are told apart to this share of a frame.
+# Distances are rounded to this share of a frame.
 STEPS_A_FRAME = 1000
 
 

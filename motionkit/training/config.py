@@ -31,6 +31,13 @@ ConfigT = TypeVar("ConfigT", bound=ConfigLike)
 T = TypeVar("T")
 
 
+def require_positive(config: ConfigLike, *names: str) -> None:
+    """Raise `ValueError` for a setting that is given and not above 0."""
+    for name in names:
+        if (value := getattr(config, name)) is not None and not value > 0:
+            raise ValueError(f"{name} must be positive, not {value}")
+
+
 @dataclasses.dataclass(frozen=True)
 class Schedule:
     """How long a stage is trained, on how many windows a step, and at which learning rate.
@@ -52,9 +59,7 @@ class Schedule:
     def __post_init__(self) -> None:
         if (self.steps is None) == (self.epochs is None):
             raise ValueError(f"exactly one of steps and epochs must be given, not {self.steps} and {self.epochs}")
-        for name in ("steps", "epochs", "batch_size", "learning_rate", "drop_every"):
-            if (value := getattr(self, name)) is not None and not value > 0:
-                raise ValueError(f"{name} must be positive, not {value}")
+        require_positive(self, "steps", "epochs", "batch_size", "learning_rate", "drop_every")
 
     def num_steps(self, visits: int | float) -> int:
         """Steps of the training where an epoch visits so many windows."""
@@ -116,6 +121,13 @@ def flatten(config: ConfigLike, prefix: str = "") -> dict[str, Any]:
 def moved(part: str, names: str = "", **renamed: str) -> dict[str, str]:
     """Entries of `MOVED` for settings that are in a part now: `names` as they were, others under new names."""
     return {old: f"{part}.{new}" for old, new in [*((name, name) for name in names.split()), *renamed.items()]}
+
+
+# What the settings of a `Schedule` were called when stages had them flat.
+SCHEDULE_MOVED = {
+    **moved("schedule", "steps epochs drop_every", batch="batch_size", rate="learning_rate", schedule="kind"),
+    **moved("schedule", rate_drop="drop", rate_warmup_fraction="warmup_fraction"),
+}
 
 
 def moved_names(config: ConfigLike, prefix: str = "") -> dict[str, str]:

@@ -139,6 +139,19 @@ def load_optimizer_tensors(optimizer: torch.optim.Optimizer, tensors: Mapping[st
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
+def training_tensors(name: str, module: torch.nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
+    """A module's weights under its name, and its optimiser's moments."""
+    return prefixed(name, module.state_dict()) | prefixed("optimizer", optimizer_tensors(optimizer))
+
+
+def load_training_tensors(
+    name: str, module: torch.nn.Module, optimizer: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]
+) -> None:
+    """Put what `training_tensors` gave back."""
+    module.load_state_dict(unprefixed(name, tensors))
+    load_optimizer_tensors(optimizer, unprefixed("optimizer", tensors))
+
+
 LARGEST_BYTES = 4 << 30
 
 

@@ -9,7 +9,7 @@ from torch.nn.functional import smooth_l1_loss
 from motionkit.training.precision import autocast
 from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.schedule import seeded_initialisation, set_rate
-from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from motionkit.training.tensors import load_training_tensors, training_tensors
 from nerm.codebook.network import CodebookNetwork
 from nerm.codebook.vectors import VectorCorpus, joint_positions_block
 from nerm.settings import CodebookConfig
@@ -66,12 +66,11 @@ class CodebookTraining:
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """Weights, codes and moments."""
-        return prefixed("network", self.network.state_dict()) | prefixed("optimizer", optimizer_tensors(self.optimizer))
+        return training_tensors("network", self.network, self.optimizer)
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Go back to a state."""
-        self.network.load_state_dict(unprefixed("network", tensors))
-        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+        load_training_tensors("network", self.network, self.optimizer, tensors)
 
 
 def perplexity(which: Int64[torch.Tensor, "*shape"], num_codes: int) -> Float32[torch.Tensor, ""]:

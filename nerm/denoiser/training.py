@@ -14,7 +14,7 @@ from motionkit.training.schedule import (
     set_rate,
     step_generator,
 )
-from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from motionkit.training.tensors import load_training_tensors, prefixed, training_tensors, unprefixed
 from nerm.conditions import Conditions
 from nerm.denoiser.corpus import LatentCorpus
 from nerm.denoiser.diffusion import add_noise, cumulative_alphas, loss_weights, prediction_target
@@ -99,14 +99,9 @@ class DenoiserTraining:
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Weights, their average, the optimiser's moments."""
-        return (
-            prefixed("denoiser", self.denoiser.state_dict())
-            | prefixed("average", self.average.tensors())
-            | prefixed("optimizer", optimizer_tensors(self.optimizer))
-        )
+        return training_tensors("denoiser", self.denoiser, self.optimizer) | prefixed("average", self.average.tensors())
 
     def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
         """Go back to the state that `state_tensors` gave."""
-        self.denoiser.load_state_dict(unprefixed("denoiser", tensors))
+        load_training_tensors("denoiser", self.denoiser, self.optimizer, tensors)
         self.average.load(unprefixed("average", tensors))
-        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))

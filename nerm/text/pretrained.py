@@ -88,7 +88,7 @@ def _quiet_transformers() -> Iterator[None]:
     verbosity, bars, hub_level = logging.get_verbosity(), logging.is_progress_bar_enabled(), hub.level
     logging.set_verbosity_error()
     logging.disable_progress_bar()
-    hub.setLevel(standard_logging.ERROR)  # it tells every retry
+    hub.setLevel(standard_logging.ERROR)  # it logs every retry
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", category=FutureWarning, module="transformers")
@@ -100,13 +100,13 @@ def _quiet_transformers() -> Iterator[None]:
             logging.enable_progress_bar()
 
 
-def tell_of_cut_texts(name: str, tokens: Any, longest: int) -> None:
+def warn_of_cut_texts(name: str, tokens: Any, longest: int) -> None:
     """Warn where texts of a batch are longer than the encoder reads."""
     cut = sum(bool(encoding.overflowing) for encoding in tokens.encodings or ())
     if cut:
-        told = f"{cut} texts are" if cut > 1 else "a text is"
+        texts = f"{cut} texts are" if cut > 1 else "a text is"
         warn(
-            f"{told} longer than the {longest} tokens that the text encoder {name!r} reads; what comes after them has "
+            f"{texts} longer than the {longest} tokens that the text encoder {name!r} reads; what comes after them has "
             "no effect"
         )
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 from typing import ClassVar, Literal
 
 from motionkit.core.timegrid import parse_fps
-from motionkit.training.config import Precision, Schedule, moved
+from motionkit.training.config import SCHEDULE_MOVED, Precision, Schedule, moved, require_positive
 
 Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic", "eased"]
 # What becomes of a network's answer: the poses themselves; a correction of the interpolation; a correction that
@@ -72,8 +72,7 @@ class AnswerSettings:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        if not self.scale > 0:
-            raise ValueError(f"scale must be positive, not {self.scale}")
+        require_positive(self, "scale")
 
     @property
     def curves(self) -> tuple[Base, ...]:
@@ -132,8 +131,7 @@ class TemporalSettings:
     MOVED: ClassVar[Mapping[str, str]] = {
         **moved("answer", "form base blended sizing", correction_scale="scale"),
         **moved("loss", "distance velocity_weight balanced balance_floor"),
-        **moved("schedule", "steps epochs drop_every", batch="batch_size", rate="learning_rate", schedule="kind"),
-        **moved("schedule", rate_drop="drop", rate_warmup_fraction="warmup_fraction"),
+        **SCHEDULE_MOVED,
     }
 
     def __post_init__(self) -> None:

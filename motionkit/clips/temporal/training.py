@@ -25,12 +25,12 @@ from motionkit.training.schedule import WeightAverage, dropout_from, scale_rates
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import (
     CheckpointError,
-    load_optimizer_tensors,
     load_tensors,
-    optimizer_tensors,
+    load_training_tensors,
     prefixed,
     rebuilding,
     save_tensors,
+    training_tensors,
     unprefixed,
 )
 
@@ -87,16 +87,11 @@ class TemporalTraining:
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """Weights, moments and averages."""
         average = {} if self.average is None else prefixed("average", self.average.tensors())
-        return (
-            prefixed("network", self.network.state_dict())
-            | prefixed("optimizer", optimizer_tensors(self.optimizer))
-            | average
-        )
+        return training_tensors("network", self.network, self.optimizer) | average
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Go back to a state."""
-        self.network.load_state_dict(unprefixed("network", tensors))
-        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+        load_training_tensors("network", self.network, self.optimizer, tensors)
         if self.average is not None:
             self.average.load(unprefixed("average", tensors))
 
