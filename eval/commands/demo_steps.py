@@ -54,41 +54,13 @@ SMALLEST = DemoSize(
 )
 
 
-@dataclass(frozen=True)
 class DemoFolder:
-    """Where everything of a demo lies."""
+    """Where everything of a demo lies: what is made of what, and the picture of Table 2 as curves above skeletons."""
 
-    path: Path
-
-    @property
-    def corpus(self) -> Path:
-        """The motions on disk, as BVH files and as a HumanML3D folder."""
-        return self.path / "corpus"
-
-    @property
-    def store(self) -> Path:
-        """What ingest made of them."""
-        return self.path / "store"
-
-    @property
-    def runs(self) -> Path:
-        """The trained model."""
-        return self.path / "runs"
-
-    @property
-    def generated(self) -> Path:
-        """Motions that the model generated from captions."""
-        return self.path / "generated"
-
-    @property
-    def results(self) -> Path:
-        """Table 2 as JSON and Markdown."""
-        return self.path / "results"
-
-    @property
-    def picture(self) -> Path:
-        """Table 2 as curves, and strips of skeletons."""
-        return self.path / "demo.png"
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.corpus, self.store, self.runs = path / "corpus", path / "store", path / "runs"
+        self.generated, self.results, self.picture = path / "generated", path / "results", path / "demo.png"
 
 
 @dataclass(frozen=True)

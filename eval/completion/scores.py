@@ -114,7 +114,7 @@ if TYPE_CHECKING:
     from motionkit.store.reader import Store
 
 
-def told_split(store: "Store", clips: TrueClips, split: str) -> str:
+def split_remark(store: "Store", clips: TrueClips, split: str) -> str:
     """How many performers the takes of these clips have, and how many of them are in the training split too."""
     rows = store.columns("source", "subject", "split")
     chosen = rows.loc[sorted(set(clips.sequence_index.tolist()))]

@@ -168,7 +168,7 @@ def open_clips(
     belongs = data_set.holds(store, takes.sequence_index)
     long_enough = belongs & (takes.num_frames >= num_frames)
     if not long_enough.any():
-        raise NoTakesError(_told_missing(store, data_set, split, where, belongs, num_frames))
+        raise NoTakesError(_missing_reason(store, data_set, split, where, belongs, num_frames))
     cache = open_cache(store, where=condition)
     chosen = np.flatnonzero(long_enough)
     counts = (takes.num_frames[chosen] - num_frames) // every + 1
@@ -188,7 +188,7 @@ def open_clips(
     )
 
 
-def _told_missing(
+def _missing_reason(
     store: "Store", data_set: DataSet, split: str, where: str | None, belongs: np.ndarray, num_frames: int
 ) -> str:
     of_split = "" if split == "all" else f" of split {split!r}"

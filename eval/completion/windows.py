@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from eval.completion.scores import told_split
+from eval.completion.scores import split_remark
 from eval.completion.takes import DataSet, NoTakesError, open_clips
 from motionkit.core import kinematics
 from motionkit.core.moments import Moments, stream
@@ -32,8 +32,8 @@ class PoseWindows:
     """W test windows and what training windows say of them.
 
     `skeleton` has the offsets of the first training window's first frame, by which every pose is put together, the true
-    ones too. `position_std` [J, 3] is the deviation of training windows' global positions, metres. `told` says of whom
-    the windows are.
+    ones too. `position_std` [J, 3] is the deviation of training windows' global positions, metres. `remark` says of
+    whom the windows are.
     """
 
     name: str
@@ -42,7 +42,7 @@ class PoseWindows:
     local_rotations: Float32[np.ndarray, "windows frames joints 4"]
     position_std: Float64[np.ndarray, "joints 3"]
     num_training_windows: int
-    told: str
+    remark: str
 
     @property
     def num_windows(self) -> int:
@@ -71,7 +71,7 @@ def lafan1_windows(store: "Store", advance: Callable[[], None] = lambda: None) -
         local_rotations=np.concatenate([windows.local_rotations for windows in found]),
         position_std=moments.std.reshape(-1, 3),
         num_training_windows=moments.count // lafan1.TRAIN_WINDOW_FRAMES,
-        told=f"subject 5, {len(roots):,} windows{expected}; statistics of subjects 1 to 4.",
+        remark=f"subject 5, {len(roots):,} windows{expected}; statistics of subjects 1 to 4.",
     )
 
 
@@ -149,12 +149,12 @@ def data_set_windows(store: "Store", data_set: DataSet, split: str, where: str |
     """
     # The benchmark wants a frame behind each window (strict i + window < T): a clip of one frame more says the same.
     test = open_clips(store, data_set, split, where, lafan1.TEST_WINDOW_FRAMES + 1, lafan1.TEST_STEP_FRAMES)
-    told = told_split(store, test, split)
+    remark = split_remark(store, test, split)
     try:
         train = open_clips(store, data_set, "train", None, lafan1.TRAIN_WINDOW_FRAMES + 1, lafan1.TRAIN_STEP_FRAMES)
     except NoTakesError:
         train = open_clips(store, data_set, split, where, lafan1.TRAIN_WINDOW_FRAMES + 1, lafan1.TRAIN_STEP_FRAMES)
-        told += " There is no training split: statistics are those of the compared takes."
+        remark += " There is no training split: statistics are those of the compared takes."
 
     def parts() -> Iterator[Float32[np.ndarray, "rows numbers"]]:
         for first in range(0, train.num_clips, CLIPS_AT_ONCE):
@@ -178,7 +178,7 @@ def data_set_windows(store: "Store", data_set: DataSet, split: str, where: str |
         local_rotations=_continuous(rotations),
         position_std=moments.std.reshape(-1, 3),
         num_training_windows=moments.count // lafan1.TRAIN_WINDOW_FRAMES,
-        told=f"{test.num_clips:,} windows of {test.num_takes:,} takes; {told}",
+        remark=f"{test.num_clips:,} windows of {test.num_takes:,} takes; {remark}",
     )
 
 

@@ -25,7 +25,6 @@ WIDTHS = frozenset({251, 263})
 MOTION_KEYS = ("motion", "motions", "joints", "joint_positions")
 TEXT_KEYS = ("text", "texts", "captions", "caption")
 ACTION_KEYS = ("action_text", "action")
-NAMES = "name", "sequence_id"
 EXPECTED = (
     "expected frames × joints × 3 or joints × 3 × frames (21, 22 or 24 joints), frames × 263 or 251 pose vectors, or a "
     "batch of these"

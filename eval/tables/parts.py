@@ -6,13 +6,13 @@ A part lies in RESULTS/parts/ under the hash of all that it depends on; whatever
 import csv
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from eval.report.results import Cell, parse_cell
+from eval.report.results import Cell, Row, parse_cell
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import require_no_link
@@ -102,20 +102,24 @@ def reported_figures(paper: str, table: str) -> list[Reported]:
     """Every figure of one paper's table, in the order of the file."""
     text = (files("eval") / "data" / "reported.csv").read_text(encoding="utf-8")
     return [
-        Reported(
-            paper=row["paper"],
-            table=row["table"],
-            dataset=row["dataset"],
-            method=row["method"],
-            metric=row["metric"],
-            setting=row["setting"],
-            value=_number(row["value"]),
-            ci95=_number(row["ci95"]),
-            note=row["note"],
-        )
+        Reported(**{**dict[str, Any](row), "value": _number(row["value"]), "ci95": _number(row["ci95"])})
         for row in csv.DictReader(text.splitlines())
         if (row["paper"], row["table"]) == (paper, table)
     ]
+
+
+def printed_rows(
+    figures: Iterable[Reported],
+    column: Callable[[Reported], str],
+    name: Callable[[Reported], str] = lambda figure: figure.method,
+    factor: float = 1.0,
+) -> tuple[Row, ...]:
+    """Rows of a paper's figures, times a factor; what it does not print, or illegibly, is left out."""
+    cells: dict[str, dict[str, Cell]] = {}
+    for figure in figures:
+        if figure.value is not None:
+            cells.setdefault(name(figure), {})[column(figure)] = Cell(factor * figure.value, figure.ci95)
+    return tuple(Row(f"{row} (paper)", "paper", found) for row, found in cells.items())
 
 
 def _number(text: str) -> float | None:

@@ -18,7 +18,7 @@ from eval.tables.models import Trained
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
 from eval.tables.nerm.table2 import ROW_NOTES
-from eval.tables.parts import SOURCES, Part, Reported, reported_figures
+from eval.tables.parts import SOURCES, Part, Reported, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.complete.encoders import EncoderLoader, encoder_loader
 from motionkit.core.errors import MotionkitError, UsageError
@@ -273,13 +273,9 @@ def _paper_blocks(ablation: Ablation) -> tuple[Block, ...]:
     )
     blocks = []
     for metric, title in titles.items():
-        cells: dict[str, dict[str, Cell]] = {}
-        for figure in figures:
-            if figure.metric == metric and figure.value is not None:
-                cells.setdefault(_printed_row(figure), {})[_printed_fps(figure)] = Cell(figure.value, figure.ci95)
-        if cells:
-            columns = dict.fromkeys(column for found in cells.values() for column in found)
-            rows = tuple(Row(f"{name} (paper)", "paper", found) for name, found in cells.items())
+        rows = printed_rows([each for each in figures if each.metric == metric], _printed_fps, _printed_row)
+        if rows:
+            columns = dict.fromkeys(column for row in rows for column in row.cells)
             told = (f"100 sequences of another data set, trained for far longer. Source: {SOURCES['nerm']}.", *notes)
             blocks.append(
                 Block(f"Printed in the NeRM paper (HumanML3D): {title}", tuple(columns), rows, note=" ".join(told))

@@ -15,9 +15,8 @@ from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sample_folder import SampleFolder
 from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
-from eval.sets.memorisation import SAMPLED_FPS
+from eval.sets.memorisation import SAMPLED_FPS, set_remarks
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
-from eval.sets.remarks import set_remarks
 from eval.tables.models import check_names, trained_models
 from eval.tables.nerm.clip_fid_column import (
     GENERATED_LOW,
@@ -36,7 +35,7 @@ from eval.tables.nerm.clip_fid_column import (
     samples_at,
     score_column,
 )
-from eval.tables.parts import SOURCES, reported_figures
+from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import require_no_link
@@ -249,15 +248,11 @@ def _too_few(column: Column, comparison: Comparison) -> list[str]:
 
 
 def _paper_block() -> Block:
-    cells: dict[str, dict[str, Cell]] = {}
     figures = reported_figures("nerm", "2")
-    for figure in figures:
-        if figure.value is not None:
-            cells.setdefault(figure.method, {})[framerate_label(figure.setting)] = Cell(figure.value, figure.ci95)
     return Block(
         title="Printed in the NeRM paper (HumanML3D)",
         columns=tuple(dict.fromkeys(framerate_label(figure.setting) for figure in figures)),
-        rows=tuple(Row(f"{method} (paper)", "paper", found) for method, found in cells.items()),
+        rows=printed_rows(figures, lambda figure: framerate_label(figure.setting)),
         note=(
             "These numbers cannot be compared with ours: they are from another feature extractor on another data set, "
             "the paper does not say how many clips of which sizes it draws, how the extractor is used away from 20 fps "

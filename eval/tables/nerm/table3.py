@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eval.actions.protocol import ActionProtocol, find_action_protocol
 from eval.actions.recogniser import ActionRecogniser
 from eval.actions.recognisers import RecogniserSource, find_recogniser
-from eval.actions.scores import LabelledRecognition, score_actions
+from eval.actions.scores import ActionProtocol, LabelledRecognition, find_action_protocol, score_actions
 from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, with_rotations
 from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
@@ -21,7 +20,7 @@ from eval.sets.memorisation import size_remarks
 from eval.sets.real import RealMotion, has_training, real_motion
 from eval.sets.sets import SampleSet
 from eval.tables.models import check_names, trained_models
-from eval.tables.parts import SOURCES, reported_figures
+from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
@@ -324,16 +323,14 @@ def _paper_blocks(source: RecogniserSource) -> list[Block]:
     for dataset in dict.fromkeys(figure.dataset for figure in figures):
         if source.dataset not in ("", dataset):
             continue
-        cells: dict[str, dict[str, Cell]] = {}
-        for figure in figures:
-            if figure.dataset == dataset and figure.value is not None:
-                cells.setdefault(figure.method, {})[PAPER_COLUMNS[figure.metric]] = Cell(figure.value, figure.ci95)
-        used = {column for found in cells.values() for column in found}
+        of_dataset = [figure for figure in figures if figure.dataset == dataset]
+        rows = printed_rows(of_dataset, lambda figure: PAPER_COLUMNS[figure.metric])
+        used = {column for row in rows for column in row.cells}
         blocks.append(
             Block(
                 f"Printed in the NeRM paper for {dataset} ({SOURCES['nerm']})",
                 tuple(column for column in PAPER_COLUMNS.values() if column in used),
-                tuple(Row(f"{method} (paper)", "paper", found) for method, found in cells.items()),
+                rows,
                 note=PAPER_NOTE,
             )
         )

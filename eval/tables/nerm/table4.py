@@ -12,7 +12,7 @@ from eval.reconstruction.errors import WindowErrors, mpjpe_cell, mre_cell, windo
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.found import Found
 from eval.tables.models import reconstructor, trained_reconstructors
-from eval.tables.parts import reported_figures
+from eval.tables.parts import printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.clips.reconstruction import (
     ModelWindows,
@@ -181,14 +181,10 @@ def _block(
 
 def _paper_block(title: str, metric: str, factor: float) -> Block:
     figures = [figure for figure in reported_figures("nerm", "4") if figure.metric == metric]
-    cells: dict[str, dict[str, Cell]] = {}
-    for figure in figures:
-        if figure.value is not None:
-            cells.setdefault(figure.method, {})[_label(figure.setting)] = Cell(factor * figure.value, figure.ci95)
     return Block(
         title=title,
         columns=tuple(dict.fromkeys(_label(figure.setting) for figure in figures)),
-        rows=tuple(Row(f"{method} (paper)", "paper", found) for method, found in cells.items()),
+        rows=printed_rows(figures, lambda figure: _label(figure.setting), factor=factor),
         note=PAPER_NOTE,
     )
 

@@ -15,7 +15,7 @@ from eval.metrics.r_precision import r_precision_both_ways
 from eval.metrics.replications import Scores
 from eval.report.results import Block, Cell, Origin, Row, measure
 from eval.sets.found import Found, each_found
-from eval.tables.parts import SOURCES, reported_figures
+from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import TableRequest
 from eval.text_motion.evaluator import TextMotionEvaluator
 from eval.text_motion.guo.kind import Padding
@@ -158,14 +158,10 @@ def paper_block(fps: Fraction) -> Block:
         for name in ("r_precision_top3", "mm_dist", "fid", "diversity", "multimodality")
         if any(figure.metric == name for figure in figures)
     ]
-    cells: dict[str, dict[str, Cell]] = {}
-    for figure in figures:
-        if figure.value is not None:
-            cells.setdefault(figure.method, {})[title_of(figure.metric)] = Cell(figure.value, figure.ci95)
     return Block(
         f"Printed in the NeRM paper ({dataset})",
         tuple(map(title_of, names)),
-        tuple(Row(f"{method} (paper)", "paper", found) for method, found in cells.items()),
+        printed_rows(figures, lambda figure: title_of(figure.metric)),
         lower_is_better=False,
         note=f"{PRINTED_NOTES}Source: {SOURCES['nerm']}.",
     )

@@ -31,7 +31,7 @@ def build_extrapolation(request: TableRequest) -> Result:
         title="PA-HiRes: extrapolation",
         caption=(
             "30 frames (one second) are given, the n frames after or before them asked for and scored; windows and "
-            f"statistics of the in-betweening table. S{request.real.named[1:]}: " + " ".join(found.told)
+            f"statistics of the in-betweening table. S{request.real.named[1:]}: " + " ".join(found.remarks)
         ),
         blocks=found.blocks,
         definition={**definition(request), "given": "frames 0-29 of a window for what comes after, 30-59 for before"},

@@ -18,7 +18,7 @@ ROWS = tuple(
 METRICS = {"l2p": "L2P", "l2q": "L2Q", "npss": "NPSS"}
 DETAILS = {"l2p": {"mpjpe_global": "MPJPE (cm)"}, "l2q": {"l2q_as_signed": "L2Q, signs as they come"}}
 # Why a printed row says less than it seems to.
-DOUBTS = {
+CAVEATS = {
     "MC-Trans": "its L2Q equals ERD-QV's digit for digit; its authors' own L2Q at 30 frames is 0.61",
     "NeMF": "its authors never published figures on LaFAN1",
 }
@@ -40,7 +40,7 @@ def build_inbetweening(request: TableRequest) -> Result:
         title="PA-HiRes, Table 3: in-betweening",
         caption=(
             "10 past frames and the first future one are given, the n frames between them asked for and scored "
-            f"(LaFAN1's protocol, 30 fps). S{request.real.named[1:]}: {' '.join(found.told)}"
+            f"(LaFAN1's protocol, 30 fps). S{request.real.named[1:]}: {' '.join(found.remarks)}"
         ),
         blocks=(*found.blocks, *_published(columns)),
         definition=definition(request),
@@ -93,7 +93,7 @@ def _published(columns: tuple[str, ...]) -> list[Block]:
                 value = round(figure.value / 100, 6) if percent else figure.value
                 cells.setdefault(_origin(figure), {})[figure.setting] = Cell(value)
         rows = tuple(
-            Row(name, "paper", found, DOUBTS.get(name.partition(" (")[0], "")) for name, found in cells.items()
+            Row(name, "paper", found, CAVEATS.get(name.partition(" (")[0], "")) for name, found in cells.items()
         )
         note = (
             "The PA-HiRes paper prints NPSS in percent; it stands here as it is elsewhere." if metric == "npss" else ""

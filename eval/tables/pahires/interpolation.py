@@ -11,9 +11,9 @@ from eval.completion.interpolation import timed_metrics
 from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, VERSION, InterpolationProtocol, scale_label
 from eval.completion.takes import data_sets_of
 from eval.metrics.metric import find_metric
-from eval.report.results import Block, Cell, Result, Row
+from eval.report.results import Block, Result
 from eval.tables.pahires.measured import Measured, measure_all
-from eval.tables.parts import SOURCES, reported_figures
+from eval.tables.parts import SOURCES, Reported, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 
 METRICS = {
@@ -118,19 +118,18 @@ def definition(protocol: InterpolationProtocol, request: TableRequest) -> dict[s
 
 def _paper_blocks(number: str, columns: tuple[str, ...]) -> list[Block]:
     """The paper's figures, a block for each data set and metric."""
-    cells: dict[tuple[str, str], dict[str, dict[str, Cell]]] = {}
+    groups: dict[tuple[str, str], list[Reported]] = {}
     for figure in reported_figures("pahires", number):
         if figure.value is not None:
-            of_method = cells.setdefault((figure.dataset, figure.metric), {}).setdefault(figure.method, {})
-            of_method["×" + figure.setting.removeprefix("x")] = Cell(figure.value)
+            groups.setdefault((figure.dataset, figure.metric), []).append(figure)
     titles = {"psnr_db": "PSNR (dB)", "ssim": "SSIM"}
     return [
         Block(
             f"Printed in the PA-HiRes paper, {data_set}: {titles[metric]}",
             columns,
-            tuple(Row(f"{name} (paper)", "paper", found) for name, found in rows.items()),
+            printed_rows(figures, lambda figure: "×" + figure.setting.removeprefix("x")),
             lower_is_better=False,
             note=f"Undefined pose vector, range and clips; trained for 1,000 epochs. Source: {SOURCES['pahires']}.",
         )
-        for (data_set, metric), rows in cells.items()
+        for (data_set, metric), figures in groups.items()
     ]

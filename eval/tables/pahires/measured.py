@@ -10,7 +10,7 @@ from eval.completion.blocks import Scope
 from eval.completion.encoders import Completer
 from eval.completion.interpolation import InterpolationTask, measure_interpolation, measured_metrics, num_batches
 from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
-from eval.completion.scores import Scores, measure_scale, told_split
+from eval.completion.scores import Scores, measure_scale, split_remark
 from eval.completion.takes import DataSet, NoTakesError, TrueClips, open_clips, shared_reason
 from eval.metrics.metric import MeanSums
 from eval.report.results import Cell
@@ -139,13 +139,13 @@ def _measure(
                 scores = rows[completer.name] = made[completer.name]
                 keep_scores(request.results, "interpolation", {**terms, "encoder": completer.fingerprint}, scores)
         missing += [f"{data_set.label}, {name}: {why}" for name, why in failed.items()]
-    remarks.append(_told_clips(data_set, clips))
-    remarks.append(f"{data_set.label}: {told_split(store, clips, request.real.split)}")
+    remarks.append(_clips_remark(data_set, clips))
+    remarks.append(f"{data_set.label}: {split_remark(store, clips, request.real.split)}")
     ordered = {completer.name: rows[completer.name] for completer in completers if completer.name in rows}
     return Found(Measured(data_set, clips, ordered, tuple(remarks)), tuple(missing))
 
 
-def _told_clips(data_set: DataSet, clips: TrueClips) -> str:
+def _clips_remark(data_set: DataSet, clips: TrueClips) -> str:
     left_out = {
         f"shorter than {clips.num_frames} frames": clips.num_short,
         "of framerates that are no multiple of the table's": clips.num_other_fps,

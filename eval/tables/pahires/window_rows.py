@@ -45,7 +45,7 @@ class WindowBlocks:
     """All blocks of a table, what is to be said of each data set, and what could not be had."""
 
     blocks: tuple[Block, ...]
-    told: tuple[str, ...]
+    remarks: tuple[str, ...]
     missing: tuple[str, ...]
     provenance: Mapping[str, Any]
 
@@ -69,7 +69,7 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     shown = Shown(tuple(question.label for question in table.questions), table.metrics, table.details)
     return WindowBlocks(
         tuple(blocks_of(with_pools(scopes, "windows"), completers, shown)),
-        tuple(f"{windows.name}: {windows.told}" for windows in found.value),
+        tuple(f"{windows.name}: {windows.remark}" for windows in found.value),
         tuple(dict.fromkeys((*trained.missing, *failed, *found.missing))),
         request.provenance(
             store,

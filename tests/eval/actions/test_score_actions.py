@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from eval.actions.protocol import ACTION_PROTOCOLS, find_action_protocol
 from eval.actions.recogniser import Recognition
-from eval.actions.scores import LabelledRecognition, score_actions
+from eval.actions.scores import ACTION_PROTOCOLS, LabelledRecognition, find_action_protocol, score_actions
 from eval.metrics.actions import multimodality_by_class, multimodality_by_class_with_replacement
 from eval.metrics.metric import find_metric
 from motionkit.core.errors import UsageError

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import eval.metrics
-from eval.completion.encoders import HOLD, Completer
+from eval.completion.encoders import CUBIC, HOLD, LINEAR, Completer
 from eval.completion.interpolation import InterpolationTask, measure_interpolation
 from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, InterpolationProtocol, scale_label
 from eval.completion.scores import measure_scale
@@ -19,7 +19,6 @@ from eval.completion.takes import NoTakesError, data_sets_of, open_clips
 from eval.metrics.metric import all_metrics
 from eval.report.render import to_html, to_markdown
 from eval.report.results import read_result, write_result
-from eval.sets.row_curves import CUBIC, LINEAR
 from eval.tables.pahires.extrapolation import TABLE as EXTRAPOLATION
 from eval.tables.pahires.inbetweening import TABLE as INBETWEENING
 from eval.tables.pahires.interpolation import TABLE_1, TABLE_2

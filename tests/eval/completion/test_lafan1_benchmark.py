@@ -229,7 +229,7 @@ def test_windows_of_subject_5_are_strictly_inside_their_takes(store: Store, moti
     windows = lafan1_windows(store)
     # 146 frames: starts 0, 40, 80 (80 + 65 < 146); 65: none; 66: one. Training: 91 gives 0, 20, 40; 70 gives 0.
     assert windows.num_windows == 4 and windows.num_training_windows == 4
-    assert windows.told.startswith(f"subject 5, 4 windows (the whole data set has {BENCHMARK_WINDOWS:,})")
+    assert windows.remark.startswith(f"subject 5, 4 windows (the whole data set has {BENCHMARK_WINDOWS:,})")
     np.testing.assert_allclose(windows.skeleton.offsets, motions["aiming1_subject1"].skeleton.offsets, atol=1e-4)
 
 

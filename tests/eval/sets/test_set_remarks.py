@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.clip_fid.score import ClipError, PoseRange, Protocol, score_rows
-from eval.sets.remarks import set_remarks
+from eval.sets.memorisation import set_remarks
 from eval.sets.sets import SampleSet, sample_set
 
 FPS = Fraction(30)
