@@ -1,4 +1,4 @@
-"""A manifest that is damaged, old, wild or another's is refused with its name."""
+"""A manifest that is damaged, old, wild or another's is refused with its name; parts are not written over."""
 
 import hashlib
 import json
@@ -107,3 +107,28 @@ def test_tables_that_are_not_the_manifests(small_store):
     (small_store / "sequences.parquet").write_bytes(b"PAR1")
     with pytest.raises(StoreError, match="motionkit validate"):
         Store.open(small_store)
+
+
+def test_a_part_that_is_there_is_not_written_over(small_store, make_motion, monkeypatch):
+    """`next.part` of a manifest without a checksum, with one bit flipped, used to be believed."""
+    part = small_store / PART
+    before = part.read_bytes()
+    with (
+        pytest.raises(StoreError, match=r"part-00000\.parquet is there already"),
+        StoreWriter.append(small_store) as writer,
+    ):
+        monkeypatch.setattr(writer, "_next_part", 0)
+        writer.add(make_motion("later"))
+    assert part.read_bytes() == before
+
+
+def test_parts_are_kept_while_one_that_the_manifest_names_is_missing(small_store, make_motion):
+    """In a manifest without a checksum a name may be wrong by one bit: what it does not name may be what it means."""
+    path = small_store / "manifest.json"
+    document = json.loads(path.read_text())
+    del document["checksum"]
+    document["files"]["segments/part-00002.parquet"] = document["files"].pop(PART)
+    path.write_text(json.dumps(document))
+    with pytest.raises(StoreError, match=r"part-00000\.parquet is referred to"):
+        append_two_parts(small_store, make_motion)
+    assert (small_store / PART).exists()
