@@ -110,7 +110,7 @@ def generation_costs(model: NermModel, motions: int, repeats: int) -> dict[str, 
     requests = [GenerationRequest(SECONDS)] * motions
 
     def generate(fps: Fraction) -> None:
-        field_of(model)._grids.clear()
+        field_of(model)._kept_grids.cache_clear()
         times = np.arange(round(SECONDS * float(fps))) / float(fps)
         for field in model.generate(requests, seed=0):
             field.at_fps(fps).query(times)

@@ -1,9 +1,9 @@
 """A trained motion field: what stage 1 leaves behind, and what generation and reconstruction decode with."""
 
-from collections import OrderedDict
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,6 @@ class TrainedField:
     windows: Windows
     store_fingerprint: str
     vectors: PoseVectors = FIELD_VECTORS
-    _grids: "OrderedDict[tuple[bytes, Fraction], EncodedCoordinates]" = field(default_factory=OrderedDict, repr=False)
 
     @property
     def config(self) -> FieldConfig:
@@ -93,16 +92,20 @@ class TrainedField:
 
     def encode_times(self, times_seconds: Float64[np.ndarray, "batch times"], fps: Fraction) -> EncodedCoordinates:
         """The coordinate branch at some times; the last few grids are kept, so a grid costs its attention once."""
-        key = (times_seconds.shape[1].to_bytes(4) + np.ascontiguousarray(times_seconds).tobytes(), fps)
-        if key not in self._grids:
-            coordinates = torch.from_numpy(normalise_seconds(times_seconds, self.max_duration_seconds)).to(self.device)
-            rates = torch.full((len(times_seconds),), float(fps), dtype=torch.float64, device=self.device)
-            with torch.no_grad():
-                self._grids[key] = self.network.encode_coordinates(coordinates, rates)
-            while len(self._grids) > GRIDS_KEPT:
-                self._grids.popitem(last=False)
-        self._grids.move_to_end(key)
-        return self._grids[key]
+        return self._kept_grids(times_seconds.shape, np.ascontiguousarray(times_seconds).tobytes(), fps)
+
+    @cached_property
+    def _kept_grids(self) -> Callable[[tuple[int, ...], bytes, Fraction], EncodedCoordinates]:
+        network, longest, device = self.network, self.max_duration_seconds, self.device
+
+        @lru_cache(GRIDS_KEPT)
+        @torch.no_grad()
+        def encoded(shape: tuple[int, ...], content: bytes, fps: Fraction) -> EncodedCoordinates:
+            times = np.frombuffer(content).reshape(shape)
+            rates = torch.full((len(times),), float(fps), dtype=torch.float64, device=device)
+            return network.encode_coordinates(torch.from_numpy(normalise_seconds(times, longest)).to(device), rates)
+
+        return encoded
 
     def decode(
         self,
