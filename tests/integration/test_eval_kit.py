@@ -89,17 +89,9 @@ def rows_of(outcome: Any, title: str = "Table 1: guo") -> dict[str, dict[str, An
     return {row["name"]: row for row in block["rows"]}
 
 
-def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
-    motionkit: Callable[..., Any],
-    published: Path,
-    takes: list[np.ndarray],
-    files: tuple[object, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    store = tmp_path / "store"
-    assert motionkit("ingest", published, "--store", store).code == 0
-    folders = {name: tmp_path / name for name in ("vectors", "mdm", "metres")}
+def write_samples(root: Path, takes: list[np.ndarray]) -> dict[str, Path]:
+    """The takes as folders of pose vectors, of joints in metres, and as one file of MDM's."""
+    folders = {name: root / name for name in ("vectors", "mdm", "metres")}
     for name, stated in (
         ("vectors", 'statistics = "raw"'),
         ("mdm", f"fps = 12.5\nunit_metres = {KIT.unit_metres}"),
@@ -123,6 +115,20 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
         lengths=np.array([len(vectors) for vectors in takes]),
         text=np.array([f"take {take}" for take in range(TAKES)]),
     )
+    return folders
+
+
+def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
+    motionkit: Callable[..., Any],
+    published: Path,
+    takes: list[np.ndarray],
+    files: tuple[object, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    store = tmp_path / "store"
+    assert motionkit("ingest", published, "--store", store).code == 0
+    folders = write_samples(tmp_path, takes)
     samples = [part for name, folder in folders.items() for part in ("--samples", f"{name}={folder}")]
     table = ("eval", "--table", 1, "--store", store, "--results", tmp_path / "results", "--protocol", "t2m", *files)
     outcome = motionkit(*table, *samples, "--json")

@@ -22,14 +22,12 @@ from motionkit.store.life.splits import split
 from motionkit.store.validate import faults
 
 # The renames of one append that fills two parts: part, part, manifest (the commit), sequences, skeletons.
-NUM_RENAMES = 5
-COMMIT = 2
+NUM_RENAMES, COMMIT = 5, 2
 
 
 def leftovers(store: Path) -> list[str]:
     named = {"manifest.json", *json.loads((store / "manifest.json").read_text())["files"]}
-    found = {str(path.relative_to(store)) for path in store.rglob("*") if path.is_file()}
-    return sorted(found - named - {LOCK_FILE})
+    return sorted({str(path.relative_to(store)) for path in store.rglob("*") if path.is_file()} - named - {LOCK_FILE})
 
 
 def append_two_parts(store: Path, make_motion) -> None:

@@ -129,6 +129,9 @@ def test_parts_are_kept_while_one_that_the_manifest_names_is_missing(small_store
     del document["checksum"]
     document["files"]["segments/part-00002.parquet"] = document["files"].pop(PART)
     path.write_text(json.dumps(document))
-    with pytest.raises(StoreError, match=r"part-00000\.parquet is referred to"):
-        append_two_parts(small_store, make_motion)
+    with (
+        pytest.raises(StoreError, match=r"part-00000\.parquet is referred to"),
+        StoreWriter.append(small_store) as writer,
+    ):
+        writer.add(make_motion("later"))
     assert (small_store / PART).exists()
