@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from motionkit.cli.console import show_warnings, stderr, stdout
-from motionkit.core import __version__
+from motionkit.core import __version__, interrupts
 from motionkit.core.errors import MotionkitError, UsageError, describe
 
 # The exit code of what Ctrl-C has ended.
@@ -60,10 +60,12 @@ def main() -> None:
     show_warnings()
     try:
         build_app(*sys.argv[1:2])()
-    except UsageError as error:
-        stderr.print(f"motionkit: {error}")
-        sys.exit(2)
     except (MotionkitError, OSError) as error:
+        if interrupts.was_stopped():
+            raise  # what a library or a reader made of the interrupt
+        if isinstance(error, UsageError):
+            stderr.print(f"motionkit: {error}")
+            sys.exit(2)
         # A folder that may not be written, a disk that is full: the system names the file and the reason.
         stderr.print(f"motionkit: {describe(error)}")
         sys.exit(1)

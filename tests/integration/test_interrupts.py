@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.cli import app, start
+from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.store import Store
 from tests.helpers.outcome import Outcome
 from tests.helpers.small_bvh import bvh_text
@@ -53,7 +54,7 @@ def test_an_interrupted_command_says_so(
     assert (outcome.code, outcome.stdout, outcome.stderr) == (130, "", STOPPED)
 
 
-@pytest.mark.parametrize("raised", [KeyboardInterrupt, RuntimeError])
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, RuntimeError, MotionkitError, UsageError])
 def test_so_does_one_that_is_being_loaded(
     raised: type[BaseException], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
