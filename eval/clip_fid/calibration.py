@@ -44,7 +44,7 @@ class Graded:
 
     @property
     def first_visible(self) -> float | None:
-        """The mildest strength told from clean motion of the same takes at 95 %, and all severer ones; None if none."""
+        """The mildest strength above clean motion of the same takes at 95 %, and all severer ones; None if none."""
         return self.first_above(self.scores[0])
 
     def first_above(self, floor: Estimate) -> float | None:

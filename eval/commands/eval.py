@@ -68,8 +68,8 @@ def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
     shown = {row.name for block in scored for row in block.rows if row.cells}
     rowless = [name for name in request.evaluated.samples if name not in shown]
     for name in rowless:
-        told = [line for line in result.missing if line.startswith(name)]
-        stderr.print(f"no row for {told[0] if told else name}")
+        reasons = [line for line in result.missing if line.startswith(name)]
+        stderr.print(f"no row for {reasons[0] if reasons else name}")
     if rowless:
         raise SampleFolderError(f"the table was written without rows for {', '.join(map(repr, rowless))}")
 

@@ -55,11 +55,11 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
     are in both.
     """
     blocks: list[Block] = []
-    told: set[str] = set()
+    noted: set[str] = set()
     for scope in scopes:
         for form, of_form in _by_form([each for each in completers if each.name in scope.rows]).items():
             for metric, title in shown.metrics.items():
-                notes = form not in told and metric == next(iter(shown.metrics))
+                notes = form not in noted and metric == next(iter(shown.metrics))
                 blocks.append(
                     Block(
                         f"{scope.label}{FORMS[form]}: {title}",
@@ -73,7 +73,7 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
                         metrics=(shown_measure(metric),),
                     )
                 )
-            told.add(form)
+            noted.add(form)
     return blocks
 
 

@@ -144,7 +144,7 @@ class TruePoses:
 def observations(
     poses: TruePoses, rotations: Float32[np.ndarray, "clips frames joints 4"], given: Int64[np.ndarray, "given"]
 ) -> list[Observation]:
-    """What an encoder is told of each clip: the given frames at their true times."""
+    """What an encoder is given of each clip: the given frames at their true times."""
     times = poses.times_seconds[given]
     return [
         Observation(times, Poses(positions[given], turned[given], positions[given, 0]), SMPL22)

@@ -176,8 +176,8 @@ def _groups(found: Mapping[str, Any], count: int, path: Path) -> list[str]:
         return [""] * count
     whole = isinstance(samples, int) and isinstance(repetitions, int)
     if not whole or samples < 1 or samples * repetitions != count:
-        told = f"{shown(samples)} samples × {shown(repetitions)} repetitions for {count} motions"
-        raise FormatError(told, path=path, reason="channel-count")
+        message = f"{shown(samples)} samples × {shown(repetitions)} repetitions for {count} motions"
+        raise FormatError(message, path=path, reason="channel-count")
     return [str(index % samples) for index in range(count)]
 
 

@@ -32,7 +32,7 @@ HANDLED_HERE = ("caption-without-motion", "empty-folder", "unknown-format")
 class Listing:
     """The files of one folder of samples: `arrays` are read here, `items` by the formats that motionkit knows.
 
-    `rows` is what the CSV files beside them say, by file; `problems` are files that cannot be listed or told.
+    `rows` is what the CSV files beside them say, by file; `problems` are files that cannot be listed or recognised.
     """
 
     root: Path

@@ -221,7 +221,7 @@ class _Reader:
             try:
                 motions = read_stored(arrays[index])[:LOOKED_AT_FILES]
             except FormatError:
-                continue  # told when all are read
+                continue  # counted when all are read
             alike = [motion.numbers for motion in motions if motion.numbers.shape[1:] == vectors.shape[1:]]
             found += [numbers for numbers in alike if _is_plausible(numbers)]
         return np.concatenate(found).astype(np.float32)

@@ -47,8 +47,8 @@ class Embedder:
         """One row per caption; each different one is embedded once."""
         different = list(dict.fromkeys(captions))
         place = {caption: row for row, caption in enumerate(different)}
-        told = json.dumps([asdict(caption) for caption in different]).encode()
-        key = {"texts": hashlib.sha256(told).hexdigest()}
+        texts = json.dumps([asdict(caption) for caption in different]).encode()
+        key = {"texts": hashlib.sha256(texts).hexdigest()}
         rows = self.kept(key, len(different), lambda: self.evaluator.embed_texts(different))
         return rows[[place[caption] for caption in captions]]
 

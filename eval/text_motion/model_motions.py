@@ -64,8 +64,8 @@ class ModelMotions:
     def _embedded(
         self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction, embedder: Embedder
     ) -> Float64[np.ndarray, "requests features"]:
-        told = sha256(dumps([asdict(request) for request in requests]).encode()).hexdigest()
-        key = {"model": dict(self.identity), "requests": told, "seed": seed, "first": first, "fps": str(fps)}
+        requests_sha256 = sha256(dumps([asdict(request) for request in requests]).encode()).hexdigest()
+        key = {"model": dict(self.identity), "requests": requests_sha256, "seed": seed, "first": first, "fps": str(fps)}
         if self.kit_lengths is not None:
             key["kit_lengths"] = sha256(self.kit_lengths.astype("<f4").tobytes()).hexdigest()
         return embedder.kept(key, len(requests), partial(self._generated, requests, seed, first, fps, embedder))

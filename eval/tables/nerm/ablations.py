@@ -276,10 +276,9 @@ def _paper_blocks(ablation: Ablation) -> tuple[Block, ...]:
         rows = printed_rows([each for each in figures if each.metric == metric], _printed_fps, _printed_row)
         if rows:
             columns = dict.fromkeys(column for row in rows for column in row.cells)
-            told = (f"100 sequences of another data set, trained for far longer. Source: {SOURCES['nerm']}.", *notes)
-            blocks.append(
-                Block(f"Printed in the NeRM paper (HumanML3D): {title}", tuple(columns), rows, note=" ".join(told))
-            )
+            scale = f"100 sequences of another data set, trained for far longer. Source: {SOURCES['nerm']}."
+            title = f"Printed in the NeRM paper (HumanML3D): {title}"
+            blocks.append(Block(title, tuple(columns), rows, note=" ".join((scale, *notes))))
     return tuple(blocks)
 
 

@@ -41,7 +41,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     """
     trained = _trained(ablation, request)
     store, protocol = request.open_store(), InterpolationProtocol()
-    store.select(request.real.condition)  # a condition that cannot be asked is told at once
+    store.select(request.real.condition)  # raises at once for SQL that is wrong
     all_runs = list({run.path: run for runs in trained.values() for run in runs.values()}.values())
     rates = {Fraction(recorded_settings(run, STAGE)["training"]["fps"]) for run in all_runs}
     completers = [completer_of(PAHIRES.paper, run.path, run.path.name) for run in all_runs]

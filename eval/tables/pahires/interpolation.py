@@ -44,7 +44,7 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
     the store raises.
     """
     store, protocol = request.open_store(), InterpolationProtocol()
-    store.select(request.real.condition)  # a condition that cannot be asked is told at once
+    store.select(request.real.condition)  # raises at once for SQL that is wrong
     trained = trained_completers("interpolation", request.evaluated.run, request.evaluated.encoders)
     completers = [*INTERPOLATION, *trained.value]
     found = measure_all(store, data_sets_of(store, request.fps), scales, completers, request)

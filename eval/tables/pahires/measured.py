@@ -150,7 +150,7 @@ def _clips_remark(data_set: DataSet, clips: TrueClips) -> str:
         f"shorter than {clips.num_frames} frames": clips.num_short,
         "of framerates that are no multiple of the table's": clips.num_other_fps,
     }
-    told = " and ".join(f"{count:,} {why}" for why, count in left_out.items() if count)
+    reasons = " and ".join(f"{count:,} {why}" for why, count in left_out.items() if count)
     return f"{data_set.label}: {clips.num_clips:,} clips of {clips.num_takes:,} takes" + (
-        f"; left out are {told}." if told else "."
+        f"; left out are {reasons}." if reasons else "."
     )

@@ -57,7 +57,7 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     the store raises.
     """
     store = request.open_store()
-    store.select(request.real.condition)  # a condition that cannot be asked is told at once
+    store.select(request.real.condition)  # raises at once for SQL that is wrong
     trained = trained_completers(table.task, request.evaluated.run, request.evaluated.encoders)
     completers = [*table.rows, *trained.value]
     found = _all_windows(store, request)
