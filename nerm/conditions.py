@@ -86,16 +86,8 @@ def unit_rows(embeddings: Float32[np.ndarray, "texts dimension"]) -> Float32[np.
 
 
 MINIMUM_OVERLAP = 0.5
-OPPOSITES = {
-    "left": "right",
-    "right": "left",
-    "clockwise": "counterclockwise",
-    "counterclockwise": "clockwise",
-    "counter-clockwise": "clockwise",
-    "anticlockwise": "clockwise",
-}
 SIDED_WORD = re.compile(
-    "(?<![a-z])(" + "|".join(sorted(OPPOSITES, key=len, reverse=True)) + ")(?![a-z])", re.IGNORECASE
+    r"(?<![a-z])(?:(left|right)(wards?|most)?|((?:counter|anti)[- ]?)?clockwise)(?![a-z])", re.IGNORECASE
 )
 
 
@@ -122,14 +114,22 @@ def overlapping_captions(
 
 
 def mirrored_text(text: str) -> str:
-    """The text of the motion seen in a mirror: left and right, clockwise and counterclockwise change places."""
+    """The text of the motion seen in a mirror: left and right, clockwise and counterclockwise change places.
+
+    So do leftward(s), leftmost and their like; counter- and anti-clockwise may be written in one word, in two or with a
+    hyphen.
+    """
     return SIDED_WORD.sub(_opposite, text)
 
 
 def _opposite(found: re.Match[str]) -> str:
+    side, ending, against = found.groups()
+    if side:
+        other = {"left": "right", "right": "left"}[side.lower()] + (ending or "").lower()
+    else:
+        other = "clockwise" if against else "counterclockwise"
     word = found.group()
-    other = OPPOSITES[word.lower()]
-    return other.capitalize() if word[0].isupper() else other
+    return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
 
 
 ConditionalDenoiser = Callable[[Tensor, Tensor, Conditions], Tensor]

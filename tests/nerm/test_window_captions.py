@@ -39,6 +39,11 @@ def test_a_kept_caption_really_overlaps(start, length, window, duration):
         ("Left, then right; walk-turn-right", "Right, then left; walk-turn-left"),
         ("walks counter-clockwise around a bright cleft", "walks clockwise around a bright cleft"),
         ("turn_left clockwise", "turn_right counterclockwise"),
+        ("turns counter clockwise, then anti-clockwise", "turns clockwise, then clockwise"),
+        ("Anticlockwise, then clockwise", "Clockwise, then counterclockwise"),
+        ("leftward, leftwards and to the leftmost", "rightward, rightwards and to the rightmost"),
+        ("TURNS RIGHT", "TURNS LEFT"),
+        ("upright, alright, counters and lefties", "upright, alright, counters and lefties"),
         ("jumps", "jumps"),
     ],
 )
@@ -46,7 +51,9 @@ def test_mirrored_text(text, seen_in_a_mirror):
     assert mirrored_text(text) == seen_in_a_mirror
 
 
-@given(st.lists(st.sampled_from(["left", "right", "clockwise", "counterclockwise", "walks", "bright"])))
+@given(
+    st.lists(st.sampled_from(["left", "rightwards", "LEFTMOST", "clockwise", "counterclockwise", "walks", "bright"]))
+)
 def test_mirroring_twice_is_nothing(words):
     text = " ".join(words)
     assert mirrored_text(mirrored_text(text)) == text
