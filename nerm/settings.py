@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import ClassVar, Literal, get_args
 
-from motionkit.core.timegrid import parse_fps
+from motionkit.core.framerate import parse_fps
 from motionkit.training.config import SCHEDULE_MOVED, Precision, Schedule, moved, require_positive
 
 

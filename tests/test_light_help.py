@@ -19,7 +19,7 @@ print("loaded:", *sorted(set(sys.modules) & set({heavy!r})), *{extra})
 
 def loaded(arguments: list[str], extra: str = "[]") -> list[str]:
     """Heavy modules that a fresh interpreter holds after the command; `extra` is an expression to add to them."""
-    script = HELP.format(arguments=arguments, heavy=HEAVY, extra=extra)
+    script = HELP.format(arguments=arguments, heavy=("numpy", *HEAVY), extra=extra)
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     assert "Usage" in result.stdout

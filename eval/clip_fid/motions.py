@@ -12,10 +12,10 @@ from eval.clip_fid.score import ClipError, Protocol
 from eval.metrics.checks import Estimate
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import UsageError
+from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.core.timegrid import Framerate, format_fps, parse_fps
 
 Motions = Sequence[Motion] | Sequence[Float[np.ndarray, "_frames 22 3"]]
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from motionkit.core.errors import FormatError
+from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import shown
-from motionkit.core.timegrid import parse_fps
 from motionkit.formats.arrays import npy, npz_archive
 from motionkit.formats.arrays.pickled_data import is_pickled, read_pickled_dict
 from motionkit.formats.source import source_file

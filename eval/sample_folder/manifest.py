@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from motionkit.core.errors import FormatError, describe
+from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import parse_toml, shown
-from motionkit.core.timegrid import parse_fps
 from motionkit.formats.scan.globs import parse_glob
 from motionkit.formats.source import source_file
 

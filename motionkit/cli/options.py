@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from motionkit.core.errors import UsageError
-from motionkit.core.timegrid import parse_fps
+from motionkit.core.framerate import parse_fps
 
 if TYPE_CHECKING:
     from motionkit.formats.scan.items import ReadOptions

@@ -13,7 +13,8 @@ from motionkit.complete.encoders import ChosenEncoder
 from motionkit.complete.request import ClipRequest, CompletionRequest
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import require_no_link, whole_file
-from motionkit.core.timegrid import TimeGrid, format_fps, num_frames_within
+from motionkit.core.framerate import format_fps
+from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.export.player.page import write_page
 from motionkit.export.player.takes import Take, packed_bytes, take_of
 from motionkit.fields.completion import Completion, begin_observed, begin_uneven

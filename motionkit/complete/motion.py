@@ -12,10 +12,10 @@ from motionkit.complete.encoders import choose_encoder
 from motionkit.complete.job import begin_clip
 from motionkit.complete.request import CompletionRequest, FrameRange, Reach, parse_extend, parse_keep
 from motionkit.core.errors import UsageError
+from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.settings import default_path
-from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.fields.interpolation.rigid import on_bones
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.store.named_motions.reading import check_exists

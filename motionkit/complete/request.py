@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.framerate import format_fps
 from motionkit.core.plain_text import shown, whole_number
-from motionkit.core.timegrid import TimeGrid, format_fps
+from motionkit.core.timegrid import TimeGrid
 
 # A minute of a body that nobody observed is a slip of the pen.
 LONGEST_REACH_SECONDS = 60.0

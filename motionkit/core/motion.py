@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32
 
+from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.public_names import provided
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
-from motionkit.core.timegrid import SAME_SECONDS, Framerate, TimeGrid, parse_fps
+from motionkit.core.timegrid import SAME_SECONDS, TimeGrid
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Any
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import naming
+from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
-from motionkit.core.timegrid import format_fps
 from motionkit.export.selection import Outcome, Selection, flat_names, nested_names
 from motionkit.formats.format import Format
 

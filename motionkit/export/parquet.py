@@ -17,8 +17,8 @@ import pyarrow.parquet as pq
 from motionkit.core.checksums import sha256_of, write_json
 from motionkit.core.errors import UsageError
 from motionkit.core.files import naming
+from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
-from motionkit.core.timegrid import format_fps
 from motionkit.export.files import render
 from motionkit.export.selection import Outcome, Selection
 from motionkit.formats import parquet

@@ -13,9 +13,9 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from motionkit.core.checksums import write_json
+from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
-from motionkit.core.timegrid import format_fps
 from motionkit.export.files import TABLE, MotionTable, render
 from motionkit.export.selection import Outcome, Selection, short_names
 from motionkit.features import humanml3d

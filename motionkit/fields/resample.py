@@ -10,9 +10,10 @@ from fractions import Fraction
 import numpy as np
 from jaxtyping import Float, Float64
 
+from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.motion import Motion
-from motionkit.core.timegrid import Framerate, TimeGrid, num_frames_within, parse_fps
+from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.fields.completion import upsample
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Method
 from motionkit.fields.interpolation.joints import Joints

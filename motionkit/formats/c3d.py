@@ -16,9 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from motionkit.core.errors import FormatError
+from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
-from motionkit.core.timegrid import TimeGrid, parse_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.bvh import channels
 from motionkit.formats.c3d_container import C3dFile, parse_c3d
 from motionkit.formats.format import Format, of_path

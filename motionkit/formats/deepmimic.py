@@ -22,10 +22,11 @@ from jaxtyping import Float32, Float64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
+from motionkit.core.framerate import SNAP_TOLERANCE, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import parse_json
 from motionkit.core.skeleton import Feet, Skeleton
-from motionkit.core.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import npy
 from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions

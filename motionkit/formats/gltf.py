@@ -14,11 +14,12 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float32, UInt16
 
+from motionkit.core.framerate import format_fps
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
-from motionkit.core.timegrid import TimeGrid, format_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.format import Format
 from motionkit.formats.source.joint_channels import JointChannels, joint_channels
 

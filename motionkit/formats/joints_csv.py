@@ -16,9 +16,10 @@ import pyarrow.csv as pc
 from jaxtyping import Float64
 
 from motionkit.core.errors import FormatError
+from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
-from motionkit.core.timegrid import TimeGrid, format_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays.npy import MAX_NUMBER
 from motionkit.formats.arrays.npz import bones_of_pose
 from motionkit.formats.format import Format, of_path

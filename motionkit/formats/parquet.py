@@ -20,9 +20,10 @@ from jaxtyping import Float32
 
 from motionkit.core.checksums import read_json, sha256_of
 from motionkit.core.errors import DamagedFileError, FormatError
+from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import Feet, Skeleton
-from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays.npy import checked_numbers, checked_rotations
 from motionkit.formats.arrays.npz import checked_layout_map, unnamed_skeleton
 from motionkit.formats.format import Format

@@ -17,9 +17,9 @@ from typing import Any, TextIO
 from motionkit.core.checksums import checksum_of, read_json, sha256_of, write_json
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.files import naming, temporary_name, write_whole
+from motionkit.core.framerate import format_fps
 from motionkit.core.plain_text import whole_number
 from motionkit.core.progress import warn
-from motionkit.core.timegrid import format_fps
 from motionkit.export.files import TABLE, captions_json
 from motionkit.generate.files import OutputFormat, output_formats
 from motionkit.generate.models import GenerationRequest

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.core.errors import UsageError
-from motionkit.core.timegrid import format_fps
+from motionkit.core.framerate import format_fps
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.files import OutputFormat
 from motionkit.generate.folder import FORMAT, GeneratedFolder

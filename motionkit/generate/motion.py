@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, overload
 
 from motionkit.core.errors import UsageError
+from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.settings import default_path
 from motionkit.core.skeleton import Skeleton
-from motionkit.core.timegrid import Framerate, format_fps, parse_fps
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate import models
 from motionkit.generate.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-from motionkit.core.timegrid import COMMON_FPS
+from motionkit.core.framerate import COMMON_FPS
 
 Kernel = Callable[[Float64[np.ndarray, "*shape"]], Float64[np.ndarray, "*shape"]]
 

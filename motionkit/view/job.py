@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from motionkit.core.errors import FormatError, MotionkitError, UsageError, describe
+from motionkit.core.framerate import format_fps
 from motionkit.core.plain_text import printable
-from motionkit.core.timegrid import format_fps
 from motionkit.export.player.page import check_places, write_page
 from motionkit.export.player.takes import Take, take_of
 from motionkit.formats.scan.items import ReadOptions, SourceItem

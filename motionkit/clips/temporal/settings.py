@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import ClassVar, Literal
 
-from motionkit.core.timegrid import parse_fps
+from motionkit.core.framerate import parse_fps
 from motionkit.training.config import SCHEDULE_MOVED, Precision, Schedule, moved, require_positive
 
 Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic", "eased"]

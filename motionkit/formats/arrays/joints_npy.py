@@ -12,11 +12,12 @@ import numpy as np
 
 from motionkit.core.checksums import unsealed, write_json
 from motionkit.core.errors import FormatError
+from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import parse_json, shown
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import npy
 from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions

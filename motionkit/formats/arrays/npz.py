@@ -17,10 +17,11 @@ import numpy as np
 from jaxtyping import Float32
 
 from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
-from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npy import checked_rotations
 from motionkit.formats.arrays.npz_archive import NpzArchive

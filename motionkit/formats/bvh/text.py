@@ -7,9 +7,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from motionkit.core.errors import FormatError
+from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import whole_number
 from motionkit.core.skeleton import MAX_JOINTS
-from motionkit.core.timegrid import parse_fps
 from motionkit.formats.source import source_file
 from motionkit.formats.source.number_table import parse_number
 from motionkit.formats.source.source_file import PART_BYTES, FileParts

@@ -17,9 +17,9 @@ from fractions import Fraction
 from pathlib import Path
 
 from motionkit.core.errors import FormatError
+from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Caption
 from motionkit.core.plain_text import parse_json, shown, suggestion, whole_number
-from motionkit.core.timegrid import parse_fps
 from motionkit.formats.source import source_file
 from motionkit.formats.texts import SPLITS
 

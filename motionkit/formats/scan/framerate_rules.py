@@ -14,8 +14,8 @@ from typing import Any
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import read_at_most
+from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import LONGEST_TOML, parse_toml, shown
-from motionkit.core.timegrid import parse_fps
 from motionkit.formats.scan.globs import parse_glob
 from motionkit.formats.source import clock
 

@@ -14,8 +14,9 @@ from jaxtyping import Float32
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
+from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
-from motionkit.core.timegrid import TimeGrid, parse_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
 from motionkit.formats.format import Format

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from motionkit.core.errors import FormatError
-from motionkit.core.timegrid import TimeGrid, parse_fps
+from motionkit.core.framerate import parse_fps
+from motionkit.core.timegrid import TimeGrid
 
 # Milliseconds, rounded, are off by 0.06 of a frame at 120 fps; a frame that is missing is off by 1.
 UNEVEN_FRAMES = 0.1

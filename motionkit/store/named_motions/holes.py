@@ -18,8 +18,9 @@ from jaxtyping import Bool, Float64
 
 from motionkit.core.checksums import write_json
 from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Motion
-from motionkit.core.timegrid import TimeGrid, format_fps, parse_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
 from motionkit.formats.arrays import joints_npy, npy, npz_archive

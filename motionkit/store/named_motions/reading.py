@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Generic, Literal, NamedTuple, TypeVar
 
 from motionkit.core.errors import FormatError, StoreError, UsageError
+from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.skeletons.families import read_skeleton_map
-from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.formats.arrays import npy
 from motionkit.formats.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
 from motionkit.formats.scan import reading as one_sequence

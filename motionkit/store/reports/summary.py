@@ -12,9 +12,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from motionkit.core.errors import StoreError
+from motionkit.core.framerate import format_fps
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
-from motionkit.core.timegrid import format_fps
 from motionkit.store.cache.folder import cache_bytes
 from motionkit.store.reader import Store
 from motionkit.store.schema import (

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.core.timegrid import TimeGrid, num_frames_within, parse_fps
+from motionkit.core.framerate import parse_fps
+from motionkit.core.timegrid import TimeGrid, num_frames_within
 
 
 @pytest.mark.parametrize(

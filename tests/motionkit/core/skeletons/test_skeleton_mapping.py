@@ -3,10 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints, rest_positions
-from motionkit.core.timegrid import TimeGrid, parse_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.scan.reading import read
 from motionkit.formats.scan.scanner import scan
