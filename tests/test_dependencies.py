@@ -33,13 +33,11 @@ def plain(name: str) -> str:
 @pytest.mark.parametrize("folder", sorted(OWN))
 def test_what_is_imported_is_declared(folder: str) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    declared = {plain(each) for each in project["dependencies"]}
+    declared, wanted = {plain(each) for each in project["dependencies"]}, imported(folder)
     if folder in ("tests", "benchmarks"):
         declared |= {plain(each) for extra in project["optional-dependencies"].values() for each in extra}
+    else:
+        wanted -= OPTIONAL
     names = packages_distributions()
-    missing = {
-        package
-        for package in imported(folder) - (OPTIONAL if folder not in ("tests", "benchmarks") else set())
-        if not declared & {plain(each) for each in names.get(package, [package])}
-    }
+    missing = {package for package in wanted if not declared & {plain(each) for each in names.get(package, [package])}}
     assert not missing, f"{folder}/ imports {sorted(missing)}, which pyproject.toml does not declare"

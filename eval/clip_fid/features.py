@@ -122,7 +122,7 @@ def kinematic_source() -> FeatureSource:
         note=(
             "Each of the descriptor's 5 blocks has a total variance of 1 on real training clips, so 1 is the variance "
             "of a whole block. At high framerates clip-FID partly measures capture noise: removing what real captures "
-            "hold above 20 Hz already costs many times the floor, and white noise of 0.3 mm hides it that a motion was "
+            "hold above 20 Hz already costs many times the floor, and white noise of 0.3 mm can hide that a motion was "
             "upsampled (docs/metrics.md): a low score is no proof of detail."
         ),
     )

@@ -60,9 +60,6 @@ def parse_json(text: str, object_pairs_hook: Callable[[list[tuple[str, Any]]], A
 
 def shown(value: object, limit: int = SHOWN_LETTERS) -> str:
     """A value for a message: its `repr`, cut to `limit` letters and some items."""
-    if isinstance(value, str) and len(value) <= limit:  # a table may have a line of these for each of its rows
-        text = repr(value)
-        return text if len(text) <= limit else f"{text[:limit]}…"
     short = reprlib.Repr()
     short.maxstring = short.maxlong = short.maxother = limit
     try:

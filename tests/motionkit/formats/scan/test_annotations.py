@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.formats.scan.annotations import tables_in
+from motionkit.formats.scan.annotations import read_annotations, tables_in
 from motionkit.formats.scan.items import IndexOptions, ReadOptions
 from motionkit.formats.scan.scanner import scan
 from tests.helpers.format_samples import bvh_text
@@ -87,3 +87,12 @@ def test_tables_beside_the_files_of_an_index(tmp_path: Path) -> None:
     assert [item.fps for item in found.items] == [60]
     assert [warning.reason for warning in found.warnings] == ["unknown-column"]
     assert [problem.reason for problem in found.problems] == ["frame-time"]
+
+
+def test_problems_of_many_rows_keep_no_frames(tmp_path: Path) -> None:
+    """The frames of a traceback for each bad row made tables of many take three times as long."""
+    table = tmp_path / "clips.csv"
+    table.write_text("file,fps\n" + "../out.npz,30\ntake.npz,walks\n" * 3, encoding="utf-8")
+    problems = read_annotations(table).problems
+    assert len(problems) == 6
+    assert not any(problem.__traceback__ or problem.__context__ for problem in problems)
