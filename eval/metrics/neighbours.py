@@ -4,12 +4,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+import numpy.typing as npt
+from jaxtyping import Bool, Float, Float32, Float64
 
 from eval.metrics.checks import checked_features
 from eval.metrics.metric import Metric
 
 BLOCK_ROWS = 512
+BLOCK_PAIRS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -34,16 +36,19 @@ def prdc(
     y = checked_features(generated, "generated", minimum=num_neighbours + 1)
     if (x == x[0]).all():
         raise ValueError("real: all rows are the same, so no sample has a neighbourhood to fall into")
-    real_radii = _squared_radii(x, num_neighbours)
-    generated_radii = _squared_radii(y, num_neighbours)
+    centre = x.mean(axis=0)
+    real_points, generated_points = _Points.of(x - centre), _Points.of(y - centre)
+    real_radii = _squared_radii(real_points, num_neighbours)
+    generated_radii = _squared_radii(generated_points, num_neighbours)
     balls_holding = np.zeros(len(y))
     recalled = covered = 0
     for start in range(0, len(x), BLOCK_ROWS):
         rows = slice(start, start + BLOCK_ROWS)
-        distances = _squared_distances(x[rows], y)
-        balls_holding += (distances < real_radii[rows, None]).sum(axis=0)
-        recalled += int((distances < generated_radii).any(axis=1).sum())
-        covered += int((distances.min(axis=1) < real_radii[rows]).sum())
+        distances = _SquaredDistances.between(real_points.at(rows), generated_points)
+        in_real_balls = distances.below_by_row(real_radii[rows])
+        balls_holding += in_real_balls.sum(axis=0)
+        recalled += int(distances.below_by_column(generated_radii).any(axis=1).sum())
+        covered += int(in_real_balls.any(axis=1).sum())
     return Prdc(
         precision=float((balls_holding > 0).mean()),
         recall=recalled / len(x),
@@ -58,25 +63,78 @@ DENSITY = Metric("density", "Density", "", True, "Naeem et al. 2020", "real, gen
 COVERAGE = Metric("coverage", "Coverage", "", True, "Naeem et al. 2020", "real, generated", prdc)
 
 
-def _squared_distances(
-    x: Float64[np.ndarray, "n features"], y: Float64[np.ndarray, "m features"]
-) -> Float64[np.ndarray, "n m"]:
-    products: Float64[np.ndarray, "n m"] = x @ y.T
-    products *= -2.0
-    products += np.einsum("nf,nf->n", x, x)[:, None]
-    products += np.einsum("nf,nf->n", y, y)
-    np.maximum(products, 0.0, out=products)
-    return products
+@dataclass(frozen=True)
+class _Points:
+    """Rows about a common centre, and their squared lengths."""
+
+    rows: Float64[np.ndarray, "n features"]
+    lengths: Float64[np.ndarray, "n"]
+
+    @classmethod
+    def of(cls, rows: Float64[np.ndarray, "n features"]) -> "_Points":
+        return cls(rows, np.einsum("nf,nf->n", rows, rows))
+
+    def at(self, rows: slice) -> "_Points":
+        return _Points(self.rows[rows], self.lengths[rows])
 
 
-def _squared_radii(x: Float64[np.ndarray, "n features"], num_neighbours: int) -> Float64[np.ndarray, "n"]:
+@dataclass(frozen=True)
+class _SquaredDistances:
+    """|a|² + |b|² − 2ab of all pairs, by one matrix product.
+
+    The centre keeps |a|² as small as the spread of the points; a comparison that rounding could still decide is made
+    again with the sum of squared differences, which cancels nothing.
+    """
+
+    x: _Points
+    y: _Points
+    values: Float64[np.ndarray, "n m"]
+
+    @classmethod
+    def between(cls, x: _Points, y: _Points) -> "_SquaredDistances":
+        values: Float64[np.ndarray, "n m"] = x.rows @ y.rows.T
+        values *= -2.0
+        values += x.lengths[:, None]
+        values += y.lengths
+        return cls(x, y, values)
+
+    def exact(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> Float64[np.ndarray, "pairs"]:
+        """Squared distances of single pairs."""
+        found = np.empty(len(rows))
+        for start in range(0, len(rows), BLOCK_PAIRS):
+            some = slice(start, start + BLOCK_PAIRS)
+            differences = self.x.rows[rows[some]] - self.y.rows[columns[some]]
+            found[some] = np.einsum("kf,kf->k", differences, differences)
+        return found
+
+    def below_by_row(self, limits: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n m"]:
+        """Which pairs are nearer than their row's limit, a squared distance."""
+        return self._below(limits[:, None], self.x.lengths[:, None] + self.y.lengths.max())
+
+    def below_by_column(self, limits: Float64[np.ndarray, "m"]) -> Bool[np.ndarray, "n m"]:
+        """Which pairs are nearer than their column's limit, a squared distance."""
+        return self._below(limits[None], self.x.lengths.max() + self.y.lengths[None])
+
+    def _below(
+        self, limits: Float64[np.ndarray, "#n #m"], sums: Float64[np.ndarray, "#n #m"]
+    ) -> Bool[np.ndarray, "n m"]:
+        errors = (self.x.rows.shape[1] + 4) * np.finfo(np.float64).eps * sums
+        found = self.values < limits - errors
+        rows, columns = np.nonzero(found != (self.values <= limits + errors))
+        found[rows, columns] = self.exact(rows, columns) < np.broadcast_to(limits, found.shape)[rows, columns]
+        return found
+
+
+def _squared_radii(points: _Points, num_neighbours: int) -> Float64[np.ndarray, "n"]:
     """Squared distance of every point to its k-th neighbour in the same set."""
-    radii = np.empty(len(x))
-    for start in range(0, len(x), BLOCK_ROWS):
-        distances = _squared_distances(x[start : start + BLOCK_ROWS], x)
-        rows = np.arange(len(distances))
-        distances[rows, start + rows] = np.inf
-        radii[start : start + len(rows)] = np.partition(distances, num_neighbours - 1, axis=1)[:, num_neighbours - 1]
+    radii = np.empty(len(points.rows))
+    for start in range(0, len(radii), BLOCK_ROWS):
+        distances = _SquaredDistances.between(points.at(slice(start, start + BLOCK_ROWS)), points)
+        rows = np.arange(len(distances.values))
+        distances.values[rows, start + rows] = np.inf
+        nearest = np.argpartition(distances.values, num_neighbours - 1, axis=1)[:, :num_neighbours]
+        exact = distances.exact(rows.repeat(num_neighbours), nearest.reshape(-1))
+        radii[start : start + len(rows)] = exact.reshape(nearest.shape).max(axis=1)
     return radii
 
 

@@ -10,6 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from prdc import compute_prdc
+from scipy.spatial.distance import cdist
 from torchmetrics.image.kid import KernelInceptionDistance
 
 from eval.metrics import gaussian, neighbours
@@ -36,6 +37,40 @@ def test_prdc_agrees_with_its_authors(seed: int, n: int, m: int, shift: float) -
     with redirect_stdout(io.StringIO()):
         expected = compute_prdc(x, y, nearest_k=3)
     assert asdict(prdc(x, y, 3)) == pytest.approx(expected, rel=1e-12)
+
+
+def by_differences(x: np.ndarray, y: np.ndarray, k: int) -> dict[str, float]:
+    """The definition with distances from differences."""
+    real_radii, generated_radii = (np.sort(cdist(each, each), axis=1)[:, k] for each in (x, y))
+    distances = cdist(x, y)
+    in_real_balls = distances < real_radii[:, None]
+    return {
+        "precision": in_real_balls.any(axis=0).mean(),
+        "recall": (distances < generated_radii).any(axis=1).mean(),
+        "density": in_real_balls.sum(axis=0).mean() / k,
+        "coverage": in_real_balls.any(axis=1).mean(),
+    }
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 2**32), away=st.sampled_from([0.0, 1e4, 1e7]), scale=st.sampled_from([1e-3, 1.0]))
+def test_prdc_far_from_the_origin(seed: int, away: float, scale: float) -> None:
+    """|a|² + |b|² − 2ab about the origin has no digit left of distances of 1e-3 at 1e7."""
+    rng = np.random.default_rng(seed)
+    x, y = (away + scale * (rng.normal(size=(60, 5)) + shift) for shift in (0.0, 0.5))
+    assert asdict(prdc(x, y, 3)) == pytest.approx(by_differences(x, y, 3), rel=1e-12)
+    if away <= 1e4 and scale == 1.0:
+        with redirect_stdout(io.StringIO()):
+            assert asdict(prdc(x, y, 3)) == pytest.approx(compute_prdc(x, y, nearest_k=3), rel=1e-12)
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 2**32), away=st.sampled_from([0.0, 1e3]))
+def test_ties_fall_outside_whatever_the_rounding(seed: int, away: float) -> None:
+    """Points of a lattice have many equal distances, which a difference of squares tells apart by its rounding."""
+    rng = np.random.default_rng(seed)
+    x, y = (rng.integers(0, 4, size=(50, 3)) + away for _ in range(2))
+    assert asdict(prdc(x / 4, y / 4, 3)) == pytest.approx(by_differences(x / 4, y / 4, 3), rel=1e-12)
 
 
 @settings(max_examples=15)
