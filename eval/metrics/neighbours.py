@@ -119,7 +119,7 @@ class _SquaredDistances:
         self, limits: Float64[np.ndarray, "#n #m"], sums: Float64[np.ndarray, "#n #m"]
     ) -> Bool[np.ndarray, "n m"]:
         errors = (self.x.rows.shape[1] + 4) * np.finfo(np.float64).eps * sums
-        found = self.values < limits - errors
+        found: Bool[np.ndarray, "n m"] = self.values < limits - errors
         rows, columns = np.nonzero(found != (self.values <= limits + errors))
         found[rows, columns] = self.exact(rows, columns) < np.broadcast_to(limits, found.shape)[rows, columns]
         return found
