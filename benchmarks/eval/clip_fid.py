@@ -19,8 +19,9 @@ from fractions import Fraction
 import numpy as np
 import scipy.linalg
 
+from eval.clip_fid.clips import Protocol, describe_clips, draw_clips, place_clips
 from eval.clip_fid.features import fit_on, kinematic_source
-from eval.clip_fid.score import Protocol, describe_clips, draw_clips, place_clips, score_rows
+from eval.clip_fid.score import score_rows
 from eval.metrics.gaussian import fid, fid_infinity, kid
 from eval.metrics.neighbours import prdc
 from eval.sets.sets import SampleSet, sample_set

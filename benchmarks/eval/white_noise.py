@@ -9,9 +9,10 @@ from fractions import Fraction
 
 import numpy as np
 
+from eval.clip_fid.clips import Protocol
 from eval.clip_fid.features import fit_on
 from eval.clip_fid.kinematic import VERSION
-from eval.clip_fid.score import Protocol, score_disjoint_halves, score_rows
+from eval.clip_fid.score import score_disjoint_halves, score_rows
 from eval.sets.corruptions import jitter, upsample_slerp
 from eval.sets.real import real_motion
 from motionkit.store import Store

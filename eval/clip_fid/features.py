@@ -8,18 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from eval.clip_fid.clips import REAL, FeatureSet, Protocol, check_lengths, draw_clips, place_clips
 from eval.clip_fid.kinematic import BLOCKS, VERSION, KinematicDescriptor, fit_kinematic
-from eval.clip_fid.score import (
-    REAL,
-    ClipFid,
-    FeatureSet,
-    Protocol,
-    check_lengths,
-    draw_clips,
-    place_clips,
-    score_disjoint_halves,
-    score_rows,
-)
+from eval.clip_fid.score import ClipFid, score_disjoint_halves, score_rows
 from eval.sets.found import Found, each_found
 from eval.sets.sets import SampleSet
 from eval.text_motion.guo.kind import GuoFiles

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from eval.clip_fid.clips import ClipError, Protocol
 from eval.clip_fid.features import kinematic_source, native_source
-from eval.clip_fid.score import ClipError, Protocol
 from eval.metrics.checks import Estimate
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import UsageError

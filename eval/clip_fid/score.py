@@ -8,193 +8,76 @@ other tools call clip-FID.
 
 import os
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
-from fractions import Fraction
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float, Float64, Int64
+from jaxtyping import Float64, Int64
 
+from eval.clip_fid.clips import (
+    OTHER,
+    REAL,
+    ClipError,
+    FeatureSet,
+    Protocol,
+    ScoresItself,
+    describe_clips,
+    draw_clips,
+    place_clips,
+)
 from eval.metrics.checks import Estimate, estimate
-from eval.metrics.gaussian import fid_infinity, fit_gaussian, frechet_distance, kid
+from eval.metrics.gaussian import (
+    Gaussian,
+    fid_infinity,
+    fit_gaussian,
+    frechet_distance,
+    kid,
+    quick_frechet_distance,
+)
 from eval.metrics.metric import Metric
 from eval.metrics.neighbours import prdc
+from eval.metrics.resampling import (
+    Difference,
+    Resampled,
+    Resampling,
+    Units,
+    UnitSums,
+    blocks_for,
+    half_width,
+    paired_difference,
+    resampled_scores,
+    units_of,
+)
 from eval.sets.sets import SampleSet
-from motionkit.core.errors import MotionkitError
 
 VERSION = "clip-fid/1"
 PART = "part "
-REAL, OTHER = 0, 1
-"""The two sides of a comparison: each draws its own sequences."""
-
-
-@typing.runtime_checkable
-class FeatureSet(typing.Protocol):
-    """What is needed of a feature extractor, learned or not: it turns clips of one framerate into feature vectors.
-
-    The same clips give the same numbers in any batch.
-    """
-
-    @property
-    def name(self) -> str:
-        """Name for tables."""
-        ...
-
-    @property
-    def fingerprint(self) -> str:
-        """Hash of everything that the numbers depend on: definition, weights, statistics."""
-        ...
-
-    def describe(
-        self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
-    ) -> Float64[np.ndarray, "clips features"]:
-        """One row per clip, in order; positions in metres, y up, the 22 joints of `SMPL22`."""
-        ...
-
-
-class ClipError(MotionkitError):
-    """A sample set from which the clips that were asked for cannot be cut."""
-
-
-@dataclass(frozen=True)
-class PoseRange:
-    """Clip sizes m: multiples of `multiple` poses from `minimum` to `maximum`, the same at every framerate."""
-
-    minimum: int = 16
-    maximum: int = 64
-    multiple: int = 4
-
-    def sizes(self, fps: Fraction) -> Int64[np.ndarray, "sizes"]:
-        """Numbers of poses, each equally likely."""
-        first = -(-self.minimum // self.multiple) * self.multiple
-        return np.arange(first, self.maximum + 1, self.multiple, dtype=np.int64)
-
-
-@dataclass(frozen=True)
-class SecondsRange:
-    """Clip sizes between two durations in seconds, in multiples of `multiple` poses: m grows with the framerate."""
-
-    minimum: float
-    maximum: float
-    multiple: int = 4
-
-    def sizes(self, fps: Fraction) -> Int64[np.ndarray, "sizes"]:
-        """Numbers of poses, each equally likely. Raises `ClipError` where no multiple lies between the durations."""
-        first = int(np.ceil(self.minimum * float(fps) / self.multiple)) * self.multiple
-        sizes = np.arange(first, int(self.maximum * float(fps)) + 1, self.multiple, dtype=np.int64)
-        if not sizes.size:
-            raise ClipError(
-                f"no multiple of {self.multiple} poses lasts {self.minimum} … {self.maximum} s at {fps} fps; widen the "
-                "range"
-            )
-        return sizes
-
-
-@dataclass(frozen=True)
-class Protocol:
-    """How many clips, of which sizes, how often; `detailed_replications` of them also get KID and PRDC."""
-
-    sizes: PoseRange | SecondsRange = field(default_factory=PoseRange)
-    num_clips: int = 4096
-    replications: int = 20
-    detailed_replications: int = 3
-    num_neighbours: int = 5
-    seed: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class ClipList:
-    """Clips before they meet a sample set: sizes m, and quantiles in [0, 1) of centre v and of sequence."""
-
-    num_poses: Int64[np.ndarray, "clips"]
-    centre_quantile: Float64[np.ndarray, "clips"]
-    sequence_quantile: Float64[np.ndarray, "clips"]
-
-
-@dataclass(frozen=True, eq=False)
-class ClipPlaces:
-    """Clips of one sample set: first row and number of poses of each, and its sequence."""
-
-    sequence: Int64[np.ndarray, "clips"]
-    first_row: Int64[np.ndarray, "clips"]
-    num_poses: Int64[np.ndarray, "clips"]
-
-
-def check_lengths(samples: SampleSet, protocol: Protocol) -> None:
-    """Raise `ClipError` where a set has no sequence for the protocol's largest clips."""
-    largest, longest = int(protocol.sizes.sizes(samples.fps).max()), int(samples.sequences.num_frames.max())
-    if longest < largest:
-        raise ClipError(
-            f"{samples.name}: no sequence has the {largest} poses that a clip at {samples.fps} fps may need; the "
-            f"longest has {longest}; lower the largest clip size or give longer motions"
-        )
-
-
-def draw_clips(protocol: Protocol, fps: Fraction, replication: int, side: int) -> ClipList:
-    """The clip list of one replication: both sides share sizes and centres; each side draws its own sequences.
-
-    Were the sequences shared too, a copy of the real set would score 0 instead of the floor that sampling leaves.
-    """
-    stream = (protocol.seed, fps.numerator, fps.denominator, replication)
-    shared = np.random.default_rng((*stream, 0))
-    own = np.random.default_rng((*stream, 1 + side))
-    return ClipList(
-        num_poses=shared.choice(protocol.sizes.sizes(fps), size=protocol.num_clips),
-        centre_quantile=shared.random(protocol.num_clips),
-        sequence_quantile=own.random(protocol.num_clips),
-    )
-
-
-def place_clips(clips: ClipList, samples: SampleSet, among: Int64[np.ndarray, "chosen"] | None = None) -> ClipPlaces:
-    """Cut the clips from a set's sequences (those `among`, where given), drawn in proportion to their duration.
-
-    Only sequences that hold the whole clip are drawn from; the centre is uniform over the positions on the frame grid.
-    Raises `ClipError` where no sequence is long enough.
-    """
-    sequences = np.arange(samples.num_sequences) if among is None else among
-    num_frames = samples.sequences.num_frames[sequences]
-    chosen = np.empty_like(clips.num_poses)
-    for size in np.unique(clips.num_poses).tolist():
-        wanted = clips.num_poses == size
-        weight = np.cumsum(np.where(num_frames >= size, num_frames, 0))
-        if not len(weight) or weight[-1] == 0:
-            raise ClipError(f"{samples.name}: no sequence among {len(sequences)} has {size} poses at {samples.fps} fps")
-        chosen[wanted] = np.searchsorted(weight, clips.sequence_quantile[wanted] * weight[-1], side="right")
-    room = num_frames[chosen] - clips.num_poses + 1
-    start = np.floor(clips.centre_quantile * room).astype(np.int64)
-    sequence = sequences[chosen]
-    return ClipPlaces(sequence, samples.sequences.start_row[sequence] + start, clips.num_poses)
-
-
-def describe_clips(
-    samples: SampleSet, places: ClipPlaces, features: FeatureSet
-) -> Float64[np.ndarray, "clips features"]:
-    """Features of placed clips, in the order of the places; clips are handed over in groups of one size."""
-    order = np.argsort(places.num_poses, kind="stable")
-    sizes, starts = np.unique(places.num_poses[order], return_index=True)
-    parts = [
-        features.describe(samples.sequences.clips(places.first_row[rows], int(size)), samples.fps)
-        for size, rows in zip(sizes, np.split(order, starts[1:]), strict=True)
-    ]
-    result = np.empty((len(order), parts[0].shape[1]))
-    result[order] = np.concatenate(parts)
-    return result
 
 
 @dataclass(frozen=True)
 class ClipFid:
     """One comparison: clip-FID, the FID of named parts of the features, and further metrics on the same features.
 
+    The interval of `clip_fid` is over takes (and over generations, where there are several) and holds the drawing of
+    clips; that of `drawing` holds the drawing of clips alone. `resampled` are the scores of resampled takes: empty
+    where the protocol asks for none, or either side has a single take.
+
     `details` holds fid_infinity, kid, precision, recall, density and coverage; it is empty where the protocol asks for
     no detailed replications, and has no fid_infinity where there are too few clips to extrapolate from.
     """
 
     clip_fid: Estimate
+    drawing: Estimate
     parts: Mapping[str, Estimate]
     details: Mapping[str, Estimate]
+    resampled: Resampled = ()
+
+    def less(self, other: "ClipFid") -> Difference | None:
+        """This score less another of the same comparison, by the same resampled takes; None without intervals."""
+        return paired_difference(self.clip_fid.mean, self.resampled, other.clip_fid.mean, other.resampled)
 
 
 Scores = dict[str, float]
@@ -218,21 +101,31 @@ def score_rows(
         if samples.fps != real.fps:
             raise ValueError(f"{samples.name} is at {samples.fps} fps, the real set at {real.fps}")
 
-    def replicate(replication: int) -> dict[str, Scores]:
+    def replicate(replication: int) -> _Replication:
         reference = _features(real, features, protocol, replication, REAL)
-        if (reference == reference[0]).all():
+        if (reference.features == reference.features[0]).all():
             raise ClipError(
                 f"{real.name} at {real.fps} fps: every clip has the same {features.name} features, so there is no "
                 "distribution to compare with; is the motion frozen?"
             )
-        scores = {}
+        scores, described = {}, [reference]
         for name, samples in rows.items():
-            described = _features(samples, features, protocol, replication, OTHER)
-            scores[name] = _compare(reference, described, protocol, replication, parts or {})
-        return scores
+            described.append(_features(samples, features, protocol, replication, OTHER))
+            pair = (reference.features, described[-1].features)
+            scores[name] = _compare(*pair, score_of(features), protocol, replication, parts or {})
+        return _Replication(scores, described)
 
-    replications = _run(replicate, protocol.replications, on_replication)
-    return {name: _summarise([scores[name] for scores in replications]) for name in rows}
+    takes = _Takes([real, *rows.values()], protocol) if protocol.resamplings else None
+    replications = []
+    for each in _run(replicate, protocol.replications, on_replication):
+        replications.append(each.scores)
+        if takes is not None:
+            takes.add(each.described)
+    resampled: list[Resampled] = [()] * len(rows) if takes is None else takes.scores(features)
+    return {
+        name: _summarise([scores[name] for scores in replications], values)
+        for name, values in zip(rows, resampled, strict=True)
+    }
 
 
 CLIP_FID = Metric(
@@ -256,33 +149,86 @@ def score_disjoint_halves(
 ) -> ClipFid:
     """clip-FID between disjoint halves of the real takes (P2), split anew in every replication: the honest floor."""
 
-    def replicate(replication: int) -> dict[str, Scores]:
+    def replicate(replication: int) -> Scores:
         halves = _split_takes(real, np.random.default_rng((protocol.seed, replication, 3)))
         a, b = (
-            _features(real, features, protocol, replication, side, half)
+            _features(real, features, protocol, replication, side, half).features
             for side, half in zip((REAL, OTHER), halves, strict=True)
         )
-        return {"halves": _compare(a, b, protocol, replication, parts or {})}
+        return _compare(a, b, score_of(features), protocol, replication, parts or {})
 
-    return _summarise([scores["halves"] for scores in _run(replicate, protocol.replications, on_replication)])
+    return _summarise(list(_run(replicate, protocol.replications, on_replication)))
 
 
-def _run(
-    replicate: Callable[[int], dict[str, Scores]], replications: int, on_replication: Callable[[], None]
-) -> list[dict[str, Scores]]:
+def score_of(features: FeatureSet) -> Callable[[Gaussian, Gaussian], float]:
+    """What is printed of two sets on these features: their own score, or the Fréchet distance."""
+    return features.score if isinstance(features, ScoresItself) else frechet_distance
+
+
+@dataclass(frozen=True, eq=False)
+class _Described:
+    """Features of clips, and of which sequence each clip is."""
+
+    features: Float64[np.ndarray, "clips features"]
+    sequence: Int64[np.ndarray, "clips"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Replication:
+    """Scores of every row; the real set's clips, then every row's."""
+
+    scores: Mapping[str, Scores]
+    described: list[_Described]
+
+
+class _Takes:
+    """What is known of the takes of a comparison's sets, the real one first, from the clips of all replications."""
+
+    def __init__(self, sets: list[SampleSet], protocol: Protocol) -> None:
+        self._sets, self._resampling = sets, Resampling(protocol.resamplings, protocol.seed)
+        self._units: list[Units] = []
+        self._sums: list[UnitSums] = []
+
+    def add(self, described: list[_Described]) -> None:
+        """The clips of one replication of every set."""
+        if not self._sums:
+            centre = described[0].features.mean(axis=0)
+            most = self._sets[0].num_takes
+            for each in self._sets:
+                blocks = blocks_for(max(most, each.num_takes), centre.size)
+                self._units.append(units_of(each.take_names, each.generations, blocks))
+                self._sums.append(UnitSums(len(self._units[-1].takes), centre))
+        for clips, units, sums in zip(described, self._units, self._sums, strict=True):
+            sums.add(clips.features, units.unit[clips.sequence])
+
+    def scores(self, features: FeatureSet) -> list[Resampled]:
+        """Every row's score in every resampling; empty where the real set or the row has a single take."""
+        from threadpoolctl import threadpool_limits
+
+        score = features.score if isinstance(features, ScoresItself) else quick_frechet_distance
+        real, *others = zip(self._sums, self._units, strict=True)
+        several = [each.num_takes > 1 and self._sets[0].num_takes > 1 for each in self._sets[1:]]
+        with threadpool_limits(1, "blas"):
+            chosen = [other for other, enough in zip(others, several, strict=True) if enough]
+            found = iter(resampled_scores(*real, chosen, score, self._resampling))
+        return [next(found) if enough else () for enough in several]
+
+
+T = typing.TypeVar("T")
+
+
+def _run(replicate: Callable[[int], T], replications: int, on_replication: Callable[[], None]) -> Iterator[T]:
     """Run replications on as many threads as there are processors (numpy releases the interpreter's lock).
 
     The linear algebra library gets one thread in each: its own threads would only get in their way.
     """
     from threadpoolctl import threadpool_limits
 
-    results = []
     workers = max(1, min(os.cpu_count() or 1, replications))
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(max_workers=workers) as pool:
-        for scores in pool.map(replicate, range(replications)):
-            results.append(scores)
+        for found in pool.map(replicate, range(replications)):
+            yield found
             on_replication()
-    return results
 
 
 def _features(
@@ -292,9 +238,9 @@ def _features(
     replication: int,
     side: int,
     among: Int64[np.ndarray, "chosen"] | None = None,
-) -> Float64[np.ndarray, "clips features"]:
-    clips = draw_clips(protocol, samples.fps, replication, side)
-    return describe_clips(samples, place_clips(clips, samples, among), features)
+) -> _Described:
+    places = place_clips(draw_clips(protocol, samples.fps, replication, side), samples, among)
+    return _Described(describe_clips(samples, places, features), places.sequence)
 
 
 def _split_takes(samples: SampleSet, rng: np.random.Generator) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
@@ -310,11 +256,12 @@ def _split_takes(samples: SampleSet, rng: np.random.Generator) -> tuple[npt.NDAr
 def _compare(
     real: Float64[np.ndarray, "clips features"],
     other: Float64[np.ndarray, "clips features"],
+    score: Callable[[Gaussian, Gaussian], float],
     protocol: Protocol,
     replication: int,
     parts: Mapping[str, slice],
 ) -> Scores:
-    scores = {"clip_fid": frechet_distance(fit_gaussian(real), fit_gaussian(other))}
+    scores = {"clip_fid": score(fit_gaussian(real), fit_gaussian(other))}
     for name, part in parts.items():
         scores[PART + name] = frechet_distance(fit_gaussian(real[:, part]), fit_gaussian(other[:, part]))
     if replication < protocol.detailed_replications:
@@ -329,8 +276,10 @@ def _compare(
     return scores
 
 
-def _summarise(replications: list[Scores]) -> ClipFid:
+def _summarise(replications: list[Scores], resampled: Resampled = ()) -> ClipFid:
     means = {key: estimate([scores[key] for scores in replications if key in scores]) for key in replications[0]}
-    total = means.pop("clip_fid")
+    drawing = means.pop("clip_fid")
     parts = {key.removeprefix(PART): means.pop(key) for key in list(means) if key.startswith(PART)}
-    return ClipFid(total, parts, means)
+    width = half_width(resampled)
+    total = drawing if width is None else replace(drawing, ci95=float(np.hypot(width, drawing.ci95)))
+    return ClipFid(total, drawing, parts, means, resampled)

@@ -15,7 +15,7 @@ from motionkit.core.settings import default_path
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from eval.clip_fid.score import PoseRange, SecondsRange
+    from eval.clip_fid.clips import PoseRange, SecondsRange
     from eval.tables.registry import ClipFidSettings, Evaluated, Evaluators, PublishedProtocol, RealMotions
 
 # Where options stand in --help.
@@ -251,7 +251,7 @@ class ClipOptions:
 
     def chosen(self, seed: int) -> "ClipFidSettings":
         """As tables take it; raises `UsageError` for sizes that are none."""
-        from eval.clip_fid.score import Protocol
+        from eval.clip_fid.clips import Protocol
         from eval.tables.registry import ClipFidSettings
 
         protocol = Protocol(_sizes(self.sizes), num_clips=self.clips, replications=self.replications, seed=seed)
@@ -331,7 +331,7 @@ def _framerate(text: str | None, option: str) -> "Fraction | None":
 
 
 def _sizes(text: str) -> "PoseRange | SecondsRange":
-    from eval.clip_fid.score import PoseRange, SecondsRange
+    from eval.clip_fid.clips import PoseRange, SecondsRange
 
     low, _, high = text.partition(":")
     try:

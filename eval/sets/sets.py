@@ -3,12 +3,15 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float32, Int64
 
 FIRST_CAPACITY = 1 << 12
+ABOUT_EACH = ("captions", "actions", "groups", "takes", "generations")
+"""What a set may know of each of its sequences beside its id."""
 Frames = Float32[np.ndarray, "_frames *_frame"]
 
 
@@ -89,8 +92,10 @@ class SampleSet:
     """Sequences of joint positions at one framerate: 22 joints, or KIT-ML's 21 where its evaluator is to read them.
 
     `sequence_ids`, `captions` and `actions` have one entry for each ("" where there is none), and so have `groups`:
-    motions of one group answer the same prompt. `local_rotations`, where motions have true ones, are unit quaternions
-    (w, x, y, z) of the same rows, relative to the parent; SMPL's own skeleton may give 24 joints, the hands last.
+    motions of one group answer the same prompt. `takes` name the real take that each is of, or is made for, where that
+    is not its own id; `generations` count the generations of a system from 0, where there are several.
+    `local_rotations`, where motions have true ones, are unit quaternions (w, x, y, z) of the same rows, relative to the
+    parent; SMPL's own skeleton may give 24 joints, the hands last.
     """
 
     name: str
@@ -101,9 +106,11 @@ class SampleSet:
     actions: tuple[str, ...] = ()
     local_rotations: Float32[np.ndarray, "rows rotations 4"] | None = None
     groups: tuple[str, ...] = ()
+    takes: tuple[str, ...] = ()
+    generations: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        texts = {"captions": self.captions, "actions": self.actions, "groups": self.groups}
+        texts = {name: getattr(self, name) for name in ABOUT_EACH}
         for name, values in {"ids": self.sequence_ids, **texts}.items():
             if len(values) not in ((len(self.sequences),) if name == "ids" else (0, len(self.sequences))):
                 raise ValueError(f"{len(values)} {name} for {len(self.sequences)} sequences")
@@ -121,6 +128,16 @@ class SampleSet:
         """Seconds of motion in all."""
         return float(len(self.sequences.values) / self.fps)
 
+    @property
+    def take_names(self) -> tuple[str, ...]:
+        """The take of each sequence: its own id, where nothing else is known."""
+        return self.takes or self.sequence_ids
+
+    @property
+    def num_takes(self) -> int:
+        """Number of different takes."""
+        return len(set(self.take_names))
+
     def select(self, indices: Sequence[int] | npt.NDArray[np.int64], name: str | None = None) -> "SampleSet":
         """The sequences at `indices`, in that order, under another name where one is given."""
         chosen = [int(index) for index in indices]
@@ -129,10 +146,10 @@ class SampleSet:
             self.fps,
             [self.sequences[index] for index in chosen],
             [self.sequence_ids[index] for index in chosen],
-            [self.captions[index] for index in chosen] if self.captions else (),
-            [self.actions[index] for index in chosen] if self.actions else (),
-            [self.groups[index] for index in chosen] if self.groups else (),
         )
+        known: dict[str, Any] = {name: getattr(self, name) for name in ABOUT_EACH if getattr(self, name)}
+        about: dict[str, Any] = {name: tuple(each[index] for index in chosen) for name, each in known.items()}
+        made = replace(made, **about)
         if self.local_rotations is None:
             return made
         rotations = replace(self.sequences, values=self.local_rotations)
@@ -150,7 +167,7 @@ class SampleSet:
     ) -> "SampleSet":
         """The same sequences by id, with other positions at another framerate and no rotations."""
         made = sample_set(name, fps, sequences, self.sequence_ids)
-        return replace(made, captions=self.captions, actions=self.actions, groups=self.groups)
+        return replace(made, **{name: getattr(self, name) for name in ABOUT_EACH})
 
     def __repr__(self) -> str:
         return (

@@ -11,7 +11,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eval.clip_fid.score import Protocol
+from eval.clip_fid.clips import Protocol
 from eval.report.results import Result, environment
 from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
 from eval.sets.real import of_split_and

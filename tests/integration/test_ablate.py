@@ -9,7 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from eval.clip_fid import features
-from eval.clip_fid.score import PoseRange, Protocol
+from eval.clip_fid.clips import PoseRange, Protocol
 from eval.report.render import to_markdown
 from eval.report.results import Block, Result, Row
 from eval.tables.nerm import figure8

@@ -6,8 +6,9 @@ from fractions import Fraction
 
 import numpy as np
 
+from eval.clip_fid.clips import ClipError, Protocol, check_lengths
 from eval.clip_fid.features import Comparison, FeatureSource
-from eval.clip_fid.score import ClipError, ClipFid, Protocol, check_lengths
+from eval.clip_fid.score import ClipFid
 from eval.report.results import Block, Cell, Origin, Row
 from eval.sample_folder import SampleFolder
 from eval.sets.found import Found

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eval.clip_fid.clips import REAL, describe_clips, draw_clips, place_clips
 from eval.clip_fid.features import Comparison, kinematic_source
 from eval.clip_fid.kinematic import VERSION as KINEMATIC_VERSION
-from eval.clip_fid.score import REAL, describe_clips, draw_clips, place_clips
 from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
 from eval.metrics.actions import diversity
 from eval.metrics.checks import estimate

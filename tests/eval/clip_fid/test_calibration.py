@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from eval.clip_fid.calibration import Graded, calibrate
+from eval.clip_fid.clips import PoseRange, Protocol
 from eval.clip_fid.features import Comparison
 from eval.clip_fid.kinematic import fit_kinematic
-from eval.clip_fid.score import PoseRange, Protocol
 from eval.metrics.checks import Estimate
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.skeleton import SMPL22

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.clip_fid.score import (
+from eval.clip_fid.clips import (
     OTHER,
     REAL,
     ClipError,
@@ -16,9 +16,8 @@ from eval.clip_fid.score import (
     describe_clips,
     draw_clips,
     place_clips,
-    score_disjoint_halves,
-    score_rows,
 )
+from eval.clip_fid.score import score_disjoint_halves, score_rows
 from eval.sets.sets import SampleSet, sample_set
 
 FPS = Fraction(60)

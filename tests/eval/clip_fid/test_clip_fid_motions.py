@@ -8,8 +8,9 @@ import pytest
 import motionkit as mk
 from eval import clip_fid
 from eval.clip_fid import features
+from eval.clip_fid.clips import ClipError, Protocol
 from eval.clip_fid.features import kinematic_source
-from eval.clip_fid.score import ClipError, Protocol, score_rows
+from eval.clip_fid.score import score_rows
 from eval.sets.sets import sample_set
 from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import ACTIONS, make_body, perform

@@ -9,7 +9,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eval.clip_fid.score import SecondsRange
+from eval.clip_fid.clips import SecondsRange
 from eval.commands import eval_options
 from eval.commands.eval_options import ClipOptions, EvaluatedOptions, EvaluatorOptions, TableOptions, in_groups
 from motionkit.core.errors import UsageError

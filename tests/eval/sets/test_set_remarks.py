@@ -5,7 +5,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.clip_fid.score import ClipError, PoseRange, Protocol, score_rows
+from eval.clip_fid.clips import ClipError, PoseRange, Protocol
+from eval.clip_fid.score import score_rows
 from eval.sets.memorisation import set_remarks
 from eval.sets.sets import SampleSet, sample_set
 

@@ -4,8 +4,9 @@ from fractions import Fraction
 
 import numpy as np
 
+from eval.clip_fid.clips import PoseRange, Protocol
 from eval.clip_fid.features import Comparison
-from eval.clip_fid.score import PoseRange, Protocol, score_rows
+from eval.clip_fid.score import score_rows
 from eval.sets.sets import SampleSet, sample_set
 from eval.tables.nerm.clip_fid_column import P1, P2, score_column
 from tests.eval.clip_fid.test_calibration import MeanHeight

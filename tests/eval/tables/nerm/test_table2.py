@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eval.clip_fid import features
-from eval.clip_fid.score import PoseRange, Protocol
+from eval.clip_fid.clips import PoseRange, Protocol
 from eval.report.results import Result
 from eval.tables.nerm import clip_fid_column, table2
 from eval.tables.registry import find_table, installed_tables

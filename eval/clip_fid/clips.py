@@ -1,0 +1,182 @@
+"""Clips of a sample set: their random sizes and places, and what a feature set makes of them."""
+
+import typing
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float, Float64, Int64
+
+from eval.metrics.gaussian import Gaussian
+from eval.metrics.resampling import RESAMPLINGS
+from eval.sets.sets import SampleSet
+from motionkit.core.errors import MotionkitError
+
+REAL, OTHER = 0, 1
+"""The two sides of a comparison: each draws its own sequences."""
+
+
+@typing.runtime_checkable
+class FeatureSet(typing.Protocol):
+    """What is needed of a feature extractor, learned or not: it turns clips of one framerate into feature vectors.
+
+    The same clips give the same numbers in any batch.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of everything that the numbers depend on: definition, weights, statistics."""
+        ...
+
+    def describe(
+        self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
+    ) -> Float64[np.ndarray, "clips features"]:
+        """One row per clip, in order; positions in metres, y up, the 22 joints of `SMPL22`."""
+        ...
+
+
+@typing.runtime_checkable
+class ScoresItself(FeatureSet, typing.Protocol):
+    """A feature set with a score of its own; without one, the score is the Fréchet distance of all its features."""
+
+    def score(self, real: Gaussian, other: Gaussian) -> float:
+        """A number of the means and covariances of two sets' features: what is printed, and what a bootstrap draws."""
+        ...
+
+
+class ClipError(MotionkitError):
+    """A sample set from which the clips that were asked for cannot be cut."""
+
+
+@dataclass(frozen=True)
+class PoseRange:
+    """Clip sizes m: multiples of `multiple` poses from `minimum` to `maximum`, the same at every framerate."""
+
+    minimum: int = 16
+    maximum: int = 64
+    multiple: int = 4
+
+    def sizes(self, fps: Fraction) -> Int64[np.ndarray, "sizes"]:
+        """Numbers of poses, each equally likely."""
+        first = -(-self.minimum // self.multiple) * self.multiple
+        return np.arange(first, self.maximum + 1, self.multiple, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class SecondsRange:
+    """Clip sizes between two durations in seconds, in multiples of `multiple` poses: m grows with the framerate."""
+
+    minimum: float
+    maximum: float
+    multiple: int = 4
+
+    def sizes(self, fps: Fraction) -> Int64[np.ndarray, "sizes"]:
+        """Numbers of poses, each equally likely. Raises `ClipError` where no multiple lies between the durations."""
+        first = int(np.ceil(self.minimum * float(fps) / self.multiple)) * self.multiple
+        sizes = np.arange(first, int(self.maximum * float(fps)) + 1, self.multiple, dtype=np.int64)
+        if not sizes.size:
+            raise ClipError(
+                f"no multiple of {self.multiple} poses lasts {self.minimum} … {self.maximum} s at {fps} fps; widen the "
+                "range"
+            )
+        return sizes
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How many clips, of which sizes, how often; `detailed_replications` of them also get KID and PRDC.
+
+    `resamplings` is how often takes are drawn anew for the interval; 0 leaves that of the drawing of clips alone.
+    """
+
+    sizes: PoseRange | SecondsRange = field(default_factory=PoseRange)
+    num_clips: int = 4096
+    replications: int = 20
+    detailed_replications: int = 3
+    num_neighbours: int = 5
+    seed: int = 0
+    resamplings: int = RESAMPLINGS
+
+
+@dataclass(frozen=True, eq=False)
+class ClipList:
+    """Clips before they meet a sample set: sizes m, and quantiles in [0, 1) of centre v and of sequence."""
+
+    num_poses: Int64[np.ndarray, "clips"]
+    centre_quantile: Float64[np.ndarray, "clips"]
+    sequence_quantile: Float64[np.ndarray, "clips"]
+
+
+@dataclass(frozen=True, eq=False)
+class ClipPlaces:
+    """Clips of one sample set: first row and number of poses of each, and its sequence."""
+
+    sequence: Int64[np.ndarray, "clips"]
+    first_row: Int64[np.ndarray, "clips"]
+    num_poses: Int64[np.ndarray, "clips"]
+
+
+def check_lengths(samples: SampleSet, protocol: Protocol) -> None:
+    """Raise `ClipError` where a set has no sequence for the protocol's largest clips."""
+    largest, longest = int(protocol.sizes.sizes(samples.fps).max()), int(samples.sequences.num_frames.max())
+    if longest < largest:
+        raise ClipError(
+            f"{samples.name}: no sequence has the {largest} poses that a clip at {samples.fps} fps may need; the "
+            f"longest has {longest}; lower the largest clip size or give longer motions"
+        )
+
+
+def draw_clips(protocol: Protocol, fps: Fraction, replication: int, side: int) -> ClipList:
+    """The clip list of one replication: both sides share sizes and centres; each side draws its own sequences.
+
+    Were the sequences shared too, a copy of the real set would score 0 instead of the floor that sampling leaves.
+    """
+    stream = (protocol.seed, fps.numerator, fps.denominator, replication)
+    shared = np.random.default_rng((*stream, 0))
+    own = np.random.default_rng((*stream, 1 + side))
+    return ClipList(
+        num_poses=shared.choice(protocol.sizes.sizes(fps), size=protocol.num_clips),
+        centre_quantile=shared.random(protocol.num_clips),
+        sequence_quantile=own.random(protocol.num_clips),
+    )
+
+
+def place_clips(clips: ClipList, samples: SampleSet, among: Int64[np.ndarray, "chosen"] | None = None) -> ClipPlaces:
+    """Cut the clips from a set's sequences (those `among`, where given), drawn in proportion to their duration.
+
+    Only sequences that hold the whole clip are drawn from; the centre is uniform over the positions on the frame grid.
+    Raises `ClipError` where no sequence is long enough.
+    """
+    sequences = np.arange(samples.num_sequences) if among is None else among
+    num_frames = samples.sequences.num_frames[sequences]
+    chosen = np.empty_like(clips.num_poses)
+    for size in np.unique(clips.num_poses).tolist():
+        wanted = clips.num_poses == size
+        weight = np.cumsum(np.where(num_frames >= size, num_frames, 0))
+        if not len(weight) or weight[-1] == 0:
+            raise ClipError(f"{samples.name}: no sequence among {len(sequences)} has {size} poses at {samples.fps} fps")
+        chosen[wanted] = np.searchsorted(weight, clips.sequence_quantile[wanted] * weight[-1], side="right")
+    room = num_frames[chosen] - clips.num_poses + 1
+    start = np.floor(clips.centre_quantile * room).astype(np.int64)
+    sequence = sequences[chosen]
+    return ClipPlaces(sequence, samples.sequences.start_row[sequence] + start, clips.num_poses)
+
+
+def describe_clips(
+    samples: SampleSet, places: ClipPlaces, features: FeatureSet
+) -> Float64[np.ndarray, "clips features"]:
+    """Features of placed clips, in the order of the places; clips are handed over in groups of one size."""
+    order = np.argsort(places.num_poses, kind="stable")
+    sizes, starts = np.unique(places.num_poses[order], return_index=True)
+    parts = [
+        features.describe(samples.sequences.clips(places.first_row[rows], int(size)), samples.fps)
+        for size, rows in zip(sizes, np.split(order, starts[1:]), strict=True)
+    ]
+    result = np.empty((len(order), parts[0].shape[1]))
+    result[order] = np.concatenate(parts)
+    return result

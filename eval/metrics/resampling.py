@@ -1,0 +1,186 @@
+"""How far a number would move with other takes: a bootstrap that draws takes, not frames or clips of them.
+
+How often a take appears in one resampling is Poisson(1), from a generator that is seeded by the take's name. So a take
+counts as often in every set that holds it: what is made of one take is drawn together with it, and differences between
+rows are paired. Motions of one take are not independent, takes are (Field & Welsh 2007); Poisson counts stand for
+multinomial ones (Chamandy et al. 2012, "Estimating uncertainty for massive data streams").
+"""
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Float64, Int64
+
+from eval.metrics.gaussian import Gaussian
+
+Weights = Float64[np.ndarray, "resamplings units"]
+Resampled = tuple[float | None, ...]
+"""A number in every resampling of the takes; None where a resampling drew none of what it is made of."""
+
+RESAMPLINGS = 200
+GAUSSIANS_AT_ONCE = 16
+NORMAL_95 = 1.96
+MOST_PRODUCTS = 1 << 25
+"""Numbers that the products of all takes may hold; where there would be more, takes are drawn in blocks."""
+FEWEST_BLOCKS, MOST_BLOCKS = 32, 1024
+
+
+@dataclass(frozen=True)
+class Resampling:
+    """How often takes are drawn anew, and from which seed."""
+
+    count: int = RESAMPLINGS
+    seed: int = 0
+
+    def weights(self, names: Sequence[str]) -> Weights:
+        """How often each of the named takes appears in each resampling: the same numbers for a name wherever it is."""
+        columns = [self._stream(name).poisson(1.0, size=self.count) for name in names]
+        return np.stack(columns, axis=1).astype(np.float64) if columns else np.zeros((self.count, 0))
+
+    def _stream(self, name: str) -> np.random.Generator:
+        words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], dtype="<u4").tolist()
+        return np.random.default_rng((self.seed, *words))
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """What is drawn as a whole: the take of every motion, and the generation it is of where there are several.
+
+    `unit` [motions] counts units from 0, each a take (or a block of takes) in one generation; `takes` and `generations`
+    [units] name both.
+    """
+
+    unit: Int64[np.ndarray, "motions"]
+    takes: tuple[str, ...]
+    generations: tuple[str, ...]
+
+    def weights(self, resampling: Resampling) -> Weights:
+        """How often each unit appears: its take's count, times its generation's where there are several (Owen 2007)."""
+        takes, place = np.unique(self.takes, return_inverse=True)
+        weights = resampling.weights([f"take {name}" for name in takes.tolist()])[:, place]
+        generations, place = np.unique(self.generations, return_inverse=True)
+        if len(generations) > 1:
+            weights = weights * resampling.weights([f"generation {name}" for name in generations.tolist()])[:, place]
+        return weights
+
+
+def units_of(takes: Sequence[str], generations: Sequence[int] = (), blocks: int | None = None) -> Units:
+    """Units of motions by the takes they belong to; with `blocks`, takes are put into so many blocks by their names."""
+    names = list(takes) if blocks is None else [_block(take, blocks) for take in takes]
+    pairs = list(zip(names, map(str, generations) if generations else [""] * len(names), strict=True))
+    place = {pair: index for index, pair in enumerate(dict.fromkeys(pairs))}
+    unit = np.array([place[pair] for pair in pairs], dtype=np.int64)
+    return Units(unit, tuple(take for take, _ in place), tuple(generation for _, generation in place))
+
+
+def blocks_for(num_takes: int, num_features: int) -> int | None:
+    """Into how many blocks takes are put so that their products fit into memory; None where each may be by itself."""
+    most = int(np.clip(MOST_PRODUCTS // num_features**2, FEWEST_BLOCKS, MOST_BLOCKS))
+    return most if num_takes > most else None
+
+
+def _block(take: str, blocks: int) -> str:
+    return str(int.from_bytes(hashlib.sha256(take.encode()).digest()[16:24], "little") % blocks)
+
+
+class UnitSums:
+    """Per unit: number of feature vectors, their sum and the sum of their outer products, about `centre`."""
+
+    def __init__(self, num_units: int, centre: Float64[np.ndarray, "features"]) -> None:
+        self.centre = centre
+        self._count = np.zeros(num_units)
+        self._sum = np.zeros((num_units, centre.size))
+        self._products = np.zeros((num_units, centre.size, centre.size))
+
+    def add(self, features: Float[np.ndarray, "samples features"], unit: Int64[np.ndarray, "samples"]) -> None:
+        """Add feature vectors, each of one unit."""
+        order = np.argsort(unit, kind="stable")
+        found, starts = np.unique(unit[order], return_index=True)
+        centred = features[order] - self.centre
+        for index, rows in zip(found.tolist(), np.split(centred, starts[1:]), strict=True):
+            self._count[index] += len(rows)
+            self._sum[index] += rows.sum(axis=0)
+            self._products[index] += rows.T @ rows
+
+    def gaussians(self, weights: Weights) -> Iterator[Gaussian | None]:
+        """The Gaussian of every resampling; None where fewer than two samples were drawn."""
+        size = self.centre.size
+        products = self._products.reshape(len(self._products), size * size)
+        for first in range(0, len(weights), GAUSSIANS_AT_ONCE):
+            part = weights[first : first + GAUSSIANS_AT_ONCE]
+            counts, sums = part @ self._count, part @ self._sum
+            for count, total, product in zip(counts.tolist(), sums, part @ products, strict=True):
+                if count < 2:
+                    yield None
+                    continue
+                mean = total / count
+                scatter = product.reshape(size, size) - count * np.outer(mean, mean)
+                yield Gaussian(self.centre + mean, scatter / (count - 1), round(count))
+
+
+def weighted_means(
+    values: Float[np.ndarray, "samples"], unit: Int64[np.ndarray, "samples"], weights: Weights
+) -> Resampled:
+    """The mean of values in every resampling of their units."""
+    num_units = weights.shape[1]
+    counts = weights @ np.bincount(unit, minlength=num_units)
+    sums = weights @ np.bincount(unit, values, minlength=num_units)
+    return tuple(total / count if count else None for total, count in zip(sums.tolist(), counts.tolist(), strict=True))
+
+
+def half_width(resampled: Resampled) -> float | None:
+    """1.96 standard deviations of a number's resamplings; None where fewer than two of them have it.
+
+    The standard deviation and not the quantiles: the few takes that a resampling holds push distances of distributions
+    up, so its quantiles lie above the number itself (docs/deviations.md has the coverage).
+    """
+    values = [value for value in resampled if value is not None]
+    return float(NORMAL_95 * np.std(values, ddof=1)) if len(values) > 1 else None
+
+
+Verdict = Literal["lower", "higher", "not told apart"]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One row's number less another's; `ci95` is half the width of its paired 95 % interval."""
+
+    value: float
+    ci95: float
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the interval leaves out 0, and on which side it lies."""
+        if abs(self.value) <= self.ci95:
+            return "not told apart"
+        return "lower" if self.value < 0 else "higher"
+
+
+def paired_difference(
+    value: float, resampled: Resampled, other: float, other_resampled: Resampled
+) -> Difference | None:
+    """The difference of two rows' numbers, whose resamplings drew the same takes; None where either has no interval."""
+    if len(resampled) != len(other_resampled):
+        return None
+    pairs = zip(resampled, other_resampled, strict=True)
+    width = half_width(tuple(None if a is None or b is None else a - b for a, b in pairs))
+    return None if width is None else Difference(value - other, width)
+
+
+Score = Callable[[Gaussian, Gaussian], float]
+"""A number of two sets of feature vectors that depends on their means and covariances alone: real, other."""
+
+
+def resampled_scores(
+    real: UnitSums, real_units: Units, others: Sequence[tuple[UnitSums, Units]], score: Score, resampling: Resampling
+) -> list[Resampled]:
+    """The score of every other set against the real one in every resampling of their takes."""
+    sets = [each.gaussians(units.weights(resampling)) for each, units in ((real, real_units), *others)]
+    rows: list[list[float | None]] = [[] for _ in others]
+    for reference, *found in zip(*sets, strict=True):
+        for values, gaussian in zip(rows, found, strict=True):
+            values.append(None if reference is None or gaussian is None else score(reference, gaussian))
+    return [tuple(values) for values in rows]

@@ -1,0 +1,121 @@
+"""Resampled takes: what a resampling holds, what it makes of means and of Gaussians, when rows are told apart."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eval.metrics.gaussian import fit_gaussian, frechet_distance, quick_frechet_distance
+from eval.metrics.resampling import (
+    Difference,
+    Resampling,
+    UnitSums,
+    blocks_for,
+    half_width,
+    paired_difference,
+    resampled_scores,
+    units_of,
+    weighted_means,
+)
+
+
+def takes_of(values: list[int]) -> list[str]:
+    return [f"take{value}" for value in values]
+
+
+def test_a_take_is_drawn_as_often_wherever_it_is_and_once_on_average() -> None:
+    resampling = Resampling(count=4000)
+    first, second = resampling.weights(["a", "b"]), resampling.weights(["c", "b", "a"])
+    np.testing.assert_array_equal(first, second[:, [2, 1]])
+    assert not np.array_equal(first[:, 0], first[:, 1])
+    np.testing.assert_allclose([first.mean(), first.var()], 1.0, atol=0.06)
+    assert not np.array_equal(first, Resampling(count=4000, seed=1).weights(["a", "b"]))
+
+
+def test_generations_are_drawn_whole_beside_takes() -> None:
+    units = units_of(["a", "a", "b", "b", "a"], [0, 1, 0, 1, 0])
+    np.testing.assert_array_equal(units.unit, [0, 1, 2, 3, 0])
+    weights = units.weights(Resampling())
+    ratio = weights[:, 0] * weights[:, 3] - weights[:, 1] * weights[:, 2]
+    np.testing.assert_array_equal(ratio, 0.0)  # a product of what its take and its generation count
+    one = units_of(["a", "b"], [0, 0])
+    np.testing.assert_array_equal(one.weights(Resampling()), units_of(["a", "b"]).weights(Resampling()))
+
+
+def test_many_takes_are_drawn_in_blocks_that_depend_on_their_names_alone() -> None:
+    assert blocks_for(300, 60) is None
+    assert blocks_for(4384, 512) == 128
+    names = takes_of(list(range(500)))
+    whole, some = units_of(names, blocks=64), units_of(names[100:200], blocks=64)
+    assert len(whole.takes) == 64
+    assert [whole.takes[unit] for unit in whole.unit[100:200]] == [some.takes[unit] for unit in some.unit]
+
+
+@given(counts=st.lists(st.integers(0, 3), min_size=4, max_size=4).filter(any), seed=st.integers(0, 99))
+def test_a_weighted_gaussian_is_the_gaussian_of_repeated_takes(counts: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    features, unit = rng.normal(100.0, 1.0, (40, 3)), np.repeat(np.arange(4), 10)
+    sums = UnitSums(4, features.mean(axis=0))
+    sums.add(features[:25], unit[:25])
+    sums.add(features[25:], unit[25:])
+    (found,) = sums.gaussians(np.array([counts], dtype=np.float64))
+    expected = fit_gaussian(np.repeat(features, np.array(counts)[unit], axis=0))
+    assert found is not None
+    assert found.num_samples == expected.num_samples
+    np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-12)
+    np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-12)
+
+
+def test_a_resampling_without_takes_has_no_number() -> None:
+    sums = UnitSums(1, np.zeros(2))
+    sums.add(np.ones((5, 2)), np.zeros(5, dtype=np.int64))
+    assert list(sums.gaussians(np.zeros((1, 1)))) == [None]
+    values = weighted_means(np.array([1.0, 3.0]), np.array([0, 1]), np.array([[0.0, 0.0], [1.0, 3.0]]))
+    assert values == (None, 2.5)
+
+
+def test_the_quick_distance_is_the_distance() -> None:
+    rng = np.random.default_rng(0)
+    a, b = (fit_gaussian(rng.normal(size=(50, 6)) @ rng.normal(size=(6, 6))) for _ in range(2))
+    assert quick_frechet_distance(a, b) == pytest.approx(frechet_distance(a, b), rel=1e-9)
+    assert quick_frechet_distance(a, a) == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(ValueError, match="6 and 5 features"):
+        quick_frechet_distance(a, b.part(slice(0, 5)))
+
+
+def test_the_interval_of_a_mean_is_that_of_its_takes_and_not_of_its_values() -> None:
+    rng = np.random.default_rng(1)
+    takes = rng.normal(size=200)
+    values, unit = np.repeat(takes, 30) + 0.01 * rng.normal(size=6000), np.repeat(np.arange(200), 30)
+    weights = units_of(takes_of(list(range(200)))).weights(Resampling(count=1000))
+    width = half_width(weighted_means(values, unit, weights))
+    assert width == pytest.approx(1.96 * takes.std() / np.sqrt(200), rel=0.1)
+    assert half_width((None, 1.0)) is None
+
+
+def test_paired_rows_are_told_apart_where_unpaired_ones_are_not() -> None:
+    rng = np.random.default_rng(2)
+    hard = 10.0 * rng.normal(size=50)
+    rows = [hard + shift + 0.1 * rng.normal(size=50) for shift in (0.0, -0.5)]
+    weights = units_of(takes_of(list(range(50)))).weights(Resampling())
+    resampled = [weighted_means(row, np.arange(50), weights) for row in rows]
+    means = [float(row.mean()) for row in rows]
+    difference = paired_difference(means[1], resampled[1], means[0], resampled[0])
+    assert difference is not None
+    assert difference.verdict == "lower"
+    widths = [half_width(values) for values in resampled]
+    assert min(width for width in widths if width) > 4 * abs(difference.value)
+    assert paired_difference(1.0, (), 2.0, resampled[0]) is None
+    assert [Difference(value, 0.5).verdict for value in (0.5, 0.6, -0.6)] == ["not told apart", "higher", "lower"]
+
+
+def test_a_set_made_of_the_same_takes_differs_less_than_one_of_others() -> None:
+    rng = np.random.default_rng(3)
+    takes = rng.normal(size=(20, 2))
+    features, unit = np.repeat(takes, 40, axis=0) + 0.3 * rng.normal(size=(800, 2)), np.repeat(np.arange(20), 40)
+    sums = UnitSums(20, takes.mean(axis=0))
+    sums.add(features, unit)
+    own, others = units_of(takes_of(list(range(20)))), units_of(takes_of(list(range(20, 40))))
+    paired, apart = resampled_scores(sums, own, [(sums, own), (sums, others)], frechet_distance, Resampling())
+    assert max(value for value in paired if value is not None) < 1e-9
+    assert np.mean([value for value in apart if value is not None]) > 0.1
