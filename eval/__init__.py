@@ -11,9 +11,49 @@ from motionkit.core.public_names import give_names
 
 if TYPE_CHECKING:
     from eval.clip_fid.motions import clip_fid
+    from eval.torch_metrics.clips import ClipFID
+    from eval.torch_metrics.means import (
+        L2P,
+        L2Q,
+        MPJPE,
+        NPSS,
+        AccelerationError,
+        Accuracy,
+        DeclaredMean,
+        JerkError,
+        SkatingRatio,
+        SkatingSpeed,
+    )
+    from eval.torch_metrics.sets import FID, Diversity, MultiModality, RPrecision
 
-__all__ = ["clip_fid"]
+__all__ = [
+    "FID",
+    "L2P",
+    "L2Q",
+    "MPJPE",
+    "NPSS",
+    "AccelerationError",
+    "Accuracy",
+    "ClipFID",
+    "DeclaredMean",
+    "Diversity",
+    "JerkError",
+    "MultiModality",
+    "RPrecision",
+    "SkatingRatio",
+    "SkatingSpeed",
+    "clip_fid",
+]
 
 __path__ = extend_path(__path__, __name__)
 
-give_names(__name__, {"clip_fid": "eval.clip_fid.motions"})
+_MEANS = ("AccelerationError", "Accuracy", "DeclaredMean", "JerkError", "L2P", "L2Q", "MPJPE", "NPSS")
+give_names(
+    __name__,
+    {
+        "clip_fid": "eval.clip_fid.motions",
+        "ClipFID": "eval.torch_metrics.clips",
+        **dict.fromkeys((*_MEANS, "SkatingRatio", "SkatingSpeed"), "eval.torch_metrics.means"),
+        **dict.fromkeys(("Diversity", "FID", "MultiModality", "RPrecision"), "eval.torch_metrics.sets"),
+    },
+)

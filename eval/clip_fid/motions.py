@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eval.clip_fid.clips import ClipError, Protocol
-from eval.clip_fid.features import kinematic_source, native_source
+from eval.clip_fid.features import Comparison, kinematic_source, native_source
 from eval.metrics.checks import Estimate
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import UsageError
@@ -59,11 +59,16 @@ def clip_fid(
         found = ", ".join(format_fps(rate) for rate in sorted(rates)) or "none (arrays need fps=…)"
         raise UsageError(f"motions at one framerate are compared, these have {found}: motion.resample(fps) changes it")
     rate = rates.pop()
-    samples = {name: _samples(name, motions, rate) for name, motions in sets.items()}
-    source = kinematic_source() if features == "kinematic" else native_source(Path(features))
+    samples = {name: samples_of(name, motions, rate) for name, motions in sets.items()}
     protocol = Protocol(num_clips=clips, replications=replications, detailed_replications=0, seed=seed)
-    comparison = source.comparison(samples["real"], samples["train"], protocol)
+    comparison = comparison_with(samples["real"], samples["train"], protocol, features)
     return comparison.scores({"generated": samples["generated"]})["generated"].clip_fid
+
+
+def comparison_with(real: SampleSet, train: SampleSet, protocol: Protocol, features: str | Path) -> Comparison:
+    """What `clip_fid` compares motions with, fitted once for any number of sets; raises what it raises."""
+    source = kinematic_source() if features == "kinematic" else native_source(Path(features))
+    return source.comparison(real, train, protocol)
 
 
 def _framerates(motions: Motions, given: Fraction | None) -> set[Fraction]:
@@ -71,8 +76,11 @@ def _framerates(motions: Motions, given: Fraction | None) -> set[Fraction]:
     return own if given is None else own | {given}
 
 
-def _samples(name: str, motions: Motions, fps: Fraction) -> SampleSet:
-    joints = [map_joints(each, SMPL22.name) if isinstance(each, Motion) else np.asarray(each) for each in motions]
+def samples_of(name: str, motions: Motions, fps: Fraction) -> SampleSet:
+    """Motions as a sample set of 22 joints. Raises `ClipError` for none and `UsageError` for arrays of other shapes."""
+    joints = [
+        map_joints(each, SMPL22.name) if isinstance(each, Motion) else np.asarray(each, np.float32) for each in motions
+    ]
     if not joints:
         raise ClipError(f"{name} holds no motion")
     for number, each in enumerate(joints):

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from typer.testing import CliRunner
 
 import eval
@@ -44,7 +45,7 @@ TINY = (
 # All but values and errors.
 EXAMPLES = {
     **{name: getattr(mk, name) for name in mk.__all__ if not isinstance(getattr(mk, name), str | mk.Skeleton)},
-    "clip_fid": eval.clip_fid,
+    **{name: getattr(eval, name) for name in eval.__all__},
 }
 EXAMPLES = {
     name: thing
@@ -102,7 +103,8 @@ def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_each_docstrings_examples_run(name: str, project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(project)
     thing = EXAMPLES[name]
-    names = {"mk": mk, "np": np, "clip_fid": eval.clip_fid, "Fraction": Fraction}
+    names = {"mk": mk, "np": np, "torch": torch, "Fraction": Fraction}
+    names |= {name: getattr(eval, name) for name in eval.__all__}
     found = doctest.DocTestFinder(recurse=True).find(thing, name, globs=names)
     # Of a class with its own example, the methods' count, too.
     tests = [test for test in found if test.examples]

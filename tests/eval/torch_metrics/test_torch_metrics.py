@@ -1,0 +1,208 @@
+"""Each metric's value is its function's, whatever the batches, the precision, or the processes that share the work."""
+
+import copy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torchmetrics import Metric, MetricCollection
+
+import eval
+from eval import (
+    FID,
+    L2P,
+    L2Q,
+    MPJPE,
+    NPSS,
+    AccelerationError,
+    Accuracy,
+    ClipFID,
+    DeclaredMean,
+    Diversity,
+    JerkError,
+    MultiModality,
+    RPrecision,
+    SkatingRatio,
+    SkatingSpeed,
+    clip_fid,
+)
+from eval.clip_fid import features
+from eval.clip_fid.clips import ClipError
+from eval.metrics.actions import accuracy, diversity, multimodality
+from eval.metrics.feet import skating_ratio, skating_speed
+from eval.metrics.gaussian import fid
+from eval.metrics.inbetweening import l2p, l2q, npss
+from eval.metrics.r_precision import r_precision
+from eval.metrics.reconstruction import acceleration_error, jerk_error, mpjpe_root_aligned, mre
+
+RNG = np.random.default_rng(0)
+ROWS = RNG.normal(size=(96, 8)) + 1e6
+OTHERS = ROWS + RNG.normal(size=(96, 8))
+SCORES, LABELS = RNG.normal(size=(96, 5)), RNG.integers(5, size=96)
+PREDICTED, TARGET = RNG.normal(size=(2, 96, 20, 4, 3))
+TURNED = RNG.normal(size=(2, 96, 20, 4, 4))
+TURNED /= np.linalg.norm(TURNED, axis=-1, keepdims=True)
+STD = np.ones((4, 3))
+GENERATIONS = RNG.normal(size=(96, 20, 3))
+
+
+def seeded() -> np.random.Generator:
+    return np.random.default_rng(3)
+
+
+# A metric, what it is given (cut into batches along the first axis), and the function's own value of all of it.
+CASES = {
+    "accuracy": (Accuracy(), (SCORES, LABELS), accuracy(SCORES, LABELS)),
+    "mpjpe": (MPJPE(), (PREDICTED[:, 0], TARGET[:, 0]), mpjpe_root_aligned(PREDICTED[:, 0], TARGET[:, 0])),
+    "mre": (DeclaredMean("mre"), (ROWS, OTHERS), mre(ROWS, OTHERS)),
+    "acceleration": (AccelerationError(fps=30), (PREDICTED, TARGET), acceleration_error(PREDICTED, TARGET, 30.0)),
+    "jerk": (JerkError(fps=30), (PREDICTED, TARGET), jerk_error(PREDICTED, TARGET, 30.0)),
+    "l2p": (L2P(std=STD), (PREDICTED, TARGET), l2p(PREDICTED, TARGET, STD)),
+    "l2q": (L2Q(), tuple(TURNED), l2q(*TURNED)),
+    "npss": (NPSS(), (PREDICTED[..., 0], TARGET[..., 0]), npss(PREDICTED[..., 0], TARGET[..., 0])),
+    "diversity": (Diversity(num_pairs=40, seed=3), (ROWS,), diversity(ROWS, seeded(), 40)),
+    "multimodality": (
+        MultiModality(num_pairs=7, seed=3),
+        (GENERATIONS,),
+        multimodality(GENERATIONS, rng=seeded(), num_pairs=7),
+    ),
+}
+
+
+def fed(metric: Metric, arrays: tuple[np.ndarray, ...], cuts: tuple[int, ...]) -> Metric:
+    """The metric after updates with the arrays' batches."""
+    metric = copy.deepcopy(metric)
+    for batch in zip(*(np.split(array, cuts) for array in arrays), strict=True):
+        metric.update(*map(torch.from_numpy, batch))
+    return metric
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("cuts", [(), (1, 40), (32, 64)], ids=str)
+def test_the_value_is_the_functions_whatever_the_batches(name: str, cuts: tuple[int, ...]) -> None:
+    metric, arrays, expected = CASES[name]
+    value = fed(metric, arrays, cuts).compute()
+    assert value.dtype == torch.float64
+    assert float(value) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_states_merge_and_begin_anew(name: str) -> None:
+    metric, arrays, expected = CASES[name]
+    first, second = (fed(metric, tuple(array[half] for array in arrays), ()) for half in (slice(48), slice(48, None)))
+    second_alone = float(copy.deepcopy(second).compute())
+    second.merge_state(first)  # torchmetrics puts what comes in before what is there
+    assert float(second.compute()) == pytest.approx(expected, rel=1e-12)
+    second.reset()
+    second.update(*(torch.from_numpy(array[48:]) for array in arrays))
+    assert float(second.compute()) == pytest.approx(second_alone, rel=1e-12) and second_alone != expected
+
+
+@pytest.mark.parametrize(("metric", "function"), [(SkatingSpeed, skating_speed), (SkatingRatio, skating_ratio)])
+def test_sequences_of_feet_count_by_their_steps(metric: type[DeclaredMean], function) -> None:
+    feet = [RNG.uniform(0, 0.1, size=(length, 4, 3)).cumsum(axis=0) * [1, 0, 1] for length in (10, 31)]
+    whole = metric(fps=30, floor=-0.01)
+    for each in feet:
+        whole.update(torch.from_numpy(each))
+    values = [function(each, 30.0, floor=-0.01) for each in feet]
+    assert float(whole.compute()) == pytest.approx((9 * values[0] + 30 * values[1]) / 39, rel=1e-12)
+
+
+@pytest.mark.parametrize("cuts", [(), (2, 40)], ids=str)
+def test_fid_is_the_functions_far_from_zero_and_in_any_batches(cuts: tuple[int, ...]) -> None:
+    metric = FID()
+    for real, rows in ((True, ROWS), (False, OTHERS)):
+        for batch in np.split(rows, cuts):
+            metric.update(torch.from_numpy(batch), real=real)
+    assert float(metric.compute()) == pytest.approx(fid(ROWS, OTHERS), rel=1e-7)
+    assert metric.real[0].shape == (1, 9, 9)  # memory does not grow
+    with pytest.raises(ValueError, match="8 and of 4 features"):
+        metric.update(torch.zeros(3, 4), real=True)
+
+
+def test_r_precision_is_the_functions_and_draws_pools_of_all_pairs() -> None:
+    found = r_precision(ROWS, OTHERS, rng=seeded())
+    expected = {f"r_precision_top{rank}": share for rank, share in enumerate(found.top, start=1)}
+    for cuts in ((), (5, 50)):
+        values = fed(RPrecision(seed=3), (ROWS, OTHERS), cuts).compute()
+        assert {name: float(value) for name, value in values.items()} == pytest.approx(
+            expected | {"mm_dist": found.matching_distance}, rel=1e-12
+        )
+    with pytest.raises(ValueError, match="pools of 32"):
+        fed(RPrecision(), (ROWS[:8], OTHERS[:8]), ()).compute()
+
+
+MOTIONS = [RNG.normal(size=(length, 22, 3)).cumsum(axis=0).astype(np.float32) / 50 for length in (80, 100, 70, 120)]
+FEW = {"clips": 128, "replications": 2, "seed": 5}
+
+
+@pytest.fixture
+def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fit the descriptor on few clips."""
+    monkeypatch.setattr(features, "FIT_CLIPS", 256)
+
+
+@pytest.mark.usefixtures("quick_fit")
+def test_clip_fid_is_the_functions_in_lists_and_padded_batches() -> None:
+    expected = clip_fid(MOTIONS[:2], MOTIONS, fps=60, **FEW)
+    one_by_one, padded = (ClipFID(60, MOTIONS[:2], **FEW) for _ in range(2))
+    for motion in MOTIONS:
+        one_by_one.update([torch.from_numpy(motion).double()])
+    batch = torch.full((2, 120, 22, 3), torch.nan)
+    for row, motion in zip(batch, MOTIONS[2:], strict=True):
+        row[: len(motion)] = torch.from_numpy(motion)
+    padded.update([torch.from_numpy(motion) for motion in MOTIONS[:2]])
+    padded.update(batch, num_frames=torch.tensor([70, 120]))
+    for metric in (one_by_one, padded, copy.deepcopy(padded)):
+        values = {name: float(value) for name, value in metric.compute().items()}
+        assert values == {"clip_fid": expected.mean, "clip_fid_ci95": expected.ci95}
+    padded.reset()
+    padded.update([torch.from_numpy(motion) for motion in MOTIONS[:2]])
+    assert float(padded.compute()["clip_fid"]) == clip_fid(MOTIONS[:2], MOTIONS[:2], fps=60, **FEW).mean
+
+
+def test_clip_fid_refuses_what_cannot_be_compared() -> None:
+    metric = ClipFID(60, MOTIONS[:2], **FEW)
+    with pytest.raises(ValueError, match=r"at most 9 frames: \[10\]"):
+        metric.update(torch.zeros(1, 9, 22, 3), num_frames=torch.tensor([10]))
+    with pytest.raises(ValueError, match="NaN"):
+        metric.update(torch.full((1, 9, 22, 3), torch.nan))
+    with pytest.raises(ClipError, match="real holds no motion"):
+        ClipFID(60, [])
+    metric.update([torch.zeros(10, 22, 3)])
+    with pytest.raises(ClipError, match="poses"):
+        metric.compute()
+
+
+def test_settings_go_to_the_function_and_to_torchmetrics() -> None:
+    assert JerkError(fps=30, sync_on_compute=False).sync_on_compute is False
+    with pytest.raises(ValueError, match="Unexpected keyword arguments: `frame_rate`"):
+        JerkError(frame_rate=30)
+    with pytest.raises(ValueError, match="fid is not a mean"):
+        DeclaredMean("fid")
+    with pytest.raises(KeyError, match="there is no metric 'jerk'"):
+        DeclaredMean("jerk")
+    assert JerkError(fps=30).higher_is_better is False and Accuracy().higher_is_better is True
+
+
+def test_half_precision_and_a_collection() -> None:
+    both = MetricCollection({"mpjpe": MPJPE(), "mre": DeclaredMean("mean_vector_distance")})
+    predicted = torch.ones(6, 1, 3, dtype=torch.bfloat16)
+    both["mpjpe"].update(predicted, 3 * predicted)
+    both["mre"].update(predicted[:, 0], 3 * predicted[:, 0])
+    assert {name: round(float(value), 6) for name, value in both.compute().items()} == {"mpjpe": 0, "mre": 3.464102}
+
+
+def test_importing_eval_is_light_and_a_missing_package_is_named(tmp_path: Path) -> None:
+    script = "import sys, eval; assert not {'torch', 'numpy', 'torchmetrics'} & set(sys.modules)\n"
+    without = "import importlib.util as u; u.find_spec = lambda name, *_: None\n"
+    for code, said in (
+        (script, ""),
+        (script + without + "from eval import FID\n", "pip install 'motionkit[metrics]'"),
+    ):
+        done = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=False)
+        assert said in done.stderr and (done.returncode == 0) == (not said), done.stderr
+    assert {name for name in eval.__all__ if not hasattr(eval, name)} == set()
