@@ -25,6 +25,7 @@ from motionkit.training.text import TextEncoder, load_text_encoder
 from nerm.conditions import Conditions, unit_rows
 from nerm.denoiser.trained import TrainedDenoiser, load_denoiser
 from nerm.field.trained import load_field
+from nerm.names import row_name
 
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
 
@@ -55,15 +56,11 @@ class LatentField(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class NermModel:
-    """A `motionkit.generate.models.GenerativeModel`: a trained field and a denoiser of its latents."""
+    """A `motionkit.generate.models.GenerativeModel`: a trained field and a denoiser; `name` is that of its rows."""
 
     field: LatentField
     denoiser: TrainedDenoiser
-
-    @property
-    def name(self) -> str:
-        """Name for tables."""
-        return "NeRM"
+    name: str = "NeRM"
 
     @property
     def skeleton(self) -> Skeleton:
@@ -236,4 +233,4 @@ def load(run: Path) -> NermModel:
             f"{field_path} is not the field whose latents the denoiser of {run} generates: train the denoiser again "
             f"(motionkit train --stage denoiser --run {run.name} --overwrite)"
         )
-    return NermModel(field, denoiser)
+    return NermModel(field, denoiser, row_name(field.config, denoiser.config))

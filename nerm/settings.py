@@ -219,7 +219,7 @@ class FieldLossConfig:
 
 @dataclass(frozen=True)
 class FieldOptimizerConfig:
-    """What AdamW has besides the schedule's learning rate: those of attention and of the latents."""
+    """What AdamW has besides the schedule's learning rate: those of attention and of the latents (μ and log Σ)."""
 
     attention_learning_rate: float = 1e-4
     latent_learning_rate: float = 1e-4
@@ -374,7 +374,7 @@ class ConditionsConfig:
 
 @dataclass(frozen=True)
 class DenoiserConfig:
-    """The stage `denoiser`; its weights are averaged with a decay of `ema_decay`."""
+    """The stage `denoiser`; its weights are averaged with a decay of `ema_decay` (0: the last ones)."""
 
     network: TransformerConfig = field(default_factory=TransformerConfig)
     diffusion: DiffusionConfig = field(default_factory=DiffusionConfig)
@@ -382,7 +382,7 @@ class DenoiserConfig:
     conditions: ConditionsConfig = field(default_factory=ConditionsConfig)
     schedule: Schedule = field(default_factory=lambda: Schedule(epochs=3000))
     weight_decay: float = 0.01
-    ema_decay: float = 0.9999
+    ema_decay: float = 0.0
     precision: Precision = "float32"
     compile: bool = False
 

@@ -22,6 +22,7 @@ from motionkit.fields.motion_field import MotionField, Observation, Observed
 from motionkit.store.reader import Store
 from nerm.field.encoding import encode_by_optimisation
 from nerm.field.trained import TrainedField, load_field
+from nerm.names import row_name
 
 POSES_TO_ENCODE_FROM = 100
 WINDOWS_AT_ONCE = 64
@@ -42,7 +43,7 @@ class NermEncoder:
     @property
     def name(self) -> str:
         """Name for tables."""
-        return "NeRM"
+        return row_name(self.trained.config)
 
     @property
     def store_fingerprint(self) -> str:

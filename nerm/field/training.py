@@ -84,10 +84,10 @@ class FieldTraining:
         self.visits = torch.from_numpy(rows_by_duration(poses.windows, config.clips.seconds_per_visit))
         self.steps = config.schedule.num_steps(len(self.visits))
         self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.optimizer.weight_decay)
-        self.mean = RowAdam(means.to(device))
+        self.mean = RowAdam(means.to(device), weight_decay=config.optimizer.weight_decay)
         # Eq. 9 has no Σ: what stage 2 draws from such a posterior is μ, as nearly as a log-variance can say it.
         start = config.latents.initial_log_variance if config.latents.variational else LOG_VARIANCE_RANGE[0]
-        self.log_variance = RowAdam(torch.full_like(self.mean.table, start))
+        self.log_variance = RowAdam(torch.full_like(self.mean.table, start), weight_decay=config.optimizer.weight_decay)
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
         """θ in two groups: attention, in CCA or in a transformer decoder, diverges at rates that suit an MLP."""

@@ -14,9 +14,9 @@ LOG_VARIANCE_RANGE = (-12.0, 4.0)
 
 
 class RowAdam:
-    """Adam (Kingma & Ba 2015) on some rows of a table at a time; each row counts its own steps.
+    """AdamW (Loshchilov & Hutter 2019) on some rows of a table at a time; each row counts its own steps.
 
-    A row that was updated n times has had exactly n steps of dense Adam; others are untouched.
+    A row that was updated n times has had exactly n steps of dense AdamW; others are untouched, their decay too.
     """
 
     def __init__(
@@ -24,8 +24,10 @@ class RowAdam:
         table: Float32[torch.Tensor, "rows width"],
         betas: tuple[float, float] = (0.9, 0.999),
         epsilon: float = 1e-8,
+        weight_decay: float = 0.0,
     ) -> None:
         self.table = table
+        self.weight_decay = weight_decay
         self.betas = betas
         self.epsilon = epsilon
         self.first = torch.zeros_like(table)
@@ -42,7 +44,7 @@ class RowAdam:
         first = torch.lerp(self.first[rows], gradient, 1.0 - beta1)
         second = torch.lerp(self.second[rows], gradient.square(), 1.0 - beta2)
         step = rate * (first / (1.0 - beta1**count)) / ((second / (1.0 - beta2**count)).sqrt() + self.epsilon)
-        self.table[rows] -= step
+        self.table[rows] = (1.0 - rate * self.weight_decay) * self.table[rows] - step
         self.first[rows], self.second[rows], self.count[rows] = first, second, count
 
     def tensors(self) -> dict[str, torch.Tensor]:

@@ -7,6 +7,7 @@ from eval.commands import demo_steps
 from eval.commands.demo import demo
 from eval.commands.demo_steps import DemoFolder, DemoSize, run_demo
 from motionkit.core.errors import LinkError, UsageError
+from nerm.names import LOCAL
 
 TINY = DemoSize(
     num_sequences=64,
@@ -31,10 +32,10 @@ def test_the_whole_chain_leaves_everything_behind(
     document = json.loads(capsys.readouterr().out)
     assert set(document["seconds"]) == {"corpus", "ingest", "train", "generate", "eval", "picture"}
     rows = [row["name"] for block in document["table"]["blocks"] for row in block["rows"]]
-    assert "NeRM" in rows and "NeRM (paper)" in rows
+    assert LOCAL in rows and "NeRM (paper)" in rows
     assert all(Path(place).exists() for place in document["places"].values())
     assert folder.picture.read_bytes().startswith(b"\x89PNG")
-    assert "| NeRM |" in (folder.results / "nerm-table2.md").read_text()
+    assert f"| {LOCAL} |" in (folder.results / "nerm-table2.md").read_text()
     assert len(list(folder.generated.glob("*.bvh"))) == 1
 
 

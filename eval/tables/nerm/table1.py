@@ -33,7 +33,9 @@ VERSION = "text-motion/1"
 DEFAULT_FPS = Fraction(20)
 REAL = "real"
 FIXED_SUFFIX = "-fixed"
-"""What stands behind the names of a run and of its models where they were trained at a single framerate."""
+"""What stands behind the name of a run whose models were trained at a single framerate."""
+FIXED_ROW = ", fixed framerate"
+"""What stands behind those models' names in rows."""
 SMALL = 1000
 """Fewer motions than this make a table a small-scale one, and its caption says so."""
 
@@ -130,7 +132,7 @@ def _models(request: TableRequest) -> Found[dict[str, TrainedModel]]:
             continue
         model = Trained(loader, run)
         try:
-            found[model.loaded.name + FIXED_SUFFIX] = model
+            found[model.loaded.name + FIXED_ROW] = model
         except MotionkitError as error:
             missing.append(f"{title}: {error}")
     return Found(found, tuple(missing))

@@ -76,8 +76,7 @@ def build_table4(request: TableRequest) -> Result:
     found = trained_reconstructors(request.evaluated.run)
     for name, trained in found.items():
         each = described_windows(reconstructor(trained, store), store, request)
-        whose = f"{name}: " if len(found) > 1 else ""
-        sets |= {f"{whose}{which}, {some.described}": some for which, some in each.value.items()}
+        sets |= {f"{name}: {which}, {some.described}": some for which, some in each.value.items()}
         missing += each.missing
     measured = {name: _measure(each, rates) for name, each in sets.items()}
     for name, errors in ((name, each.errors) for name, each in measured.items()):

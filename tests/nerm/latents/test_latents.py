@@ -1,3 +1,4 @@
+import pytest
 import torch
 from torch.distributions import Normal, kl_divergence
 
@@ -5,13 +6,14 @@ from nerm.latents import posterior
 from nerm.latents.posterior import RowAdam, sample_posterior
 
 
-def test_rows_that_are_touched_follow_dense_adam_and_others_stay() -> None:
+@pytest.mark.parametrize("weight_decay", [0.0, 0.5])
+def test_rows_that_are_touched_follow_dense_adamw_and_others_stay(weight_decay: float) -> None:
     generator = torch.Generator().manual_seed(0)
     table = torch.randn(10, 4, generator=generator)
     touched = torch.tensor([1, 4, 7])
     dense = table[touched].clone().requires_grad_()
-    reference = torch.optim.Adam([dense], lr=0.03)
-    sparse = RowAdam(table.clone())
+    reference = torch.optim.AdamW([dense], lr=0.03, weight_decay=weight_decay)
+    sparse = RowAdam(table.clone(), weight_decay=weight_decay)
     for _ in range(25):
         gradient = torch.randn(3, 4, generator=generator)
         dense.grad = gradient.clone()

@@ -14,6 +14,7 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import StageContext
 from nerm.field.trained import load_field
+from nerm.names import LOCAL
 from nerm.recipes import NermConfig, demo
 from nerm.stages import CODEBOOK, FIELD
 from tests.helpers.nerm_corpus import analytic_positions
@@ -38,7 +39,7 @@ TINY = [
 ]
 
 
-ROWS = ["training windows, from their μ", "held-out windows, encoded by optimisation"]
+ROWS = [f"{LOCAL}: {each}" for each in ("training windows, from their μ", "held-out windows, encoded by optimisation")]
 
 
 @pytest.fixture(scope="module")

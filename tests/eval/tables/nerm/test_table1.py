@@ -111,8 +111,8 @@ def test_a_model_that_is_the_real_motion_scores_like_it(
     result = build(store, tmp_path / "results", run)
     rows = rows_of(result)
     assert rows["real"][TOP1] > 0.99 and rows["NeRM"][TOP1] > 0.99
-    assert rows["NeRM-fixed"][TOP3] == pytest.approx(3 / 32, abs=0.08)
-    assert rows["NeRM"][MM_DIST] < 0.01 < 0.1 < rows["NeRM-fixed"][MM_DIST]
+    assert rows["NeRM, fixed framerate"][TOP3] == pytest.approx(3 / 32, abs=0.08)
+    assert rows["NeRM"][MM_DIST] < 0.01 < 0.1 < rows["NeRM, fixed framerate"][MM_DIST]
     assert rows["NeRM"][FID] < 0.2 * rows[FLOOR][FID]
     assert FID not in rows["real"]
     assert rows[ORACLE][TOP1] == 1.0
@@ -120,11 +120,11 @@ def test_a_model_that_is_the_real_motion_scores_like_it(
         FLOOR: 35,
         "real": 70,
         "NeRM": 70,
-        "NeRM-fixed": 70,
+        "NeRM, fixed framerate": 70,
     }
     # 0.001 times a normal number on every coordinate: pairs are 0.002/√π apart in each of the four that are seen.
     assert rows["NeRM"][MULTIMODALITY] == pytest.approx(2 * 0.002 / np.sqrt(np.pi), rel=0.2)
-    assert rows["NeRM-fixed"][MULTIMODALITY] > 10 * rows["NeRM"][MULTIMODALITY]
+    assert rows["NeRM, fixed framerate"][MULTIMODALITY] > 10 * rows["NeRM"][MULTIMODALITY]
     (details,) = {tuple(row.cells[FID].details) for row in result.blocks[0].rows if row.name == "NeRM"}
     assert details == ("FID∞", "KID")
     other_way = rows_of(result, 1)
@@ -198,7 +198,7 @@ def test_what_there_is_not_is_named(store: Path, tmp_path: Path, run: Path, mode
     models["nano"].script = refuse
     told = build(store, tmp_path / "results", run)
     assert "NeRM, shapes: this model was trained without texts" in told.missing
-    assert "NeRM-fixed" in rows_of(told)
+    assert "NeRM, fixed framerate" in rows_of(told)
 
 
 @pytest.mark.parametrize(
