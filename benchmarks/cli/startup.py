@@ -16,6 +16,8 @@ import sys
 import time
 from pathlib import Path
 
+from eval.report.results import provenance
+
 PROGRAMS = {
     "python -c pass": [sys.executable, "-c", "pass"],
     "motionkit --help": [shutil.which("motionkit", path=str(Path(sys.executable).parent)) or "motionkit", "--help"],
@@ -48,7 +50,7 @@ def main() -> None:
     arguments = parser.parse_args()
     figures = {name: measure(command, arguments.repeats) for name, command in PROGRAMS.items()}
     if arguments.json:
-        print(json.dumps({"repeats": arguments.repeats, "programs": figures}, indent=2))
+        print(json.dumps({"repeats": arguments.repeats, "programs": figures, "provenance": provenance()}, indent=2))
         return
     print(f"{'program':34} {'wall s':>8} {'CPU s':>8}")
     for name, figure in figures.items():

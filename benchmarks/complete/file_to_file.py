@@ -27,6 +27,7 @@ from pathlib import Path
 from motionkit.formats.source import number_table
 from motionkit.formats.bvh.text import split_text
 from motionkit.formats.source.source_file import PART_BYTES, FileParts
+from eval.report.results import provenance
 path, repeats = Path(sys.argv[1]), int(sys.argv[2])
 file = FileParts.of(path)
 head = split_text(file.read(0, PART_BYTES), path)
@@ -87,7 +88,13 @@ def main() -> None:
             made = [sys.executable, "-c", COMPLETE, "complete", str(clip), *further]
             rows.append({"minutes": minutes, "what": f"30 → {arguments.fps} fps", **measure(made)})
     if arguments.json:
-        print(json.dumps({"arguments": arguments.arguments, "figures": rows}, indent=2, ensure_ascii=False))
+        print(
+            json.dumps(
+                {"arguments": arguments.arguments, "figures": rows, "provenance": provenance()},
+                indent=2,
+                ensure_ascii=False,
+            )
+        )
         return
     print(f"{'minutes':>8}  {'':14} {'wall s':>8} {'CPU s':>8} {'peak MB':>8}")
     for row in rows:

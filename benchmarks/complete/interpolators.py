@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eval.report.results import provenance
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.fields.completion import complete
@@ -109,7 +110,7 @@ def main() -> None:
     for (name, task), found in errors.items():
         figures[name][task] = round(float(np.mean(found)), 2)
     if arguments.json:
-        print(json.dumps({"takes": count, "millimetres": figures}, indent=2))
+        print(json.dumps({"takes": count, "millimetres": figures, "provenance": provenance()}, indent=2))
         return
     tasks = ["4×", *(f"gap {gap}" for gap in GAPS), *(f"beyond {reach}" for reach in REACHES)]
     print(f"{count} takes, mm")

@@ -22,6 +22,7 @@ import torch
 
 from eval.actions.gru import CMU_MOCAP, HUMANACT12, GruRecogniser, load_gru
 from eval.metrics.actions import accuracy
+from eval.report.results import provenance
 from eval.sets.real import RealMotion, real_motion
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.store import Store
@@ -57,7 +58,13 @@ def main() -> None:
         found["humanact12"] = own_samples(arguments.repository)
     if not found:
         parser.error("give --store and --cmu, or --repository")
-    print(json.dumps(found, indent=None if arguments.json else 1, ensure_ascii=False))
+    print(
+        json.dumps(
+            found | {"provenance": provenance(arguments.store)},
+            indent=None if arguments.json else 1,
+            ensure_ascii=False,
+        )
+    )
 
 
 def cmu_takes(store: Store, recogniser: GruRecogniser) -> dict[str, object]:

@@ -24,6 +24,7 @@ from eval.clip_fid.features import fit_on, kinematic_source
 from eval.clip_fid.score import score_rows
 from eval.metrics.gaussian import fid, fid_infinity, kid
 from eval.metrics.neighbours import prdc
+from eval.report.results import provenance
 from eval.sets.sets import SampleSet, sample_set
 
 
@@ -99,7 +100,7 @@ def main() -> None:
 
 def show(figures: dict[str, float], title: str, as_json: bool) -> None:
     if as_json:
-        print(json.dumps({"title": title, "seconds": figures}, indent=2))
+        print(json.dumps({"title": title, "seconds": figures, "provenance": provenance()}, indent=2))
         return
     print(f"{title}, seconds")
     for name, seconds in figures.items():

@@ -17,6 +17,7 @@ import numpy as np
 from eval.completion.protocol import INTEGER_SCALES, InterpolationProtocol, scale_label
 from eval.completion.scores import ClipFrames, measure_scale
 from eval.completion.takes import DataSet, NoTakesError, TrueClips, data_sets_of, open_clips
+from eval.report.results import provenance
 from motionkit.features.rotation_rows import two_columns
 from motionkit.store.reader import Store
 
@@ -96,7 +97,7 @@ def main() -> None:
         except NoTakesError:
             continue
     if options.json:
-        print(json.dumps(report, indent=2, ensure_ascii=False))
+        print(json.dumps(report | {"provenance": provenance(options.store)}, indent=2, ensure_ascii=False))
         return
     for label, rows in report.items():
         print(label)

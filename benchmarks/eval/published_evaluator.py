@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from eval.report.results import provenance
 from eval.text_motion.guo.evaluator import MAX_FRAMES, GuoEvaluator, load_guo
 from eval.text_motion.guo.kind import KINDS, GuoFiles
 from eval.text_motion.guo.networks import GuoNetworks
@@ -132,7 +133,7 @@ def main() -> None:
         read = replace(evaluator, words=read_word_vectors(glove))
         figures["sentences"] = compare_sentences(read, wrapper, glove)
     if arguments.json:
-        print(json.dumps(figures, indent=2))
+        print(json.dumps(figures | {"provenance": provenance()}, indent=2))
         return
     for what, found in figures.items():
         for name, value in found.items():

@@ -17,6 +17,7 @@ import numpy as np
 from eval.metrics.checks import estimate
 from eval.metrics.r_precision import REFERENCE_POOL, r_precision
 from eval.native_evaluator.evaluator import NativeEvaluator, load_native
+from eval.report.results import provenance
 from motionkit.core.framerate import parse_fps
 from motionkit.fields.resample import resample_positions
 from motionkit.store import Store
@@ -83,7 +84,16 @@ def main() -> None:
         clips, captions = captioned_clips(store, arguments.split, fps, arguments.poses, np.random.default_rng(0))
         results.append(measure(evaluator, clips, captions, fps))
     if arguments.json:
-        print(json.dumps({"evaluator": evaluator.fingerprint, "results": results}, indent=2))
+        print(
+            json.dumps(
+                {
+                    "evaluator": evaluator.fingerprint,
+                    "results": results,
+                    "provenance": provenance(arguments.store, [arguments.run]),
+                },
+                indent=2,
+            )
+        )
         return
     print(f"evaluator {evaluator.fingerprint}, {arguments.poses} poses, pools of {REFERENCE_POOL}")
     for name in results[0]:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eval.report.results import provenance
 from eval.sample_folder import SampleOptions, read_sample_folder
 from eval.sets.upsampled import each_upsampled, upsampled_positions
 from motionkit.fields.motion_field import to_motion
@@ -64,7 +65,7 @@ def main() -> None:
         "20 to 60 fps many at a time, ms of CPU a motion": 1000 * together / len(sequences),
     }
     if arguments.json:
-        print(json.dumps(figures, indent=2))
+        print(json.dumps(figures | {"provenance": provenance()}, indent=2))
         return
     for name, value in figures.items():
         print(f"{name:50} {value:10.2f}")

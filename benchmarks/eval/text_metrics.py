@@ -18,6 +18,7 @@ import numpy as np
 import scipy.linalg
 
 from eval.metrics.gaussian import fid
+from eval.report.results import provenance
 from eval.text_motion.protocol import TextMotionProtocol, find_text_motion_protocol
 from eval.text_motion.scores import TextMotionPairs, score_text_motion
 
@@ -68,7 +69,7 @@ def main() -> None:
         ),
     }
     if arguments.json:
-        print(json.dumps({"seconds": figures, "fid": values}, indent=2))
+        print(json.dumps({"seconds": figures, "fid": values, "provenance": provenance()}, indent=2))
         return
     print(f"FID {values['ours']!r}, by scipy.linalg.sqrtm {values['scipy.linalg.sqrtm']!r}")
     for name, each in figures.items():

@@ -13,6 +13,7 @@ from eval.clip_fid.clips import Protocol
 from eval.clip_fid.features import fit_on
 from eval.clip_fid.kinematic import VERSION
 from eval.clip_fid.score import score_disjoint_halves, score_rows
+from eval.report.results import provenance
 from eval.sets.corruptions import jitter, upsample_slerp
 from eval.sets.real import real_motion
 from motionkit.store import Store
@@ -45,7 +46,17 @@ def main() -> None:
     options = parser.parse_args()
     found = measure(Store.open(options.store), options.fps, options.noise_metres)
     if options.json:
-        print(json.dumps({"features": VERSION, "fps": str(options.fps), "noise_metres": options.noise_metres, **found}))
+        print(
+            json.dumps(
+                {
+                    "features": VERSION,
+                    "fps": str(options.fps),
+                    "noise_metres": options.noise_metres,
+                    **found,
+                    "provenance": provenance(Path(options.store)),
+                }
+            )
+        )
         return
     for name, value in found.items():
         print(f"{name.replace('_', ' '):16} {value:8.2f}")

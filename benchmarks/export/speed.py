@@ -10,7 +10,6 @@ goes to stderr, JSON to stdout.
 import argparse
 import itertools
 import json
-import platform
 import tempfile
 import time
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
 from motionkit.export.run import export, export_kinds
@@ -104,8 +104,16 @@ def main() -> None:
             ),
         )
     Console(stderr=True).print(table)
-    machine = {"python": platform.python_version(), "processor": platform.processor() or platform.machine()}
-    print(json.dumps({"store": str(arguments.store), "frames": num_frames, "results": results, "machine": machine}))
+    print(
+        json.dumps(
+            {
+                "store": str(arguments.store),
+                "frames": num_frames,
+                "results": results,
+                "provenance": provenance(arguments.store),
+            }
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from eval.report.results import provenance
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import humanml3d
 from motionkit.features.layout import SMPL22_LAYOUT
@@ -108,7 +109,7 @@ def main() -> None:
             row["largest_difference"] = float(np.abs(ours(raw) - peer(raw)).max())
         rows.append(row)
     if options.json:
-        print(json.dumps({"work": WORK, "rows": rows}, indent=2, ensure_ascii=False))
+        print(json.dumps({"work": WORK, "rows": rows, "provenance": provenance()}, indent=2, ensure_ascii=False))
         return
     print(WORK)
     print("  ".join(f"{name:>18}" for name in rows[0]))

@@ -23,6 +23,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from eval.report.results import provenance
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
@@ -101,7 +102,7 @@ def main() -> None:
         "rows": rows,
     }
     if options.json:
-        print(json.dumps(report, indent=2))
+        print(json.dumps(report | {"provenance": provenance()}, indent=2))
         return
     print(f"{motion.num_frames} frames, 22 joints, 30 -> 120 fps; scipy's Slerp, rotations alone: {peer:.4f} s")
     print(f"SLERP's cosine differs from scipy's by at most {agreement:.1e}")

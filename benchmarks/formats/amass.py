@@ -18,6 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.smpl.amass import read_amass
 from motionkit.formats.smpl.body import LAYOUTS
@@ -99,7 +100,12 @@ def main() -> None:
         times = [f"{1e3 * float(row[key]):.0f}" for key in row if key.endswith("_seconds")]
         table.add_row(str(row["take"]), f"{row['megabytes']:.1f}", *times)
     Console(stderr=True).print(table)
-    print(json.dumps({"machine": platform.processor(), "frames": arguments.frames, "takes": rows}, indent=1))
+    print(
+        json.dumps(
+            {"machine": platform.processor(), "frames": arguments.frames, "takes": rows, "provenance": provenance()},
+            indent=1,
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.formats.asfamc import parse_amc, read_asfamc
 from motionkit.formats.scan.items import ReadOptions
 
@@ -80,7 +81,7 @@ def main() -> None:
     for name, value in seconds.items():
         table.add_row(name, f"{value:.3f}", f"{frames / value:,.0f}")
     Console(stderr=True).print(table)
-    print(json.dumps(report, indent=2))
+    print(json.dumps(report | {"provenance": provenance()}, indent=2))
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from pymotion.io.bvh import BVH
 from rich.console import Console
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.formats.bvh import text
 from motionkit.formats.bvh.document import read_bvh
 
@@ -115,7 +116,7 @@ def main() -> None:
         columns = (result["files"], result["megabytes"], rate["motionkit"], rate["pymotion"], rate["pyarrow_csv"])
         table.add_row(name, *map(str, columns), str(result["times_pymotion"]))
     Console(stderr=True).print(table)
-    print(json.dumps(report, indent=2))
+    print(json.dumps(report | {"provenance": provenance()}, indent=2))
 
 
 if __name__ == "__main__":

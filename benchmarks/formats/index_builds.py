@@ -21,6 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.formats.indexes.entries import Entry
 from motionkit.formats.indexes.search import read_index
 from motionkit.formats.scan.cuts import StepCut
@@ -116,7 +117,7 @@ def main() -> None:
         count = len(found.items) if what == "find" else len(items)
         table.add_row(what, f"{value:.2f}", f"{1000 * value / count:.2f}")
     Console(stderr=True).print(table)
-    print(json.dumps(report, indent=2))
+    print(json.dumps(report | {"provenance": provenance()}, indent=2))
 
 
 if __name__ == "__main__":

@@ -18,6 +18,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from eval.report.results import provenance
+
 SPINE = ["Spine", "Spine1", "Neck", "Head"]
 ARM = ["Shoulder", "Arm", "ForeArm", "Hand"]
 LEG = ["UpLeg", "Leg", "Foot", "ToeBase"]
@@ -93,7 +95,7 @@ def main() -> None:
             f"{result['cpu_seconds']:.1f}",
         )
     Console(stderr=True).print(table)
-    print(json.dumps(results, indent=2))
+    print(json.dumps({"takes": results, "provenance": provenance()}, indent=2))
 
 
 if __name__ == "__main__":

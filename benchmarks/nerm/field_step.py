@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 import torch
 
+from eval.report.results import provenance
 from motionkit.training.config import apply_overrides
 from nerm.field.network import EncodedCoordinates, FieldNetwork
 from nerm.settings import FieldConfig
@@ -92,7 +93,17 @@ def main() -> None:
     distinct = len(torch.unique(torch.round(coordinates * 2.0**40)))
     figures = {name: cpu_seconds(lambda e=encode: loss_of(e), arguments.repeats) for name, encode in sides.items()}
     if arguments.json:
-        print(json.dumps({"poses": coordinates.numel(), "distinct": distinct, "cpu_seconds_a_step": figures}, indent=2))
+        print(
+            json.dumps(
+                {
+                    "poses": coordinates.numel(),
+                    "distinct": distinct,
+                    "cpu_seconds_a_step": figures,
+                    "provenance": provenance(),
+                },
+                indent=2,
+            )
+        )
         return
     print(f"{coordinates.numel()} poses, {distinct} distinct coordinates")
     for name, seconds in figures.items():

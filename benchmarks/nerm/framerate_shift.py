@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eval.report.results import provenance
 from nerm.field.trained import load_field
 from nerm.model import RATES, FramerateShift, framerate_shift
 
@@ -33,7 +34,7 @@ def main() -> None:
     arguments = parser.parse_args()
     found = measure(arguments.run, arguments.windows)
     if arguments.json:
-        print(json.dumps(found.plain(), indent=2))
+        print(json.dumps(found.plain() | {"provenance": provenance(runs=[arguments.run])}, indent=2))
         return
     rates = ", ".join(str(rate) for rate in found.rates)
     print(f"{found.num_motions} windows, {found.num_instants} instants, told {rates} fps")

@@ -25,6 +25,7 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
+from eval.report.results import provenance
 from motionkit.clips.windows import Windows
 from motionkit.generate.models import GenerationRequest
 from nerm.conditions import ConditionLayout
@@ -186,7 +187,11 @@ def main() -> None:
         "decoding": rates,
     }
     if arguments.json:
-        print(json.dumps(report, indent=2))
+        print(
+            json.dumps(
+                report | {"provenance": provenance(runs=[Path(arguments.run)] if arguments.run else [])}, indent=2
+            )
+        )
         return
     _print(report)
 

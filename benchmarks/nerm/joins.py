@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from eval.report.results import provenance
 from motionkit.fields.assembly import AssembledField
 from motionkit.generate.long_motions import generate_joined
 from motionkit.generate.models import GenerationRequest
@@ -72,7 +73,17 @@ def main() -> None:
             }
         )
     if arguments.json:
-        print(json.dumps({"run": str(arguments.run), "seconds": arguments.seconds, "rows": rows}, indent=2))
+        print(
+            json.dumps(
+                {
+                    "run": str(arguments.run),
+                    "seconds": arguments.seconds,
+                    "rows": rows,
+                    "provenance": provenance(runs=[arguments.run]),
+                },
+                indent=2,
+            )
+        )
         return
     print(f"{'overlap, s':>10} {'joins':>6} {'apart, cm':>10} {'most':>6} {'bones shorter by':>17} {'most':>6}")
     for row in rows:

@@ -21,6 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
+from eval.report.results import provenance
+
 RATES = (20, 250)
 TAKE_SECONDS = 20.0
 MEGABYTE = 1_000_000
@@ -137,7 +139,14 @@ def main() -> None:
     if arguments.json:
         print(
             json.dumps(
-                {"minutes": arguments.minutes, "settings": settings, "figures": figures, "ratios": ratios}, indent=2
+                {
+                    "minutes": arguments.minutes,
+                    "settings": settings,
+                    "figures": figures,
+                    "ratios": ratios,
+                    "provenance": provenance(),
+                },
+                indent=2,
             )
         )
         return

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import torch
 
+from eval.report.results import provenance
 from motionkit.clips.poses import WindowPoses
 from motionkit.core.skeleton import SMPL22
 from motionkit.store.cache.positions import open_cache
@@ -66,7 +67,12 @@ def main() -> None:
     if arguments.json:
         print(
             json.dumps(
-                {"recipe": arguments.recipe, "batch": config.schedule.batch_size, "cpu_seconds_a_step": figures},
+                {
+                    "recipe": arguments.recipe,
+                    "batch": config.schedule.batch_size,
+                    "cpu_seconds_a_step": figures,
+                    "provenance": provenance(arguments.store),
+                },
                 indent=2,
             )
         )

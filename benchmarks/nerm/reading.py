@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from eval.report.results import provenance
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import PositionSource, Windows
 from motionkit.core.skeleton import SMPL22
@@ -98,7 +99,7 @@ def main() -> None:
             cost = milliseconds(poses, windows, batch, arguments.repeats, after)
             rows.append({"batch": name, "read from": way, "ms": cost, "resident_mb": resident_file_mb() - before})
     if arguments.json:
-        print(json.dumps({"windows": len(windows), "rows": rows}, indent=2))
+        print(json.dumps({"windows": len(windows), "rows": rows, "provenance": provenance(arguments.store)}, indent=2))
         return
     print(f"{'batch':26} {'read from':22} {'CPU ms':>8} {'resident MB':>12}")
     for row in rows:

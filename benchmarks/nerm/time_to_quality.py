@@ -20,7 +20,7 @@ import numpy as np
 import torch
 
 from eval.metrics.reconstruction import mpjpe_root_aligned
-from eval.report.results import environment
+from eval.report.results import provenance
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.reconstruction import comparable, reconstructions, separate_windows
 from motionkit.core.skeleton import SMPL22
@@ -157,7 +157,7 @@ def main() -> None:
         "target_mm": TARGET_MM,
         "cpu_seconds_to_target": {name: reached(points) for name, points in curves.items()},
         "curves": {name: [asdict(point) for point in points] for name, points in curves.items()},
-        "environment": environment(),
+        "provenance": provenance(arguments.store),
     }
     arguments.out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(figures, indent=2)

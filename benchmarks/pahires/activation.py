@@ -15,6 +15,7 @@ from typing import Any
 
 import torch
 
+from eval.report.results import provenance
 from pahires.activation import FourierActivation, linear
 
 
@@ -77,7 +78,7 @@ def main() -> None:
     torch.manual_seed(0)
     result = measure(options.rows, options.width, options.sines, options.repeats)
     if options.json:
-        print(json.dumps(result))
+        print(json.dumps(result | {"provenance": provenance()}))
         return
     forwards, whole = result["forward_nanoseconds"], result["with_gradients_nanoseconds"]
     ratios, apart = result["sines_per_table"], result["apart"]

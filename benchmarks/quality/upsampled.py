@@ -22,6 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
@@ -158,7 +159,7 @@ def main() -> None:
     for pair, methods in report["detection"].items():
         table.add_row(pair, *(f"{100 * each['flagged']:.0f} / {100 * each['exact']:.0f}" for each in methods.values()))
     Console(stderr=True).print(table)
-    print(json.dumps(report, indent=2, ensure_ascii=False))
+    print(json.dumps(report | {"provenance": provenance()}, indent=2, ensure_ascii=False))
 
 
 if __name__ == "__main__":

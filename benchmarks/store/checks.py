@@ -22,6 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.cli.console import stdout
 from motionkit.core import checksums
 from motionkit.core.skeleton import Skeleton
@@ -120,7 +121,7 @@ def main() -> None:
     arguments = parser.parse_args()
     figures = measure(arguments.store, arguments.sources, arguments.repeats)
     if arguments.json:
-        print(json.dumps(figures, indent=2))
+        print(json.dumps(figures | {"provenance": provenance(arguments.store)}, indent=2))
         return
     table = Table(title=f"{arguments.store}: processor seconds")
     for heading in ("", "with checks", "without", "more"):

@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.cli.console import stdout
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
@@ -156,7 +157,7 @@ def main() -> None:
         "clips_per_second": rates,
     }
     if arguments.json:
-        print(json.dumps(report, indent=2))
+        print(json.dumps(report | {"provenance": provenance()}, indent=2))
         return
     table = Table(title=f"random {length}-frame clips of 22 joints, one core ({bandwidth / 1e9:.1f} GB/s of copying)")
     table.add_column("way")

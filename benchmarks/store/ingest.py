@@ -31,6 +31,7 @@ import numpy as np
 import pyarrow as pa
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.cli.console import stderr
 from motionkit.store import Store
 
@@ -163,7 +164,7 @@ def main() -> None:
         f"of the medians {report['wall_ratio_of_medians']:.2f}"
     )
     stderr.print(table)
-    print(json.dumps(report, indent=2))
+    print(json.dumps(report | {"provenance": provenance()}, indent=2))
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.cli.console import stdout
 from motionkit.store import Store
 from motionkit.store.life.rewrite import merge
@@ -107,7 +108,7 @@ def main() -> None:
     arguments = parser.parse_args()
     report = measure(arguments.store, arguments.sequences)
     if arguments.json:
-        print(json.dumps(report, indent=2))
+        print(json.dumps(report | {"provenance": provenance(arguments.store)}, indent=2))
         return
     table = Table(title=f"{report['sequences']:,} sequences, {report['frames']:,} frames; one core")
     table.add_column("what")

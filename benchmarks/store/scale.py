@@ -25,6 +25,7 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.store.clips import BATCH, copy_rate, frames_in_pandas, parquet_by_frame, rate
+from eval.report.results import provenance
 from motionkit.cli.console import stderr
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22
@@ -310,7 +311,7 @@ def main() -> None:
         for step in ("reader", "peers", "cache", "clips"):
             report[step] = alone(step, path)
     print_table(arguments.sequences, report)
-    print(json.dumps(report, indent=2))
+    print(json.dumps(report | {"provenance": provenance()}, indent=2))
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.table import Table
 
+from eval.report.results import provenance
 from motionkit.cli.console import stdout
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.scan.reading import read
@@ -147,7 +148,7 @@ def main() -> None:
         }
         report["columns"][column] = {"raw_mb": sum(block.nbytes for block in blocks) / 1e6, "variants": figures}
     if arguments.json:
-        print(json.dumps(report, indent=2))
+        print(json.dumps(report | {"provenance": provenance()}, indent=2))
         return
     for column, found in report["columns"].items():
         table = Table(title=f"{column}: {found['raw_mb']:.0f} MB of float32, one core")

@@ -4,7 +4,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +14,8 @@ from eval.metrics.metric import Metric, find_metric
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import MotionkitError
 from motionkit.core.plain_text import shown
-from motionkit.training.run import commit, versions
+from motionkit.store.manifest import read_manifest
+from motionkit.training.run import commit, versions, weights_sha256
 
 FORMAT = "motionkit-result/1"
 # Of a result or its picture: no path.
@@ -127,6 +128,16 @@ def environment() -> dict[str, Any]:
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": commit(),
     }
+
+
+def provenance(store: Path | None = None, runs: Iterable[Path] = ()) -> dict[str, Any]:
+    """Where figures come from: a store's fingerprint, the sha256 of what every stage of some runs learnt, environment.
+
+    Raises `StoreError` for a store that is missing, `DamagedFileError` for weights that are not what was written.
+    """
+    weights = {run.name: weights_sha256(run) for run in dict.fromkeys(runs)}
+    found = {} if store is None else {"store": {"path": store.name, "fingerprint": read_manifest(store).fingerprint}}
+    return {**found, "weights_sha256": weights, "environment": environment()}
 
 
 def write_result(result: Result, folder: Path) -> Path:

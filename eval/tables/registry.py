@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eval.clip_fid.clips import Protocol
-from eval.report.results import Result, environment
+from eval.report.results import Result, provenance
 from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
 from eval.sets.real import of_split_and
 from eval.text_motion.guo.kind import GuoFiles
@@ -105,14 +105,12 @@ class TableRequest:
 
         return Store.open(self.real.store, on_progress=self.on_progress)
 
-    def provenance(self, store: "Store", **more: Any) -> dict[str, Any]:
-        """Where a result comes from: the store, what else there is to say, seed and environment."""
-        return {
-            "store": {"path": self.real.store.name, "fingerprint": store.fingerprint},
-            **more,
-            "seed": self.seed,
-            "environment": environment(),
-        }
+    def provenance(self, store: "Store", *others: Path, **more: Any) -> dict[str, Any]:
+        """Where a result comes from: the store, the weights of what is evaluated and of other runs, seed, environment,
+        and what else there is to say."""
+        asked = (*([] if self.evaluated.run is None else [self.evaluated.run]), *others)
+        runs = [run for run in (*asked, *(run for _, run in self.evaluated.encoders)) if run.is_dir()]
+        return {**provenance(store.path, runs), **more, "seed": self.seed}
 
     @cached_property
     def sample_folders(self) -> tuple[SampleFolder, ...]:

@@ -92,7 +92,9 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         notes=(*_differences(rows), *(() if paper else (_nothing_printed(ablation),))),
         missing=tuple(dict.fromkeys(missing)),
         provenance=request.provenance(
-            yardstick.store, runs={run.name: _facts(run) for row in rows for run in row.runs}
+            yardstick.store,
+            *(run for row in rows for run in row.runs),
+            runs={run.name: _facts(run) for row in rows for run in row.runs},
         ),
     )
 

@@ -75,6 +75,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
         missing=tuple(dict.fromkeys((*found.missing, *not_trained))),
         provenance=request.provenance(
             store,
+            *(run.path for run in all_runs),
             runs={run.path.name: run.stage(STAGE).read_summary() for run in all_runs},
             trained={completer.name: completer.facts for completer in completers},
         ),
