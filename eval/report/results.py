@@ -15,7 +15,7 @@ from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import MotionkitError
 from motionkit.core.plain_text import shown
 from motionkit.store.manifest import read_manifest
-from motionkit.training.run import commit, versions, weights_sha256
+from motionkit.training.run import RunFolder, commit, versions
 
 FORMAT = "motionkit-result/1"
 # Of a result or its picture: no path.
@@ -133,9 +133,10 @@ def environment() -> dict[str, Any]:
 def provenance(store: Path | None = None, runs: Iterable[Path] = ()) -> dict[str, Any]:
     """Where figures come from: a store's fingerprint, the sha256 of what every stage of some runs learnt, environment.
 
-    Raises `StoreError` for a store that is missing, `DamagedFileError` for weights that are not what was written.
+    Raises `StoreError` for a store that is missing.
     """
-    weights = {run.name: weights_sha256(run) for run in dict.fromkeys(runs)}
+    stages = {run: sorted(path.name for path in run.iterdir()) for run in runs}
+    weights = {run.name: RunFolder(run).fingerprints(names) for run, names in stages.items()}
     found = {} if store is None else {"store": {"path": store.name, "fingerprint": read_manifest(store).fingerprint}}
     return {**found, "weights_sha256": weights, "environment": environment()}
 

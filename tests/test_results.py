@@ -1,0 +1,49 @@
+"""Results in the documentation say where they come from, and README's figures are those of the results."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from eval.report.results import read_result
+
+ROOT = Path(__file__).parents[1]
+RESULTS = sorted((ROOT / "docs" / "results").glob("*.json"))
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+SHA256 = re.compile("[0-9a-f]{64}")
+
+
+def missing(document: dict[str, Any]) -> set[str]:
+    """What a result does not say of its origin: its commit, its store, the weights that it is about."""
+    origin = document.get("provenance", {})
+    runs = {name for name in ("run", "runs", "trained") if origin.get(name)}
+    weights = {*map(str, origin.get("weights_sha256", {}).values()), *map(str, origin.get("encoders", {}).values())}
+    weights |= {str(run) for run in origin.get("runs", {}).values()}
+    found = {
+        "commit": origin.get("environment", {}).get("commit"),
+        "store": SHA256.fullmatch(origin.get("store", {}).get("fingerprint", "")),
+        "weights": not runs or any(SHA256.search(each) for each in weights),
+    }
+    return {name for name, value in found.items() if not value}
+
+
+@pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
+def test_a_result_says_where_it_comes_from_or_that_it_does_not(path: Path) -> None:
+    document = json.loads(path.read_text(encoding="utf-8"))
+    if path.stem == "reliability":  # five reports, none of which has a store or weights that last
+        assert all(part["environment"]["commit"] for part in document.values())
+        return
+    origin = document["provenance"]
+    said = {"commit", "store", "weights"} if origin == "not recorded" else set(origin.get("not recorded", ()))
+    assert missing(document if isinstance(origin, dict) else {}) <= said
+    if said and document.get("format"):
+        assert said == missing(document), "what is there is not to be called absent"
+
+
+def test_readme_has_the_reconstruction_errors_of_table_4() -> None:
+    block = read_result(ROOT / "docs/results/real-pack-table4.json").blocks[0]
+    training, held_out = ({f"{cell.value:.0f}" for cell in row.cells.values()} for row in block.rows)
+    said = re.search(r"reconstructed to (\d+) mm and held-out ones to (\d+) mm", README)
+    assert said and ({said[1]}, {said[2]}) == (training, held_out)
