@@ -1,6 +1,6 @@
-"""Foot skating: horizontal motion of feet that are near the ground, by the two definitions in use.
+"""Foot skating as animation has it, horizontal motion that counts the more, the lower the foot; labels of contact.
 
-Both take one sequence, y up, metres, a floor at y = `floor`; velocities are per second at any framerate.
+Both take one sequence, y up, metres; velocities are per second, from each frame to the next.
 """
 
 import numpy as np
@@ -11,8 +11,6 @@ from eval.metrics.metric import Metric, by_steps
 
 ANKLE_HEIGHT = 0.08
 TOE_HEIGHT = 0.04
-SKATING_HEIGHT = 0.05
-SKATING_SPEED = 0.5
 
 
 def skating_speed(
@@ -36,30 +34,6 @@ def skating_speed(
 
 SKATING_SPEED_METRIC = Metric(
     "skating_speed", "Foot skating", "m/s", False, "Zhang et al. 2018; NeMF", "one set", skating_speed, by_steps
-)
-
-
-def skating_ratio(
-    feet: Float[np.ndarray, "frames feet 3"],
-    fps: float,
-    *,
-    floor: float = 0.0,
-    height: float = SKATING_HEIGHT,
-    speed: float = SKATING_SPEED,
-) -> float:
-    """Share of frames in which any foot joint is lower than 5 cm and moves faster than 0.5 m/s horizontally.
-
-    A foot counts as low if it is so at both frames between which the speed is taken. `feet` are both toes in the
-    reference. Source: GMD (Karunratanakul et al. 2023) and CondMDI (Cohan et al. 2024), without their moving average
-    over 5 frames, which means another duration at every framerate.
-    """
-    values, moving = _feet_and_speed(feet, fps)
-    low = values[..., 1] - floor < height
-    return float((low[:-1] & low[1:] & (moving > speed)).any(axis=1).mean())
-
-
-SKATING_RATIO = Metric(
-    "skating_ratio", "Foot skating ratio", "", False, "GMD; CondMDI", "one set", skating_ratio, by_steps
 )
 
 

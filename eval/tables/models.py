@@ -6,12 +6,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from eval.sets.found import Found
+from eval.sets.found import Found, each_found
+from eval.sets.generated import Window, generate_fields, windows_of
+from eval.sets.sets import SampleSet
 from motionkit.clips.reconstruction import ReconstructsWindows
 from motionkit.complete.encoders import installed_encoders
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
-from motionkit.fields.motion_field import MotionEncoder
+from motionkit.fields.motion_field import MotionEncoder, MotionField
 from motionkit.generate.models import GenerativeModel, installed_models
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunError, RunFolder
@@ -86,6 +88,20 @@ def require_models(run: Path) -> dict[str, TrainedModel]:
     if not found.value:
         raise RunError("; ".join(found.missing) or "no model is installed")
     return found.value
+
+
+def generated_fields(
+    run: Path | None, real: SampleSet, seed: int, max_motions: int
+) -> Found[dict[str, dict[Window, MotionField]]]:
+    """What each model of a run generates for the captions and durations of a real set, by the names of their rows."""
+    models = trained_models(run)
+
+    def generated(name: str) -> dict[Window, MotionField]:
+        model = models.value[name].loaded
+        return generate_fields(model, windows_of(real, model.max_duration_seconds), seed, max_motions)
+
+    found = each_found(models.value, generated)
+    return Found(found.value, (*models.missing, *found.missing))
 
 
 def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:

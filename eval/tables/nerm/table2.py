@@ -14,10 +14,10 @@ from eval.clip_fid.score import CLIP_FID, VERSION
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sample_folder import SampleFolder
 from eval.sets.found import Found, each_found
-from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
+from eval.sets.generated import sample_fields
 from eval.sets.memorisation import SAMPLED_FPS, set_remarks
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
-from eval.tables.models import check_names, trained_models
+from eval.tables.models import check_names, generated_fields
 from eval.tables.nerm.clip_fid_column import (
     GENERATED_LOW,
     LOW_FPS,
@@ -40,7 +40,6 @@ from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import require_no_link
 from motionkit.core.progress import task
-from motionkit.fields.motion_field import MotionField
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
 ROW_NOTES = {
@@ -84,7 +83,8 @@ def build_table2(request: TableRequest) -> Result:
     with task(request.on_progress, "real sets"):
         rates = _usable_rates(request.fps or COLUMNS, real)
     with task(request.on_progress, "generating", 1):
-        generated = _generated_fields(request, real, rates.value)
+        wanted = real.at(min(rates.value))
+        generated = generated_fields(request.evaluated.run, wanted, request.seed, request.evaluated.max_motions)
     fields = generated.value
     check_names(request.evaluated.samples, _model_notes(fields))
     notes = ROW_NOTES | _model_notes(fields) | {folder.name: folder.describe() for folder in folders}
@@ -137,21 +137,6 @@ def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion) -> Found[list[F
     if not usable.value:
         raise NoRealMotionError(usable.missing[-1] if usable.missing else "no framerate was asked for")
     return Found(list(usable.value), usable.missing)
-
-
-def _generated_fields(
-    request: TableRequest, real: RealMotion, rates: list[Fraction]
-) -> Found[dict[str, dict[Window, MotionField]]]:
-    """Motions that each of the run's models generates for the real sequences of the lowest framerate."""
-    models = trained_models(request.evaluated.run)
-
-    def generated(name: str) -> dict[Window, MotionField]:
-        model = models.value[name].loaded
-        windows = windows_of(real.at(min(rates)), model.max_duration_seconds)
-        return generate_fields(model, windows, request.seed, request.evaluated.max_motions)
-
-    found = each_found(models.value, generated)
-    return Found(found.value, (*models.missing, *found.missing))
 
 
 def _model_notes(models: Iterable[str]) -> dict[str, str]:

@@ -55,7 +55,6 @@ def arrays_of(metric: Metric, rng: np.random.Generator) -> tuple[tuple[np.ndarra
         "acceleration_error": (tuple(motion), per_second),
         "jerk_error": (tuple(motion), per_second),
         "skating_speed": ((motion[0],), per_second),
-        "skating_ratio": ((motion[0],), {**per_second, "speed": 2.0, "height": 0.02}),
         "contact_consistency": ((rng.uniform(size=(12, 20, 4)), motion[0]), {**per_second, "contact_speed": 2.5}),
         "bone_length_variation": ((motion[0],), {"parents": parents}),
         "bone_length_error": (tuple(motion), {"parents": parents}),
@@ -121,7 +120,6 @@ def by_steps(metric: Metric, order: int) -> Callable[..., float]:
         ("acceleration_error", 2),
         ("jerk_error", 3),
         ("skating_speed", 1),
-        ("skating_ratio", 1),
         ("contact_consistency", 1),
     ],
 )

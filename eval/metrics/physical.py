@@ -1,0 +1,198 @@
+"""What bodies on a floor do: where the floor is, whether feet rest on it or slide, how rough motion is, rigid bones.
+
+Each function takes one motion, joint positions [frames, joints, 3] in metres, y up (float64 inside, whatever comes),
+and its framerate, and means the same at every framerate: speeds are taken over 0.1 s, heights over time, roughness of
+bands that are resampled to one framerate. None where a motion has nothing to measure. PhysDiff's Penetrate and Float
+(`eval.metrics.physical_published`) stand beside them, with the motion's own floor (`ground_height`): captures' floors
+are not at y = 0.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+from eval.metrics.checks import checked_features
+from eval.metrics.metric import Arguments, Metric
+from motionkit.core.framerate import Framerate, parse_fps
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.fields.resample import resample_positions
+
+Positions = Float[np.ndarray, "frames joints 3"]
+
+GROUND_QUANTILE = 0.05
+LOW_METRES = 0.02
+SLIDE_SECONDS = 0.1
+SLIDING_SPEED = 0.25
+SHORTEST_SECONDS = 0.5
+JERK_FPS = Fraction(20)
+JITTER_FPS, JITTER_HERTZ, JITTER_ORDER = Fraction(40), 10.0, 4
+BONE_SECONDS = 0.5
+
+
+def ground_height(positions: Positions, fps: Framerate) -> float:
+    """Height in millimetres of the floor under a motion: its lowest joint is lower for 5 % of the time.
+
+    Not the lowest instant of all, which one bad frame decides. `fps` has no say.
+    """
+    return 1000.0 * float(np.quantile(_checked(positions)[..., 1].min(axis=1), GROUND_QUANTILE))
+
+
+@dataclass(frozen=True)
+class FootRests:
+    """At the instants of a motion that have 0.1 s before them: which foot joints stay low, how fast each goes, m/s."""
+
+    low: Bool[np.ndarray, "instants feet"]
+    speed: Float64[np.ndarray, "instants feet"]
+
+    @property
+    def steadiest(self) -> Float64[np.ndarray, "contacts"]:
+        """Speed of the slowest low joint, at the instants that have one, m/s."""
+        slowest = np.where(self.low, self.speed, np.inf).min(axis=1, initial=np.inf)
+        return np.asarray(slowest[np.isfinite(slowest)])
+
+
+def foot_rests(positions: Positions, fps: Framerate, skeleton: Skeleton = SMPL22) -> FootRests:
+    """Which ankles and toes are on the ground, and their horizontal speed over the 0.1 s that follow.
+
+    A joint is low while it stays within 2 cm of its own lowest level (exceeded for 95 % of the time): ankles stand
+    higher than toes, and within 5 cm the feet of runners swing. Between frames it goes straight. Raises `ValueError`
+    for a skeleton without feet.
+    """
+    feet = skeleton.feet
+    if feet is None:
+        raise ValueError(f"skeleton {skeleton.name!r} has no feet")
+    values = _checked(positions)[:, [feet.left_ankle, feet.left_toe, feet.right_ankle, feet.right_toe]]
+    reach = SLIDE_SECONDS * float(parse_fps(fps))
+    whole = int(reach + 1e-9)
+    share = max(0.0, reach - whole)
+    num = len(values) - whole - (share > 1e-9)
+    if num < 1:
+        return FootRests(np.zeros((0, 4), dtype=bool), np.zeros((0, 4)))
+    later = values[whole : whole + num]
+    if share > 1e-9:
+        later = (1.0 - share) * later + share * values[whole + 1 : whole + 1 + num]
+    moved = (later - values[:num])[..., ::2] / SLIDE_SECONDS
+    height = values[..., 1]
+    near = height <= np.quantile(height, GROUND_QUANTILE, axis=0) + LOW_METRES
+    stays = np.logical_and.reduce([near[first : first + num] for first in range(whole + 1)])
+    return FootRests(stays, np.hypot(moved[..., 0], moved[..., 1]))
+
+
+def slide_speed(positions: Positions, fps: Framerate) -> float | None:
+    """Mean speed of the steadiest foot joint on the ground, m/s: what stands, or rolls over one point, has none.
+
+    While a body stands, walks or runs, one joint of the feet that are down rests, so one that drags its other foot
+    doesn't skate. None where no foot stays down for 0.1 s.
+    """
+    steadiest = foot_rests(positions, fps).steadiest
+    return float(steadiest.mean()) if len(steadiest) else None
+
+
+def slide_share(positions: Positions, fps: Framerate) -> float | None:
+    """Share of the time on the ground in which the steadiest foot joint goes faster than 0.25 m/s; None as above."""
+    steadiest = foot_rests(positions, fps).steadiest
+    return float((steadiest > SLIDING_SPEED).mean()) if len(steadiest) else None
+
+
+def contact_share(positions: Positions, fps: Framerate) -> float | None:
+    """Share of time in which a foot is on the ground: 1 for what stands frozen, 0 for what shakes or climbs."""
+    low = foot_rests(positions, fps).low
+    return float(low.any(axis=1).mean()) if len(low) else None
+
+
+def height_speed_agreement(positions: Positions, fps: Framerate) -> float | None:
+    """Share of (time × foot joints) in which height and speed agree on contact: low and under 0.25 m/s, or neither.
+
+    Disagreement is a foot that slides on the ground, or stops in the air, which real feet do too, but less. Needs no
+    labels; of labels `contact_consistency` says how they agree with the speed.
+    """
+    rests = foot_rests(positions, fps)
+    return float((rests.low == (rests.speed < SLIDING_SPEED)).mean()) if len(rests.low) else None
+
+
+def jerk(positions: Positions, fps: Framerate) -> float | None:
+    """Mean third derivative of joint positions below 10 Hz, m/s³: differences after resampling to 20 fps.
+
+    The raw difference at a capture's own framerate is its noise times the cube of the framerate. None under 0.5 s.
+    """
+    motion = _at(positions, fps, JERK_FPS)
+    if len(motion) <= SHORTEST_SECONDS * JERK_FPS:
+        return None
+    return float(np.linalg.norm(np.diff(motion, n=3, axis=0), axis=-1).mean() * float(JERK_FPS) ** 3)
+
+
+def jitter(positions: Positions, fps: Framerate) -> float | None:
+    """Median displacement between 10 and 20 Hz over joints and time, in millimetres.
+
+    At 40 fps, through a Butterworth high-pass run both ways. The median: what is fast there makes the mean. None below
+    40 fps, whose frames don't hold that band, and under 0.5 s.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    if parse_fps(fps) < JITTER_FPS:
+        return None
+    motion = _at(positions, fps, JITTER_FPS)
+    if len(motion) <= SHORTEST_SECONDS * JITTER_FPS:
+        return None
+    sections = butter(JITTER_ORDER, JITTER_HERTZ, "high", fs=float(JITTER_FPS), output="sos")
+    return 1000.0 * float(np.median(np.linalg.norm(sosfiltfilt(sections, motion, axis=0), axis=-1)))
+
+
+def bone_length_drift(positions: Positions, fps: Framerate, skeleton: Skeleton = SMPL22) -> float | None:
+    """Mean over bones of (longest − shortest) / mean length, lengths averaged over stretches of about 0.5 s.
+
+    Averages, for noise and resampling bend every frame a little. None where no bone has a length.
+    """
+    values = _checked(positions)
+    joints = [joint for joint, parent in enumerate(skeleton.parents) if parent >= 0]
+    lengths = np.linalg.norm(values[:, joints] - values[:, [skeleton.parents[joint] for joint in joints]], axis=-1)
+    num = max(1, int(len(lengths) / (BONE_SECONDS * float(parse_fps(fps)))))
+    edges = np.linspace(0, len(lengths), num + 1).astype(np.int64)
+    means = np.add.reduceat(lengths, edges[:-1], axis=0) / np.diff(edges)[:, None]
+    mean = means.mean(axis=0)
+    known = mean > 0
+    return float(((means.max(axis=0) - means.min(axis=0))[known] / mean[known]).mean()) if known.any() else None
+
+
+def _checked(positions: Positions) -> Float64[np.ndarray, "frames joints 3"]:
+    return checked_features(positions.reshape(len(positions), -1), "positions", 1).reshape(positions.shape).copy()
+
+
+def _at(positions: Positions, fps: Framerate, wanted: Fraction) -> Float64[np.ndarray, "rows joints 3"]:
+    return resample_positions(_checked(positions), parse_fps(fps), wanted)
+
+
+_ONE: Arguments = "one set"
+_GAMES = "docs/results/physical.md"
+_FREEZE = f"a frozen body has none, slow motion less, {_GAMES}"
+
+METRICS = (
+    Metric("slide_speed", "Foot skating, speed", "m/s", False, "motionkit", _ONE, slide_speed, calibration=_FREEZE),
+    Metric("slide_share", "Foot skating, share", "", False, "motionkit", _ONE, slide_share, calibration=_FREEZE),
+    Metric("contact_share", "Time on the ground", "", None, "motionkit", _ONE, contact_share),
+    Metric(
+        "height_speed_agreement",
+        "Contact consistency",
+        "",
+        None,
+        "motionkit",
+        _ONE,
+        height_speed_agreement,
+        calibration=f"a frozen body has 1, {_GAMES}",
+    ),
+    Metric("ground_height", "Floor", "mm", None, "motionkit", _ONE, ground_height),
+    Metric("jerk", "Jerk below 10 Hz", "m/s³", None, "motionkit", _ONE, jerk),
+    Metric(
+        "jitter",
+        "Jitter of 10 to 20 Hz",
+        "mm",
+        None,
+        "motionkit",
+        _ONE,
+        jitter,
+        calibration=f"white noise of 0.3 mm brings upsampled motion nearer to real motion's, {_GAMES}",
+    ),
+    Metric("bone_length_drift", "Bone-length drift", "", False, "motionkit", _ONE, bone_length_drift),
+)

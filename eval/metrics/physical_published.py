@@ -1,0 +1,200 @@
+"""The field's figures of feet and floors as their projects compute them, thresholds and units included.
+
+Each takes one motion in the 22-joint layout (metres, y up, floor at `floor`) and its framerate, in float64. What is
+counted per frame in a project is counted per frame here, and `fps` then has no say: such a figure changes with the
+framerate alone (docs/results/physical.md). Read at the sources that the functions name; written anew.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+from eval.metrics.checks import checked_features, checked_fps
+from eval.metrics.metric import Arguments, Metric
+from motionkit.core.skeleton import SMPL22
+
+Positions = Float[np.ndarray, "frames 22 3"]
+
+GMD_FPS = 20.0
+"""The framerate of HumanML3D, a constant in GMD's code whatever it is given."""
+GMD_HEIGHT, GMD_SPEED, GMD_WINDOW = 0.05, 0.5, 5
+MDM_CONTACT_METRES = 0.01
+HUMANML3D_CONTACT_SQUARED = 0.002
+MBENCH_HEIGHT, MBENCH_STEP, MBENCH_TOLERANCE = 0.02, 0.01, 0.005
+KIMODO_HEIGHT, KIMODO_SPEED = 0.05, 0.2
+PHYSDIFF_TOLERANCE = 0.005
+SMALL = 1e-6
+"""What MBench and Kimodo add to a number of contacts before they divide by it."""
+
+assert SMPL22.feet is not None
+TOES = [SMPL22.feet.left_toe, SMPL22.feet.right_toe]
+FEET = [SMPL22.feet.left_ankle, SMPL22.feet.left_toe, SMPL22.feet.right_ankle, SMPL22.feet.right_toe]
+
+
+def gmd_skating_ratio(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Share of steps in which a toe is under 5 cm in both frames and faster than 0.5 m/s, itself and on average.
+
+    Speeds are steps × 20, at any framerate: 2.5 cm a frame. The average is over 5 steps, with zeros beyond the ends.
+    Source: GMD (Karunratanakul et al. 2023), korrawe/guided-motion-diffusion@2f6264a,
+    data_loaders/humanml/utils/metrics.py, calculate_skating_ratio; CondMDI and CLoSD have the same.
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    toes = _motion(positions, floor)[:, TOES]
+    speed = _horizontal(np.diff(toes, axis=0)) * GMD_FPS
+    average = uniform_filter1d(speed, GMD_WINDOW, axis=0, mode="constant")
+    skates = _low_twice(toes, GMD_HEIGHT) & (speed > GMD_SPEED) & (average > GMD_SPEED)
+    return float(skates.any(axis=1).mean())
+
+
+def mdm_contact_share(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Share of (steps × ankles and toes) that MDM's contact loss takes for contact: at most 1 cm a frame.
+
+    Source: MDM (Tevet et al. 2023), GuyTevet/motion-diffusion-model@d4fd88c, diffusion/gaussian_diffusion.py,
+    the mask of the term "fc".
+    """
+    return float((_steps(positions) <= MDM_CONTACT_METRES).mean())
+
+
+def mdm_contact_loss(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """MDM's foot contact term of a motion against itself: mean square over coordinates of the steps in contact, m².
+
+    Contacts are those of `mdm_contact_share`; other steps count as 0. In MDM they are the true motion's, and the
+    steps the model's. Source: as there.
+    """
+    steps = _steps(positions)
+    return float((np.square(steps) * (steps <= MDM_CONTACT_METRES)).mean() / 3.0)
+
+
+def humanml3d_contact_share(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Share of (steps × ankles and toes) with HumanML3D's contact label: a squared step under 0.002 m² (4.5 cm).
+
+    Source: HumanML3D (Guo et al. 2022), as in GuyTevet/motion-diffusion-model@d4fd88c,
+    data_loaders/humanml/scripts/motion_process.py, foot_detect with the threshold 0.002.
+    """
+    return float((np.square(_steps(positions)) < HUMANML3D_CONTACT_SQUARED).mean())
+
+
+def mbench_foot_sliding(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Mean horizontal step of a toe in contact, metres a frame, the mean of both feet.
+
+    In contact: a step under 1 cm, or a height under 2 cm. The last step counts twice. Source: MBench (ViMoGen, 2025),
+    SMPLCap/ViMoGen@230b14f, mbench/motion_quality.py, get_contact and compute_foot_sliding.
+    """
+    toes = _motion(positions, floor)[:, TOES]
+    steps = np.diff(toes, axis=0)
+    steps = np.concatenate((steps, steps[-1:]))
+    contact = (np.linalg.norm(steps, axis=-1) < MBENCH_STEP) | (toes[..., 1] < MBENCH_HEIGHT)
+    slid = (_horizontal(steps) * contact).sum(axis=0) / (contact.sum(axis=0) + SMALL)
+    return float(slid.mean())
+
+
+def mbench_penetration(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Mean depth in metres of the toes that are more than 5 mm under the floor, over those alone; 0 without any.
+
+    Source: MBench, as `mbench_foot_sliding`, compute_ground_penetration.
+    """
+    height = _motion(positions, floor)[:, TOES, 1]
+    under = height < -MBENCH_TOLERANCE
+    return float(-height[under].mean()) if under.any() else 0.0
+
+
+def mbench_jitter(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Mean second difference of joints in the world plus that relative to the root, metres a frame a frame.
+
+    MBench has 24 joints or 22, by the file. Source: MBench, as `mbench_foot_sliding`, compute_jitter_degree.
+    """
+    motion = _motion(positions, floor)
+    each = (motion, motion - motion[:, :1])
+    return float(sum(np.linalg.norm(np.diff(one, n=2, axis=0), axis=-1).mean() for one in each))
+
+
+def kimodo_foot_skate(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Mean speed (all three axes) of toes under 5 cm, m/s. Per second, from each frame to the next.
+
+    Source: Kimodo (NVIDIA 2026), nv-tlabs/kimodo@7330e7e, kimodo/metrics/foot_skate.py, FootSkateFromHeight.
+    """
+    toes = _motion(positions, floor)[:, TOES]
+    speed = np.linalg.norm(np.diff(toes, axis=0), axis=-1) * checked_fps(fps)
+    low = toes[:-1, :, 1] < KIMODO_HEIGHT
+    return float((speed * low).sum() / (low.sum() + SMALL))
+
+
+def kimodo_skate_ratio(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Share of the steps of toes that are under 5 cm in both frames in which they are faster than 0.2 m/s.
+
+    Source: Kimodo, as `kimodo_foot_skate`, FootSkateRatio. Its FootContactConsistency needs the contacts that a model
+    puts out (0.15 m/s, 10 cm), which joint positions don't hold.
+    """
+    toes = _motion(positions, floor)[:, TOES]
+    speed = np.linalg.norm(np.diff(toes, axis=0), axis=-1) * checked_fps(fps)
+    low = _low_twice(toes, KIMODO_HEIGHT)
+    return float((low & (speed > KIMODO_SPEED)).sum() / (low.sum() + SMALL))
+
+
+def physdiff_penetrate(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Mean over frames of how far the lowest joint is under the floor by more than 5 mm, millimetres.
+
+    Source: PhysDiff (Yuan et al. 2023, section 4), which has no public code and takes the lowest vertex of a mesh; of
+    joints as in GuyTevet/CLoSD@a9ac7a9, closd/diffusion_planner/data_loaders/humanml/utils/metrics.py,
+    calculate_penetration.
+    """
+    return float(np.maximum(0.0, -_motion(positions, floor)[..., 1].min(axis=1) - PHYSDIFF_TOLERANCE).mean() * 1000.0)
+
+
+def physdiff_float(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Mean over frames of how far the lowest joint is above the floor by more than 5 mm, millimetres.
+
+    Source: as `physdiff_penetrate`, calculate_floating.
+    """
+    return float(np.maximum(0.0, _motion(positions, floor)[..., 1].min(axis=1) - PHYSDIFF_TOLERANCE).mean() * 1000.0)
+
+
+def physdiff_skate(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Mean horizontal step in millimetres a frame of the lowest joint, 0 unless it is within 5 mm of the floor twice.
+
+    PhysDiff: "we find foot joints that contact the ground in two adjacent frames and compute their average horizontal
+    displacement within the frames". Source: as `physdiff_penetrate`, calculate_foot_sliding.
+    """
+    motion = _motion(positions, floor)
+    steps, rows = np.arange(len(motion) - 1), motion[..., 1].argmin(axis=1)[:-1]
+    now, after = motion[steps, rows], motion[steps + 1, rows]
+    contact = (now[:, 1] <= PHYSDIFF_TOLERANCE) & (after[:, 1] <= PHYSDIFF_TOLERANCE)
+    return float((_horizontal(after - now) * contact).mean() * 1000.0)
+
+
+def _motion(positions: Positions, floor: float) -> Float64[np.ndarray, "frames 22 3"]:
+    values = checked_features(positions.reshape(len(positions), -1), "positions", 3).reshape(positions.shape).copy()
+    values[..., 1] -= floor
+    return values
+
+
+def _steps(positions: Positions) -> Float64[np.ndarray, "steps 4"]:
+    """Length of every step of ankles and toes, metres."""
+    return np.asarray(np.linalg.norm(np.diff(_motion(positions, 0.0)[:, FEET], axis=0), axis=-1))
+
+
+def _horizontal(steps: Float64[np.ndarray, "*steps 3"]) -> Float64[np.ndarray, "*steps"]:
+    return np.asarray(np.hypot(steps[..., 0], steps[..., 2]))
+
+
+def _low_twice(joints: Float64[np.ndarray, "frames joints 3"], height: float) -> Bool[np.ndarray, "steps joints"]:
+    low = joints[..., 1] < height
+    return np.asarray(low[:-1] & low[1:])
+
+
+_ONE: Arguments = "one set"
+
+METRICS = (
+    Metric("gmd_skating_ratio", "GMD skating ratio", "", False, "GMD", _ONE, gmd_skating_ratio),
+    Metric("mdm_contact_share", "MDM contact", "", None, "MDM", _ONE, mdm_contact_share),
+    Metric("mdm_contact_loss", "MDM contact loss", "m²/frame²", False, "MDM", _ONE, mdm_contact_loss),
+    Metric("humanml3d_contact_share", "HumanML3D contact", "", None, "HumanML3D", _ONE, humanml3d_contact_share),
+    Metric("mbench_foot_sliding", "MBench foot sliding", "m/frame", False, "MBench", _ONE, mbench_foot_sliding),
+    Metric("mbench_penetration", "MBench penetration", "m", False, "MBench", _ONE, mbench_penetration),
+    Metric("mbench_jitter", "MBench jitter degree", "m/frame²", False, "MBench", _ONE, mbench_jitter),
+    Metric("kimodo_foot_skate", "Kimodo foot skate", "m/s", False, "Kimodo", _ONE, kimodo_foot_skate),
+    Metric("kimodo_skate_ratio", "Kimodo skate ratio", "", False, "Kimodo", _ONE, kimodo_skate_ratio),
+    Metric("physdiff_penetrate", "PhysDiff Penetrate", "mm", False, "PhysDiff, of joints", _ONE, physdiff_penetrate),
+    Metric("physdiff_float", "PhysDiff Float", "mm", False, "PhysDiff, of joints", _ONE, physdiff_float),
+    Metric("physdiff_skate", "PhysDiff Skate", "mm/frame", False, "PhysDiff, of joints", _ONE, physdiff_skate),
+)

@@ -1,0 +1,201 @@
+"""How bodies behave on a floor: real motion, a run's models and samples, by figures that no framerate moves.
+
+Beside them stand the field's own figures, by name and as their projects compute them.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float64
+
+from eval.metrics.metric import Metric, find_metric
+from eval.metrics.physical import METRICS, ground_height
+from eval.metrics.physical_published import METRICS as PUBLISHED
+from eval.metrics.resampling import (
+    Resampled,
+    Resampling,
+    Units,
+    half_width,
+    paired_difference,
+    units_of,
+)
+from eval.report.results import Block, Cell, Result, Row, measure
+from eval.sets.found import each_found
+from eval.sets.generated import sample_fields
+from eval.sets.real import NoRealMotionError, RealMotion, real_motion
+from eval.sets.sets import SampleSet
+from eval.tables.models import check_names, generated_fields
+from eval.tables.nerm.clip_fid_column import ModelFields, framerate_label
+from eval.tables.registry import Table, TableRequest
+from motionkit.core.progress import task
+
+VERSION = "physical/1"
+COLUMNS = (Fraction(20), Fraction(120))
+REAL = "real"
+LESS_REAL, LESS_REAL_CI = "less real motion's", "half the 95 % interval of that difference"
+# Per instant, so no framerate moves them, whoever defined them first.
+PER_INSTANT = ("physdiff_penetrate", "physdiff_float")
+OURS = (*METRICS[:4], *(find_metric(name) for name in PER_INSTANT), *METRICS[4:])
+PER_FRAME = tuple(metric for metric in PUBLISHED if metric.name not in PER_INSTANT)
+NOTE = (
+    "Of each motion by itself, with its floor (its lowest joint is lower for 5 % of the time) at 0; a row is the mean "
+    "over its motions, weighing by their seconds, ± half its 95 % interval over takes. No figure stands for itself: a "
+    "frozen body doesn't skate (docs/results/physical.md)."
+)
+PUBLISHED_NOTE = (
+    "As their projects compute them, on the same motions with the same floor. All but Kimodo's count per frame, and "
+    "Kimodo's see a capture's noise at high framerates: numbers of two framerates don't compare."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Every metric of every motion of a set, NaN where a motion has nothing to measure.
+
+    `seconds` are the motions' durations, `units` their takes, which a bootstrap draws.
+    """
+
+    values: Mapping[str, Float64[np.ndarray, "motions"]]
+    seconds: Float64[np.ndarray, "motions"]
+    units: Units
+
+    def mean(self, metric: Metric, resampling: Resampling) -> "Mean | None":
+        """The mean over motions, weighing by seconds; None where none has the metric."""
+        values = self.values[metric.name]
+        seconds = np.where(np.isfinite(values), self.seconds, 0.0)
+        if not seconds.any():
+            return None
+        sums = [np.bincount(self.units.unit, each) for each in (seconds * np.nan_to_num(values), seconds)]
+        totals, counts = (self.units.weights(resampling) @ each for each in sums)
+        resampled = tuple(float(total / count) if count else None for total, count in zip(totals, counts, strict=True))
+        return Mean(float(sums[0].sum() / sums[1].sum()), resampled)
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A row's number, and what it is in every resampling of takes."""
+
+    value: float
+    resampled: Resampled
+
+    def cell(self, real: "Mean | None" = None) -> Cell:
+        """The number as a table shows it, with how far it is from the real set's."""
+        apart = None if real is None else paired_difference(self.value, self.resampled, real.value, real.resampled)
+        details = {} if apart is None else {LESS_REAL: apart.value, LESS_REAL_CI: apart.ci95}
+        return Cell(self.value, half_width(self.resampled), details)
+
+
+def measured(samples: SampleSet, on_motion: Callable[[], None] = lambda: None) -> Measured:
+    """Measure every motion of a set; `on_motion` is called after each."""
+    found: dict[str, list[float]] = {metric.name: [] for metric in (*OURS, *PER_FRAME)}
+    fps = float(samples.fps)
+    for positions in samples.sequences:
+        floor = ground_height(positions, samples.fps) / 1000.0
+        for metric in METRICS:
+            found[metric.name].append(_number(metric.function(positions, samples.fps)))
+        for metric in PUBLISHED:
+            found[metric.name].append(_number(metric.function(positions, fps, floor=floor)))
+        on_motion()
+    values = {name: np.array(each) for name, each in found.items()}
+    return Measured(values, samples.sequences.num_frames / fps, units_of(samples.take_names, samples.generations))
+
+
+def _number(value: object) -> float:
+    return value if isinstance(value, float) else np.nan
+
+
+def build_physical(request: TableRequest) -> Result:
+    """Every row that can be had, at each framerate.
+
+    Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` where no column has
+    real motion.
+    """
+    store = request.open_store()
+    folders = request.sample_folders
+    real = real_motion(store, request.real.split, request.real.where)
+    rates = each_found(request.fps or COLUMNS, real.indices_at, framerate_label, (NoRealMotionError,))
+    if not rates.value:
+        raise NoRealMotionError(rates.missing[-1])
+    evaluated = request.evaluated
+    with task(request.on_progress, "generating", 1):
+        fields = generated_fields(evaluated.run, real.at(min(rates.value)), request.seed, evaluated.max_motions)
+    check_names(evaluated.samples, (REAL, *fields.value))
+    blocks: list[Block] = []
+    for fps in rates.value:
+        blocks += _blocks(fps, _sets(fps, real, fields.value, request), request)
+        real.forget_all_but(min(rates.value))
+    return Result(
+        task="physical",
+        version=VERSION,
+        title="Feet, floor and roughness",
+        caption=f"Physical figures of real motion, {request.real.named}, and of what was made for it.",
+        blocks=tuple(blocks),
+        definition={"split": request.real.split, "where": request.real.where, "version": VERSION},
+        notes=tuple(f"{folder.name}: {folder.describe()}" for folder in folders),
+        missing=(*rates.missing, *fields.missing),
+        provenance=request.provenance(
+            store,
+            run=evaluated.run.name if evaluated.run and fields.value else None,
+            samples={folder.name: folder.fingerprint for folder in folders},
+        ),
+    )
+
+
+TABLE = Table("nerm", "physical", "feet, floor and roughness", build_physical)
+
+
+def _sets(fps: Fraction, real: RealMotion, fields: ModelFields, request: TableRequest) -> dict[str, SampleSet]:
+    """What the rows of one framerate are of."""
+    reference = real.at(fps)
+    generated = {name: sample_fields(own, reference.sequence_ids, fps, name) for name, own in fields.items()}
+    made = {name: samples for name, samples in generated.items() if samples is not None}
+    return {REAL: reference, **made, **{folder.name: folder.at(fps) for folder in request.sample_folders}}
+
+
+def _blocks(fps: Fraction, sets: Mapping[str, SampleSet], request: TableRequest) -> tuple[Block, Block]:
+    """Ours and the field's, at one framerate."""
+    rows: dict[str, Measured] = {}
+    for name, samples in sets.items():
+        with task(request.on_progress, f"{name}, {framerate_label(fps)}", samples.num_sequences) as work:
+            rows[name] = measured(samples, work.advance)
+    notes = {name: _size(samples) for name, samples in sets.items()}
+    label = framerate_label(fps)
+    return (
+        block_of(f"Per second, at {label}", OURS, rows, notes, NOTE, request.seed),
+        block_of(f"By the field's definitions, at {label}", PER_FRAME, rows, notes, PUBLISHED_NOTE, request.seed),
+    )
+
+
+def block_of(
+    title: str, metrics: Sequence[Metric], rows: Mapping[str, Measured], notes: Mapping[str, str], note: str, seed: int
+) -> Block:
+    """A block with a column for each metric that some row has; the row `real` is the reference."""
+    means = {name: {m.title: row.mean(m, Resampling(seed=seed)) for m in metrics} for name, row in rows.items()}
+    shown = [metric for metric in metrics if any(row[metric.title] is not None for row in means.values())]
+    real = means.get(REAL, {})
+    return Block(
+        title,
+        tuple(metric.title for metric in shown),
+        tuple(
+            Row(
+                name,
+                "reference" if name == REAL else "ours",
+                {
+                    column: mean.cell(None if name == REAL else real.get(column))
+                    for column, mean in row.items()
+                    if mean is not None
+                },
+                notes[name],
+            )
+            for name, row in means.items()
+        ),
+        note=note,
+        metrics=tuple(measure(metric, column=metric.title) for metric in shown),
+    )
+
+
+def _size(samples: SampleSet) -> str:
+    """How many motions a row has, of how many takes, and how long."""
+    return f"{samples.num_takes} takes, {samples.num_sequences} motions, {samples.duration_seconds:.0f} s"

@@ -1,0 +1,100 @@
+"""The physical table: real motion, a model that knows it and samples, with takes, motions and intervals."""
+
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eval.metrics.metric import find_metric
+from eval.metrics.physical import slide_speed
+from eval.metrics.resampling import Resampling
+from eval.sets.sets import sample_set
+from eval.tables.physical import LESS_REAL, PER_FRAME, REAL, build_physical, measured
+from motionkit.core.motion import Caption, Motion
+from motionkit.fields.motion_field import to_motion
+from motionkit.generate.models import GenerationRequest
+from motionkit.store.writer import StoreWriter
+from motionkit.synthetic import draw_body, perform
+from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
+from tests.helpers.table_request import table_request
+
+SECONDS = 4.0
+
+
+def performance(seed: int):
+    rng = np.random.default_rng(seed)
+    return perform(rng, draw_body(rng, "p"), ["walk"], SECONDS + 0.1)
+
+
+def poses_at(times_seconds: np.ndarray, seed: int, drift: float) -> np.ndarray:
+    positions = performance(seed).query(times_seconds).joint_positions.copy()
+    positions[..., 0] += (drift * times_seconds)[:, None].astype(np.float32)
+    return positions
+
+
+def sliding_truth(request: GenerationRequest, chance: tuple[int, int], drift: float) -> PosesAt:
+    """A model that knows every take by its caption, and lets it drift."""
+    return partial(poses_at, seed=int(request.text), drift=drift)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("physical") / "store"
+    with StoreWriter.create(path) as writer:
+        for seed in range(4):
+            motion = to_motion(performance(seed), Fraction(60))
+            writer.add(
+                Motion(
+                    motion.joint_positions,
+                    motion.skeleton,
+                    motion.timegrid,
+                    captions=(Caption(str(seed)),),
+                    split="test",
+                    sequence_id=f"take-{seed}",
+                )
+            )
+    return path
+
+
+def cells(result, block: int) -> dict[str, dict]:
+    return {row.name: dict(row.cells) for row in result.blocks[block].rows}
+
+
+def test_rows_of_real_motion_and_of_a_model_that_slides(store: Path, tmp_path: Path, monkeypatch) -> None:
+    install_models(monkeypatch, lambda run: ScriptedModel(partial(sliding_truth, drift=0.3)))
+    request = table_request(store, tmp_path, run=trained_run(tmp_path / "run"), fps=(Fraction(20), Fraction(60)))
+    result = build_physical(request)
+    ours, published, faster, _ = (cells(result, block) for block in range(4))
+    assert result.blocks[0].title == "Per second, at 20 fps"
+    assert list(published[REAL]) == [metric.title for metric in PER_FRAME]
+    assert {row.note for row in result.blocks[0].rows} == {"4 takes, 4 motions, 17 s"}
+    speed = "Foot skating, speed"
+    assert ours[REAL][speed].value < 0.03 < 0.2 < ours["NeRM"][speed].value
+    assert ours["NeRM"][speed].value == pytest.approx(faster["NeRM"][speed].value, rel=0.05)
+    difference = ours["NeRM"][speed].details[LESS_REAL]
+    assert difference == pytest.approx(ours["NeRM"][speed].value - ours[REAL][speed].value)
+    assert 0 < ours["NeRM"][speed].ci95 < 0.1
+    # Only bands of frames that hold 20 Hz have jitter.
+    assert "Jitter of 10 to 20 Hz" not in ours[REAL] and "Jitter of 10 to 20 Hz" in faster[REAL]
+    units = {measure.column: measure.unit for measure in result.blocks[0].metrics}
+    assert units[speed] == "m/s" and units["PhysDiff Float"] == "mm"
+    assert [measure.better for measure in result.blocks[0].metrics][:3] == ["lower", "lower", "as real"]
+
+
+def test_a_mean_weighs_motions_by_their_seconds_and_leaves_out_those_without(store: Path) -> None:
+    walking = to_motion(performance(0), Fraction(30)).joint_positions
+    drifting = walking.copy()
+    drifting[..., 0] += (0.3 * np.arange(len(walking)) / 30.0)[:, None].astype(np.float32)
+    hopping = walking.copy()
+    hopping[::2, :, 1] += 1.0
+    samples = sample_set("x", Fraction(30), [walking, drifting[:61], hopping], ["a", "b", "c"])
+    found = measured(samples)
+    speeds = found.values["slide_speed"]
+    assert speeds[:2].tolist() == [slide_speed(walking, 30), slide_speed(drifting[:61], 30)] and np.isnan(speeds[2])
+    mean = found.mean(find_metric("slide_speed"), Resampling())
+    seconds = np.array([len(walking), 61]) / 30.0
+    assert mean.value == pytest.approx(float((speeds[:2] * seconds).sum() / seconds.sum()))
+    nothing = measured(samples.select([2]))
+    assert nothing.mean(find_metric("slide_speed"), Resampling()) is None
