@@ -19,13 +19,15 @@ def split(
         str, typer.Option(help="What part of the motion, in seconds, each split gets: test=1 puts all of it there.")
     ] = "train=0.8,val=0.05,test=0.15",
     by: Annotated[
-        str,
+        list[str] | None,
         typer.Option(
             metavar="SQL",
-            help="What stays together: performer (source and subject), source, source_path, or any expression "
-            "over the table of sequences; sequence_id to hold out takes of known performers.",
+            help="What stays together: performer (source and subject), wording (captions of the same words), source, "
+            "source_path, or any expression over the table of sequences; sequence_id to hold out takes of known "
+            "performers. Given again, what shares either stays together: --by performer --by wording.",
+            show_default="performer",
         ),
-    ] = "performer",
+    ] = None,
     where: Annotated[
         str | None,
         typer.Option(metavar="SQL", help="Only sequences for which this holds; the others stay where they are."),
@@ -40,10 +42,12 @@ def split(
     Splits that the sources came with are replaced. A store is another one afterwards (its fingerprint changes): runs
     that were trained from it stay with the old one, so split before training, or split a copy ('motionkit merge').
     """
+    from motionkit.store.life.splits import PERFORMER
     from motionkit.store.life.splits import split as split_store
 
     wanted = parse_shares(shares)
-    report = split_store(store or default_path("store"), wanted, by=by, where=where, seed=seed, dry_run=dry_run)
+    together = by or [PERFORMER]
+    report = split_store(store or default_path("store"), wanted, by=together, where=where, seed=seed, dry_run=dry_run)
     if as_json:
         print_json({**asdict(report), "store": str(report.store), "seed": seed, "dry_run": dry_run})
     else:
@@ -68,12 +72,14 @@ def parse_shares(text: str) -> dict[str, float]:
 
 
 def _print(report: "SplitReport", dry_run: bool) -> None:
-    stdout.print(f"{'split':8}{'share':>8}{'asked':>8}{'hours':>10}{'groups':>10}{'sequences':>12}")
+    stdout.print(
+        f"{'split':8}{'share':>8}{'asked':>8}{'hours':>10}{'groups':>10}{'sequences':>12}{'wordings seen':>16}"
+    )
     for each in report.splits:
         hours = each.duration_seconds / 3600
         stdout.print(
             f"{each.split:8}{each.share:8.3f}{each.asked_share:8.3f}{hours:10.2f}{each.num_groups:10,}"
-            f"{each.num_sequences:12,}",
+            f"{each.num_sequences:12,}{f'{each.num_seen:,} of {each.num_captioned:,}':>16}",
         )
     doing = "would change" if dry_run else "changed"
     stdout.print(

@@ -1,16 +1,20 @@
-"""Which sequences are for training and which are held out: whole performers, whole sources, or whatever else.
+"""Which sequences are for training and which are held out: whole performers, wordings, sources, or whatever else.
 
 Sequences of one group (a performer, say) come into one split together, so that nothing of who is held out is learnt
-from. Only the table of sequences is written again.
+from. Groups by several things at once are what hangs together by any of them. Only the table of sequences is written
+again.
 """
 
-from collections.abc import Mapping, Sequence, Set
+import re
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from motionkit.core.errors import UsageError
 from motionkit.store.codec import array_of
@@ -26,6 +30,8 @@ SPLITS = tuple(DEFAULT_SHARES)
 # A subject's number means something inside its own source alone: one data set's 01 is not another's. The subset is left
 # out, since it may be no more than a folder: the same person's takes as AMC and as BVH.
 PERFORMER = "performer"
+# The words of a caption, whatever their case and punctuation; a sequence has those of all its captions.
+WORDING = "wording"
 SHORTHANDS = {PERFORMER: "source || '/' || nullif(subject, '')"}
 # Orders of the groups that are tried, fewer where groups are many and one order does nearly as well as another.
 MOST_ORDERS = 200
@@ -35,7 +41,10 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class SplitShare:
-    """One split after the assignment: its part of the chosen sequences, and the share of their seconds asked for."""
+    """One split after the assignment: its part of the chosen sequences, and the share of their seconds asked for.
+
+    `num_captioned` sequences have captions, of which those of `num_seen` have a wording of the training split too.
+    """
 
     split: str
     num_sequences: int
@@ -43,6 +52,8 @@ class SplitShare:
     duration_seconds: float
     asked_share: float
     share: float
+    num_captioned: int
+    num_seen: int
 
 
 @dataclass(frozen=True)
@@ -60,28 +71,29 @@ def split(
     path: Path,
     shares: Mapping[str, float] = DEFAULT_SHARES,
     *,
-    by: str = PERFORMER,
+    by: str | Sequence[str] = PERFORMER,
     where: str | None = None,
     seed: int = 0,
     dry_run: bool = False,
 ) -> SplitReport:
     """Put every sequence for which the SQL condition holds into train, val or test, those of one group together.
 
-    `by` is `performer` (source and subject together) or a SQL expression over the table of sequences; equal
-    values are a group. `shares` are those of the sequences' seconds, in any unit; how near they are come by depends on
-    how large the groups are (`assign_groups`). With `dry_run` nothing is written. Raises `UsageError` for shares that
-    are not positive, bad SQL, sequences without a group, fewer groups than splits, and a group that would be in two
-    splits because `where` leaves out a part of it; `StoreError` for a store that is missing, busy or of an earlier
-    version.
+    `by` is `performer` (source and subject together), `wording` (captions of the same words) or a SQL expression over
+    the table of sequences; equal values are a group. Of several, sequences that share a value of any are one group, and
+    so is all that hangs together by them; a sequence needs a value of one of them. `shares` are those of the sequences'
+    seconds, in any unit; how near they are come by depends on how large the groups are (`assign_groups`). With
+    `dry_run` nothing is written. Raises `UsageError` for shares that are not positive, bad SQL, sequences without a
+    group, fewer groups than splits, and a group that would be in two splits because `where` leaves out a part of it;
+    `StoreError` for a store that is missing, busy or of an earlier version.
     """
-    asked = _checked(shares)
+    asked, wanted = _checked(shares), (by,) if isinstance(by, str) else tuple(by)
     if dry_run:
         store = Store.open(path)
-        return _plan(store, asked, by, where, seed)[0]
+        return _plan(store, asked, wanted, where, seed)[0]
     with changing(path, must_exist=True) as previous:
         require_present_version(path, previous)
         store = Store.open(path)
-        report, column = _plan(store, asked, by, where, seed)
+        report, column = _plan(store, asked, wanted, where, seed)
         if not report.num_changed:
             return report
         place = store.sequences_table.schema.get_field_index("split")
@@ -139,12 +151,14 @@ def _checked(shares: Mapping[str, float]) -> dict[str, float]:
 
 
 def _plan(
-    store: Store, shares: Mapping[str, float], by: str, where: str | None, seed: int
+    store: Store, shares: Mapping[str, float], by: tuple[str, ...], where: str | None, seed: int
 ) -> tuple[SplitReport, pa.Array]:
     """What becomes of the chosen sequences, and the whole column `split` with it."""
     chosen = store.rows_of(store.select_some(where))
-    names, before = _groups(store, by), store.sequences_table["split"].to_pylist()
-    _require_groups(store, names, chosen, by, shares)
+    wordings = _wordings(store)
+    names, before = _groups(store, by, wordings), store.sequences_table["split"].to_pylist()
+    named = " and ".join(by)
+    _require_groups(store, names, chosen, named, shares)
     # By name, so that neither the order of the sequences nor what is left out moves a group.
     groups = sorted({names[row] or "" for row in chosen})
     place = {name: number for number, name in enumerate(groups)}
@@ -156,7 +170,8 @@ def _plan(
     after = list(before)
     for row, number in zip(chosen, assigned[group], strict=True):
         after[row] = splits[number]
-    _require_whole_groups(names, after, set(groups), by)
+    _require_whole_groups(names, after, set(groups), named)
+    taught = set().union(*(words for words, split in zip(wordings, after, strict=True) if split == "train"))
     found = tuple(
         SplitShare(
             split=name,
@@ -165,24 +180,58 @@ def _plan(
             duration_seconds=float(totals[assigned == number].sum()),
             asked_share=shares[name],
             share=float(totals[assigned == number].sum() / totals.sum()),
+            num_captioned=sum(bool(wordings[row]) for row in chosen[assigned[group] == number]),
+            num_seen=sum(bool(wordings[row] & taught) for row in chosen[assigned[group] == number]),
         )
         for number, name in enumerate(splits)
     )
     num_changed = sum(one != other for one, other in zip(before, after, strict=True))
-    report = SplitReport(store.path, by, found, num_changed, store.fingerprint)
+    report = SplitReport(store.path, named, found, num_changed, store.fingerprint)
     return report, array_of(after, pa.string())
 
 
-def _groups(store: Store, by: str) -> list[str | None]:
-    """The group of each sequence of the store, None where it has none."""
+def wording(caption: str) -> str:
+    """A caption's words in lower case, without punctuation: equal for captions that say the same in the same words."""
+    return " ".join(re.findall(r"[^\W_]+", caption.casefold()))
+
+
+def _wordings(store: Store) -> list[set[str]]:
+    """The wordings of each sequence's captions."""
+    rows = store.sequences_table["captions"].to_pylist()
+    return [{wording(caption["text"]) for caption in row or ()} - {""} for row in rows]
+
+
+def _groups(store: Store, by: Sequence[str], wordings: Sequence[Iterable[str]]) -> list[str | None]:
+    """The group of each sequence of the store, named by the first of its values; None where it has none."""
+    values: list[list[tuple[str, str]]] = [[] for _ in wordings]
+    for each in by:
+        of_each = wordings if each == WORDING else _values(store, each)
+        for row, found in zip(values, of_each, strict=True):
+            row += [(each, value) for value in found]
+    # Rows and values are the two sides of a graph, whose connected parts are the groups.
+    number = {value: place for place, value in enumerate(sorted({value for row in values for value in row}))}
+    edges = np.array([(row, number[value]) for row, found in enumerate(values) for value in found], np.int64).reshape(
+        -1, 2
+    )
+    graph = coo_array(
+        (np.ones(len(edges)), (edges[:, 0], edges[:, 1] + len(values))), shape=2 * (len(values) + len(number),)
+    )
+    part = connected_components(graph, directed=False)[1]
+    first: dict[int, str] = {}
+    for (_, value), place in number.items():
+        first.setdefault(int(part[len(values) + place]), value)
+    return [first[int(part[row])] if found else None for row, found in enumerate(values)]
+
+
+def _values(store: Store, by: str) -> list[list[str]]:
+    """The value of a SQL expression for each sequence, as a list that is empty where it has none."""
     expression = SHORTHANDS.get(by, by)
     try:
         asked = f"nullif(CAST(({expression}) AS VARCHAR), '') AS name_of_group"
         table = store.query(f"SELECT {asked} FROM sequences ORDER BY sequence_index")
     except UsageError as error:
         raise UsageError(f"groups by {by!r} cannot be asked for: {error}") from None
-    names: list[str | None] = table["name_of_group"].to_pylist()
-    return names
+    return [[] if name is None else [name] for name in table["name_of_group"].to_pylist()]
 
 
 def _require_groups(

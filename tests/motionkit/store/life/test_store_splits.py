@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.core.errors import StoreError, UsageError
+from motionkit.core.motion import Caption
 from motionkit.store import Store, StoreWriter
 from motionkit.store.life.splits import DEFAULT_SHARES, assign_groups, split
 from motionkit.store.validate import faults
@@ -189,3 +190,55 @@ def test_a_store_without_performers_is_told_what_to_do(tmp_path, make_motion):
     split(path, {"train": 1.0}, where="subject = ''")
     with pytest.raises(StoreError, match="there is no store"):
         split(tmp_path / "nowhere")
+
+
+def said_by(make_motion, name, subject, *captions):
+    motion = taken_by(make_motion, name, subject)
+    return replace(motion, captions=tuple(Caption(text) for text in captions))
+
+
+@pytest.fixture
+def worded(tmp_path, make_motion):
+    """Eight performers: 0 to 3 say 'walk' and each a word of their own, 4 says both of 5's, 6 and 7 say nothing."""
+    said = [("Walk.", f"word {number}") for number in range(4)] + [("run", "jump"), ("Jump!",), (), ()]
+    return write(
+        tmp_path / "worded",
+        [said_by(make_motion, f"take-{number}", str(number), *texts) for number, texts in enumerate(said)],
+    )
+
+
+def test_wordings_are_held_out_whatever_their_case_and_punctuation(worded):
+    report = split(worded, {"train": 1.0, "test": 1.0}, by="wording", where="len(captions) > 0")
+    found = [next(iter(splits_of(worded, "sequence_id")[f"take-{number}",])) for number in range(6)]
+    assert len(set(found[:4])) == len(set(found[4:])) == 1 and found[0] != found[4]
+    assert [(each.num_groups, each.num_captioned) for each in report.splits] in ([(1, 4), (1, 2)], [(1, 2), (1, 4)])
+    assert [each.num_seen for each in report.splits] == [report.splits[0].num_captioned, 0]
+    with pytest.raises(UsageError, match="have no value of 'wording'"):
+        split(worded, {"train": 1.0, "test": 1.0}, by="wording")
+
+
+def test_what_shares_a_performer_or_a_wording_stays_together(tmp_path, make_motion):
+    # a – b by performer, b – c by wording, d – e by wording; f by nothing.
+    store = write(
+        tmp_path / "linked",
+        [
+            said_by(make_motion, "a", "1", "walk"),
+            said_by(make_motion, "b", "1", "run"),
+            said_by(make_motion, "c", "2", "Run"),
+            said_by(make_motion, "d", "", "jump"),
+            said_by(make_motion, "e", "", "jump"),
+            said_by(make_motion, "f", "3"),
+        ],
+    )
+    report = split(store, {"train": 3.0, "val": 2.0, "test": 1.0}, by=["performer", "wording"])
+    found = splits_of(store, "sequence_id")
+    assert (
+        found["a",] == found["b",] == found["c",] and found["d",] == found["e",] and report.by.endswith("and wording")
+    )
+    assert [each.num_groups for each in report.splits] == [1, 1, 1]
+
+
+def test_takes_of_known_wordings_are_counted(worded):
+    report = split(worded, {"train": 1.0, "test": 1.0}, by="sequence_id", dry_run=True, seed=3)
+    test = next(each for each in report.splits if each.split == "test")
+    assert 0 < test.num_seen <= test.num_captioned
