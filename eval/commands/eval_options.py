@@ -133,7 +133,7 @@ MostMotions = Annotated[
 ProtocolName = Annotated[
     str,
     typer.Option(
-        help="Of whole motions: native, t2m, mdm, mld, t2m-gpt, momask; of actions: a2m, actor, mdm.",
+        help="Of whole motions: native, nerm, t2m, mdm, mld, t2m-gpt, momask; of actions: a2m, actor, mdm.",
         rich_help_panel=PROTOCOL,
     ),
 ]

@@ -194,7 +194,18 @@ MOMASK = TextMotionProtocol(
     multimodality=MultiModalityRule(num_texts=96),
     known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
 )
-TEXT_MOTION_PROTOCOLS = (NATIVE, T2M, MDM, MLD, T2M_GPT, MOMASK)
+NERM = TextMotionProtocol(
+    name="nerm",
+    title="NeRM",
+    source="Wei et al. 2024, appendix C.1",
+    num_motions=1000,
+    remainder="R-Precision",
+    reference="whole",
+    asks="motion",
+    multimodality=MultiModalityRule(pairs="distinct"),
+    remarks=("The paper's words: its code is not published. How many texts MultiModality has it does not say.",),
+)
+TEXT_MOTION_PROTOCOLS = (NATIVE, NERM, T2M, MDM, MLD, T2M_GPT, MOMASK)
 
 
 def find_text_motion_protocol(name: str) -> TextMotionProtocol:
