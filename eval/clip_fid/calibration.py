@@ -99,7 +99,9 @@ def calibrate(
     or too short.
     """
     real, seed = comparison.real, comparison.protocol.seed
-    plain = replace(comparison, protocol=replace(comparison.protocol, detailed_replications=0), parts={})
+    # Levels are compared with the clean set of the same takes: other takes would move both.
+    protocol = replace(comparison.protocol, detailed_replications=0, resamplings=0)
+    plain = replace(comparison, protocol=protocol, parts={})
     rows: dict[str, SampleSet] = {"clean": real}
     rows |= _harmless(real, seed)
     if shifted is not None:
@@ -124,7 +126,7 @@ def calibrate(
         if strengths
     ]
     flat = {name: scores[name].clip_fid for name in flat_names}
-    disjoint_floor = plain.disjoint_halves(on_replication).clip_fid
+    disjoint_floor = plain.disjoint_halves(on_replication).drawing
     return Calibration(
         fps=real.fps,
         features=comparison.features.name,

@@ -35,10 +35,13 @@ class Comparison:
     parts: Mapping[str, slice] = field(default_factory=dict)
 
     def scores(
-        self, rows: Mapping[str, SampleSet], on_replication: Callable[[], None] = lambda: None
+        self,
+        rows: Mapping[str, SampleSet],
+        on_replication: Callable[[], None] = lambda: None,
+        subset_sizes: Mapping[str, int] | None = None,
     ) -> dict[str, ClipFid]:
-        """clip-FID of every row; raises what `score_rows` raises."""
-        return score_rows(self.real, rows, self.features, self.protocol, self.parts, on_replication)
+        """clip-FID of every row; takes and raises what `score_rows` does."""
+        return score_rows(self.real, rows, self.features, self.protocol, self.parts, on_replication, subset_sizes)
 
     def disjoint_halves(self, on_replication: Callable[[], None] = lambda: None) -> ClipFid:
         """clip-FID between halves of the real takes; raises `ClipError` where there are too few."""

@@ -90,13 +90,17 @@ def score_rows(
     protocol: Protocol,
     parts: Mapping[str, slice] | None = None,
     on_replication: Callable[[], None] = lambda: None,
+    subset_sizes: Mapping[str, int] | None = None,
 ) -> dict[str, ClipFid]:
     """clip-FID of every row's sample set against the real one at the same framerate.
 
     `parts` names slices of the features whose own FID is wanted; `on_replication` is called after each replication.
+    Of rows in `subset_sizes` every replication takes another random subset of so many sequences, and their interval is
+    1.96 standard deviations of single subsets: how far one is from another, not how well their mean is known.
     Raises `ClipError` where clips do not fit or the real set's features are constant, and `ValueError` where framerates
     differ.
     """
+    subsets = subset_sizes or {}
     for samples in rows.values():
         if samples.fps != real.fps:
             raise ValueError(f"{samples.name} is at {samples.fps} fps, the real set at {real.fps}")
@@ -110,22 +114,27 @@ def score_rows(
             )
         scores, described = {}, [reference]
         for name, samples in rows.items():
-            described.append(_features(samples, features, protocol, replication, OTHER))
-            pair = (reference.features, described[-1].features)
+            among = _subset(samples, subsets[name], protocol, replication) if name in subsets else None
+            other = _features(samples, features, protocol, replication, OTHER, among)
+            pair = (reference.features, other.features)
             scores[name] = _compare(*pair, score_of(features), protocol, replication, parts or {})
+            if among is None:
+                described.append(other)
         return _Replication(scores, described)
 
-    takes = _Takes([real, *rows.values()], protocol) if protocol.resamplings else None
+    whole = [name for name in rows if name not in subsets]
+    takes = _Takes([real, *(rows[name] for name in whole)], protocol) if protocol.resamplings else None
     replications = []
     for each in _run(replicate, protocol.replications, on_replication):
         replications.append(each.scores)
         if takes is not None:
             takes.add(each.described)
-    resampled: list[Resampled] = [()] * len(rows) if takes is None else takes.scores(features)
-    return {
-        name: _summarise([scores[name] for scores in replications], values)
-        for name, values in zip(rows, resampled, strict=True)
-    }
+    resampled = {} if takes is None else dict(zip(whole, takes.scores(features), strict=True))
+    found = {}
+    for name in rows:
+        summary = _summarise([scores[name] for scores in replications], resampled.get(name, ()))
+        found[name] = _of_single_sets(summary) if name in subsets else summary
+    return found
 
 
 CLIP_FID = Metric(
@@ -147,7 +156,10 @@ def score_disjoint_halves(
     parts: Mapping[str, slice] | None = None,
     on_replication: Callable[[], None] = lambda: None,
 ) -> ClipFid:
-    """clip-FID between disjoint halves of the real takes (P2), split anew in every replication: the honest floor."""
+    """clip-FID between disjoint halves of the real takes (P2), split anew in every replication.
+
+    The interval is 1.96 standard deviations of single splits.
+    """
 
     def replicate(replication: int) -> Scores:
         halves = _split_takes(real, np.random.default_rng((protocol.seed, replication, 3)))
@@ -157,7 +169,7 @@ def score_disjoint_halves(
         )
         return _compare(a, b, score_of(features), protocol, replication, parts or {})
 
-    return _summarise(list(_run(replicate, protocol.replications, on_replication)))
+    return _of_single_sets(_summarise(list(_run(replicate, protocol.replications, on_replication))))
 
 
 def score_of(features: FeatureSet) -> Callable[[Gaussian, Gaussian], float]:
@@ -253,6 +265,14 @@ def _split_takes(samples: SampleSet, rng: np.random.Generator) -> tuple[npt.NDAr
     return order[:middle], order[middle:]
 
 
+def _subset(samples: SampleSet, size: int, protocol: Protocol, replication: int) -> Int64[np.ndarray, "chosen"]:
+    """Random sequences that hold the largest clips: `size` of them, or all that there are."""
+    largest = int(protocol.sizes.sizes(samples.fps).max())
+    long_enough = np.flatnonzero(samples.sequences.num_frames >= largest)
+    rng = np.random.default_rng((protocol.seed, replication, 6))
+    return rng.choice(long_enough, size=min(size, len(long_enough)), replace=False)
+
+
 def _compare(
     real: Float64[np.ndarray, "clips features"],
     other: Float64[np.ndarray, "clips features"],
@@ -283,3 +303,9 @@ def _summarise(replications: list[Scores], resampled: Resampled = ()) -> ClipFid
     width = half_width(resampled)
     total = drawing if width is None else replace(drawing, ci95=float(np.hypot(width, drawing.ci95)))
     return ClipFid(total, drawing, parts, means, resampled)
+
+
+def _of_single_sets(found: ClipFid) -> ClipFid:
+    """With the interval of one replication in place of their mean's: each had takes of its own."""
+    width = found.drawing.ci95 * np.sqrt(found.drawing.replications)
+    return replace(found, clip_fid=replace(found.drawing, ci95=float(width)))

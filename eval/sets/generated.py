@@ -1,7 +1,7 @@
 """What a generative model makes for the captions and durations of a real set, as sample sets at any framerate."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil
 
@@ -14,11 +14,15 @@ from motionkit.generate.models import GenerationRequest, GenerativeModel, Sampli
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of one real sequence for which a motion is generated; `number` counts the sequence's windows from 0."""
+    """A stretch of one real sequence for which a motion is generated; `number` counts the sequence's windows from 0.
+
+    `draw` counts generations of the same window, each with a seed of its own.
+    """
 
     sequence_id: str
     number: int
     request: GenerationRequest
+    draw: int = 0
 
 
 def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
@@ -44,14 +48,19 @@ def generate_fields(
     seed: int,
     limit: int,
     sampling: SamplingOptions = SamplingOptions(),
+    draws: int = 1,
 ) -> dict[Window, MotionField]:
-    """One motion field per window, or for a random choice of `limit` windows where there are more."""
+    """A motion field per window and draw, or for a random choice of `limit` windows where there are more."""
     chosen = list(windows)
     if len(windows) > limit:
         picked = np.random.default_rng((seed, 7)).choice(len(windows), size=limit, replace=False)
         chosen = [windows[index] for index in np.sort(picked).tolist()]
-    fields = model.generate([window.request for window in chosen], seed=seed, sampling=sampling)
-    return dict(zip(chosen, fields, strict=True))
+    requests = [window.request for window in chosen]
+    made: dict[Window, MotionField] = {}
+    for draw in range(draws):
+        fields = model.generate(requests, seed=seed + draw, sampling=sampling)
+        made |= zip((replace(window, draw=draw) for window in chosen), fields, strict=True)
+    return made
 
 
 def sample_fields(
@@ -59,17 +68,21 @@ def sample_fields(
 ) -> SampleSet | None:
     """Fields of the given sequences' windows, sampled at exactly fps; None where there are none.
 
-    Nothing is resampled: the field is asked for every instant.
+    Nothing is resampled: the field is asked for every instant. The take of a motion is the sequence it was made for.
     """
     wanted = set(sequence_ids)
     chosen = [(window, field) for window, field in fields.items() if window.sequence_id in wanted]
     if not chosen:
         return None
-    return sample_set(
+    windows = [window for window, _ in chosen]
+    made = sample_set(
         name,
         fps,
         [to_motion(field, fps).joint_positions for _, field in chosen],
-        [f"{window.sequence_id}#{window.number}" for window, _ in chosen],
-        [window.request.text for window, _ in chosen],
-        [window.request.action for window, _ in chosen],
+        [f"{window.sequence_id}#{window.number}" + (f"@{window.draw}" if window.draw else "") for window in windows],
+        [window.request.text for window in windows],
+        [window.request.action for window in windows],
     )
+    draws = tuple(window.draw for window in windows)
+    takes = tuple(window.sequence_id for window in windows)
+    return replace(made, takes=takes, generations=draws if any(draws) else ())

@@ -91,14 +91,14 @@ def require_models(run: Path) -> dict[str, TrainedModel]:
 
 
 def generated_fields(
-    run: Path | None, real: SampleSet, seed: int, max_motions: int
+    run: Path | None, real: SampleSet, seed: int, max_motions: int, draws: int = 1
 ) -> Found[dict[str, dict[Window, MotionField]]]:
     """What each model of a run generates for the captions and durations of a real set, by the names of their rows."""
     models = trained_models(run)
 
     def generated(name: str) -> dict[Window, MotionField]:
         model = models.value[name].loaded
-        return generate_fields(model, windows_of(real, model.max_duration_seconds), seed, max_motions)
+        return generate_fields(model, windows_of(real, model.max_duration_seconds), seed, max_motions, draws=draws)
 
     found = each_found(models.value, generated)
     return Found(found.value, (*models.missing, *found.missing))

@@ -155,8 +155,8 @@ def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Ya
             *(_row(ablation, row, found[row.entry.label], model, yardstick.request) for row in rows),
         ),
         note=(
-            f"Mean ± half the 95 % interval over {protocol.replications} replications of N = {protocol.num_clips:,} "
-            "clips on each side: how exactly one run is measured, not how much another seed would differ."
+            f"Mean over {protocol.replications} replications of N = {protocol.num_clips:,} clips a side ± half the 95 "
+            "% interval over takes: how far one run's number would move with other takes, not with another seed."
         ),
         metrics=(measure(CLIP_FID),),
     )

@@ -1,7 +1,7 @@
 """One framerate of clip-FID: the real set, what is made of it, what models and other systems have for it; its cells."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 import numpy as np
@@ -9,14 +9,17 @@ import numpy as np
 from eval.clip_fid.clips import ClipError, Protocol, check_lengths
 from eval.clip_fid.features import Comparison, FeatureSource
 from eval.clip_fid.score import ClipFid
+from eval.metrics.resampling import Difference
 from eval.report.results import Block, Cell, Origin, Row
 from eval.sample_folder import SampleFolder
+from eval.sample_folder.takes import takes_of_samples
 from eval.sets.found import Found
 from eval.sets.generated import Window, sample_fields
 from eval.sets.memorisation import STRETCH_SECONDS, distances_to_training
 from eval.sets.real import NoRealMotionError, RealMotion
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed, upsample_as_vectors, upsampled
+from eval.tables.differences import pairs_of
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.progress import OnProgress, task
 from motionkit.core.skeleton import SMPL22
@@ -27,11 +30,14 @@ P1 = "real, independent draws (P1)"
 P2 = "real, disjoint halves of the takes (P2)"
 SLERP = "real kept at 20 fps, SLERP"
 VECTORS = "real kept at 20 fps, as vectors (handicapped)"
-REFERENCES = (P1, P2, SLERP, VECTORS)
+TRAINING = "training takes, as a generator"
+REFERENCES = (P1, P2, TRAINING, SLERP, VECTORS)
 GENERATED_LOW = "{} generated at 20 fps, SLERP"
 """The row of a model's motions that were asked for at 20 fps, then upsampled like the real ones."""
 
 NOT_SO_FAST = "no generated motion is for a sequence this fast"
+MOTIONS, TAKES = "motions", "takes"
+DRAWING = "± of the drawing of clips alone"
 DETAIL_NAMES = {
     "fid_infinity": "FID_∞",
     "kid": "KID",
@@ -49,7 +55,8 @@ ModelFields = Mapping[str, Mapping[Window, MotionField]]
 class Column:
     """Everything that one framerate's numbers are made of; `train` is None where there is no training motion.
 
-    `models` are the rows that models generated at this framerate, `samples` those of other systems.
+    `models` are the rows that models generated at this framerate, `samples` those of other systems. Of the rows in
+    `subset_sizes` random subsets of so many sequences are scored.
     """
 
     fps: Fraction
@@ -58,6 +65,7 @@ class Column:
     train: SampleSet | None
     models: tuple[str, ...] = ()
     samples: tuple[str, ...] = ()
+    subset_sizes: Mapping[str, int] = field(default_factory=dict)
 
     def comparison(self, source: FeatureSource, protocol: Protocol) -> Comparison:
         """What its rows are scored by; raises `MotionkitError` where that cannot be had."""
@@ -85,11 +93,13 @@ class Column:
         """The same column with every set smoothed alike; itself where no cut-off is given."""
         if cutoff_hz is None:
             return self
+        sets = {id(each): each for each in (self.real, *self.rows.values(), *filter(None, [self.train]))}
+        smooth = {key: low_passed(each, cutoff_hz) for key, each in sets.items()}
         return replace(
             self,
-            real=low_passed(self.real, cutoff_hz),
-            rows={name: low_passed(samples, cutoff_hz) for name, samples in self.rows.items()},
-            train=None if self.train is None else low_passed(self.train, cutoff_hz),
+            real=smooth[id(self.real)],
+            rows={name: smooth[id(samples)] for name, samples in self.rows.items()},
+            train=None if self.train is None else smooth[id(self.train)],
         )
 
 
@@ -146,17 +156,32 @@ def make_column(
         coarse = sample_fields(own, reference.sequence_ids, LOW_FPS, coarse_name)
         if coarse is not None and fps >= LOW_FPS:
             rows[coarse_name] = upsampled(coarse, fps, coarse_name)
-    made = replace(column, rows={**rows, **samples}, models=tuple(models), samples=tuple(samples))
+    rows |= samples
+    sizes = {}
+    if column.train is not None and train is not real:
+        others = [each.num_takes for name, each in rows.items() if name not in REFERENCES]
+        rows[TRAINING] = column.train
+        sizes[TRAINING] = min([*(others or [reference.num_takes]), column.train.num_sequences])
+    made = replace(column, rows=rows, models=tuple(models), samples=tuple(samples), subset_sizes=sizes)
     return Found(made, tuple(missing))
+
+
+@dataclass(frozen=True)
+class ColumnScores:
+    """A cell for each row, and differences of two rows with paired intervals."""
+
+    cells: Mapping[str, Cell]
+    differences: Mapping[tuple[str, str], Difference]
 
 
 def score_column(
     comparison: Comparison,
     rows: Mapping[str, SampleSet],
     on_replication: Callable[[], None] = lambda: None,
+    subset_sizes: Mapping[str, int] | None = None,
     *,
     halves: bool = True,
-) -> Found[dict[str, Cell]]:
+) -> Found[ColumnScores]:
     """A cell for each row that holds the largest clips, and with `halves` one for disjoint halves of the takes (P2)."""
     label = framerate_label(comparison.real.fps)
     missing: list[str] = []
@@ -167,29 +192,51 @@ def score_column(
             fitting[name] = samples
         except ClipError as error:
             missing.append(f"{name}, {label}: {error}")
-    scores = comparison.scores(fitting, on_replication)
+    scores = comparison.scores(fitting, on_replication, subset_sizes)
+    cells = {name: clip_fid_cell(score, rows[name], (subset_sizes or {}).get(name)) for name, score in scores.items()}
     if halves:
         try:
-            scores[P2] = comparison.disjoint_halves(on_replication)
+            half = comparison.real.num_sequences // 2
+            cells[P2] = clip_fid_cell(comparison.disjoint_halves(on_replication), comparison.real, half)
         except ClipError as error:
             missing.append(f"{P2}, {label}: {error}")
-    return Found({name: clip_fid_cell(score) for name, score in scores.items()}, tuple(missing))
+    own = [name for name in scores if name not in REFERENCES]
+    pairs = {pair: scores[pair[0]].less(scores[pair[1]]) for pair in pairs_of(own, {SLERP} & scores.keys())}
+    differences = {pair: difference for pair, difference in pairs.items() if difference is not None}
+    return Found(ColumnScores(cells, differences), tuple(missing))
 
 
-def clip_fid_cell(score: ClipFid) -> Cell:
-    """A score as a table shows it, with its parts and further metrics as details."""
+def clip_fid_cell(score: ClipFid, samples: SampleSet, subset: int | None = None) -> Cell:
+    """A score as a table shows it; its parts, further metrics and what it was computed on are details.
+
+    It has no interval where takes cannot be resampled: one take says nothing of others. `subset` is how many sequences
+    of the samples were scored at once, where not all were.
+    """
     parts = {f"FID of the {name} block alone": value.mean for name, value in score.parts.items()}
-    details = {DETAIL_NAMES[name]: value.mean for name, value in score.details.items()}
-    return Cell(score.clip_fid.mean, score.clip_fid.ci95, parts | details)
+    further = {DETAIL_NAMES[name]: value.mean for name, value in score.details.items()}
+    sizes = {MOTIONS: subset or samples.num_sequences, TAKES: subset or samples.num_takes}
+    interval = score.clip_fid.ci95 if score.resampled or subset else None
+    return Cell(score.clip_fid.mean, interval, {**parts, **further, DRAWING: score.drawing.ci95, **sizes})
 
 
-def samples_at(folders: Sequence[SampleFolder], fps: Fraction, on_progress: OnProgress) -> dict[str, SampleSet]:
-    """Every folder's motions at a framerate, by name."""
-    made = {}
+def samples_at(
+    folders: Sequence[SampleFolder], real: RealMotion, fps: Fraction, on_progress: OnProgress
+) -> Found[dict[str, SampleSet]]:
+    """Every folder's motions at a framerate, by name: those for the real takes that are as fast, where it says which.
+
+    Raises `NoRealMotionError` where too few real sequences are as fast.
+    """
+    made, missing = {}, []
     for folder in folders:
         with task(on_progress, f"{folder.name}, {framerate_label(fps)}", folder.num_motions) as work:
-            made[folder.name] = folder.at(fps, work.advance)
-    return made
+            every = folder.at(fps, work.advance)
+        takes = takes_of_samples(folder, real)
+        found = takes.of_column(every, real.at(fps))
+        if found is None:
+            missing.append(f"{folder.name}, {framerate_label(fps)}: {NOT_SO_FAST}")
+        else:
+            made[folder.name] = found
+    return Found(made, tuple(missing))
 
 
 def _same_sequences(low: SampleSet, reference: SampleSet) -> SampleSet:

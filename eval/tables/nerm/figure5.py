@@ -37,8 +37,8 @@ def build_figure5(request: TableRequest) -> Result:
         title="Figure 5: unconditional generation",
         caption=(
             "Motions generated without text or action, as long as the real sequences of "
-            f"{request.real.named}: mean ± half the 95 % interval over {protocol.replications} replications of "
-            f"N = {protocol.num_clips:,} random clips on each side."
+            f"{request.real.named}: mean over {protocol.replications} replications of N = {protocol.num_clips:,} "
+            "random clips a side, ± half the 95 % interval: of clip-FID over takes, of diversity over replications."
         ),
         blocks=(
             Block(

@@ -23,7 +23,7 @@ from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed
 from eval.tables.models import Trained, TrainedModel, reconstructor
 from eval.tables.nerm import table4
-from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, P1, P2, real_column, score_column
+from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, P1, P2, ColumnScores, real_column, score_column
 from eval.tables.nerm.table4 import VERSION as RECONSTRUCTION_VERSION
 from eval.tables.nerm.table4 import described_windows
 from eval.tables.parts import Part, kept
@@ -130,7 +130,7 @@ class Yardstick:
         for fps, comparison in self._columns.value.items():
             found = score_column(comparison, {P1: comparison.real})
             missing += found.missing
-            for name, cell in found.value.items():
+            for name, cell in found.value.cells.items():
                 rows[name][label(fps)] = cell
         return Part(rows, tuple(missing))
 
@@ -152,7 +152,7 @@ class Yardstick:
                 continue
             found = self._scored(samples)
             missing += found.missing
-            cells |= {label(fps): cell for cell in found.value.values()}
+            cells |= {label(fps): cell for cell in found.value.cells.values()}
         return Part({SYNTHESIS: cells}, tuple(missing))
 
     def _unconditional(self, trained: TrainedModel) -> Part:
@@ -171,7 +171,7 @@ class Yardstick:
             if samples is not None:
                 found = self._scored(samples)
                 missing += found.missing
-                for cell in found.value.values():
+                for cell in found.value.cells.values():
                     rows[SYNTHESIS][label(fps)] = cell
                     rows[DIVERSITY][label(fps)] = _diversity(samples, comparison)
             rows[REAL_DIVERSITY][label(fps)] = _diversity(comparison.real, comparison)
@@ -183,7 +183,7 @@ class Yardstick:
         cutoff = self.request.clip_fid.low_pass_hz
         return samples if samples is None or cutoff is None else low_passed(samples, cutoff)
 
-    def _scored(self, samples: SampleSet) -> Found[dict[str, Cell]]:
+    def _scored(self, samples: SampleSet) -> Found[ColumnScores]:
         return score_column(self._columns.value[samples.fps], {samples.name: samples}, halves=False)
 
     def _reconstruction(self, trained: Trained[MotionEncoder]) -> Part:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from jaxtyping import Float64
 
 from eval.sample_folder import SampleFolder
+from eval.sample_folder.takes import rows_by_name
 from eval.sets.sets import SampleSet, middle
 from eval.text_motion.embedding_cache import Embedder, fingerprint_of_vectors
 from eval.text_motion.evaluator import PoseVectorEvaluator
@@ -129,9 +130,7 @@ def _repeated(
 
 def _real_rows(samples: SampleSet, real: CaptionedMotions) -> list[int | None]:
     """Which real motion each sample belongs to, each once, or None: by names where most fit, else by captions."""
-    by_name = {name: row for row, name in enumerate(real.samples.sequence_ids)}
-    stems = [name.rsplit("/", 1)[-1].rsplit(".", 1)[0] for name in samples.sequence_ids]
-    named = [by_name.get(name, by_name.get(stem)) for name, stem in zip(samples.sequence_ids, stems, strict=True)]
+    named = rows_by_name(samples.sequence_ids, real.samples.sequence_ids)
     fitting = [row for row in named if row is not None]
     if 2 * len(fitting) > len(named) and len(set(fitting)) == len(fitting):
         return named

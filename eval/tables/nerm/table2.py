@@ -11,20 +11,26 @@ import numpy as np
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
 from eval.clip_fid.kinematic import KinematicDescriptor
 from eval.clip_fid.score import CLIP_FID, VERSION
+from eval.metrics.resampling import Difference
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sample_folder import SampleFolder
+from eval.sample_folder.takes import takes_of_samples
 from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
 from eval.sets.memorisation import SAMPLED_FPS, set_remarks
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
+from eval.tables.differences import differences_block
 from eval.tables.models import check_names, generated_fields
 from eval.tables.nerm.clip_fid_column import (
     GENERATED_LOW,
     LOW_FPS,
+    MOTIONS,
     P1,
     P2,
     REFERENCES,
     SLERP,
+    TAKES,
+    TRAINING,
     VECTORS,
     Column,
     ColumnSize,
@@ -44,7 +50,11 @@ from motionkit.core.progress import task
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
 ROW_NOTES = {
     P1: "two draws from the same takes: what sampling alone leaves",
-    P2: "takes of one half against takes of the other: what a faithful model of other takes could reach",
+    P2: "takes of one half against takes of the other, few against few; ± is of a single split",
+    TRAINING: (
+        "random subsets of the training takes against the real ones, as many takes as the row with the fewest: what "
+        "a generator that is real motion scores; ± is of a single subset"
+    ),
     SLERP: "joint rotations on great arcs, the root on straight lines: the fair way to upsample",
     VECTORS: "humanml3d vectors interpolated with per-frame velocities unscaled: a handicap of the procedure",
 }
@@ -59,9 +69,10 @@ SMALL_SECONDS = 3600.0
 
 @dataclass(frozen=True)
 class _Scored:
-    """One feature set's cells of one column, by row, and what is to be said of them."""
+    """One feature set's cells of one column, by row, their differences, and what is to be said of them."""
 
     cells: Mapping[str, Cell]
+    differences: Mapping[tuple[str, str], Difference]
     fingerprint: str
     warnings: tuple[str, ...]
 
@@ -84,7 +95,8 @@ def build_table2(request: TableRequest) -> Result:
         rates = _usable_rates(request.fps or COLUMNS, real)
     with task(request.on_progress, "generating", 1):
         wanted = real.at(min(rates.value))
-        generated = generated_fields(request.evaluated.run, wanted, request.seed, request.evaluated.max_motions)
+        evaluated = request.evaluated
+        generated = generated_fields(evaluated.run, wanted, request.seed, evaluated.max_motions, evaluated.draws)
     fields = generated.value
     check_names(request.evaluated.samples, _model_notes(fields))
     notes = ROW_NOTES | _model_notes(fields) | {folder.name: folder.describe() for folder in folders}
@@ -96,19 +108,21 @@ def build_table2(request: TableRequest) -> Result:
     slow: list[str] = []
     for fps in rates.value:
         # One column's motions at a time: those of all framerates together are three times as many.
-        made = make_column(fps, real, train, fields, samples_at(folders, fps, request.on_progress))
+        samples = samples_at(folders, real, fps, request.on_progress)
+        made = make_column(fps, real, train, fields, samples.value)
         column = made.value.low_passed(request.clip_fid.low_pass_hz)
-        slow += made.missing
+        slow += (*made.missing, *samples.missing)
         sizes.append(column.size)
         remarks += set_remarks(column.real, column.others)
         for source, sheet, lines in zip(sources.value, sheets, absent, strict=True):
             scored = _scored(source, column, request)
             sheet.update(scored.value)
             lines += scored.missing
-        del made, column
+        del samples, made, column
         for motion in (real, train):
             motion.forget_all_but(LOW_FPS)
-    blocks = [_block(source, sheet, sizes, notes, request) for source, sheet in zip(sources.value, sheets, strict=True)]
+    by_source = zip(sources.value, sheets, strict=True)
+    blocks = [block for source, sheet in by_source for block in _blocks(source, sheet, sizes, notes, request)]
     with task(request.on_progress, "nearest training motion"):
         nearest = _nearest_training(real, train, fields, folders, notes)
     missing = (*rates.missing, *generated.missing, *slow, *sources.missing, *chain(*absent), *nearest.missing)
@@ -119,7 +133,7 @@ def build_table2(request: TableRequest) -> Result:
         caption=_caption(sizes, request),
         blocks=(*(block for block in (*blocks, *nearest.value) if block.rows), _paper_block()),
         definition=_definition(sizes, request),
-        notes=(*_notes(sizes), *_sample_notes(sizes, folders), *dict.fromkeys(remarks)),
+        notes=(*_notes(sizes, request), *_sample_notes(real, folders), *dict.fromkeys(remarks)),
         missing=tuple(dict.fromkeys(missing)),
         provenance=request.provenance(
             store,
@@ -172,7 +186,7 @@ def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Fou
     try:
         comparison = column.comparison(source, request.clip_fid.protocol)
         with task(request.on_progress, f"{source.name}, {label}", 2 * comparison.protocol.replications) as work:
-            cells = score_column(comparison, column.rows, work.advance)
+            found = score_column(comparison, column.rows, work.advance, column.subset_sizes)
     except MotionkitError as error:
         return Found({}, (f"{label}, {source.name}: {error}",))
     features = comparison.features
@@ -181,22 +195,35 @@ def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Fou
         require_no_link(folder, "delete the link, or name another folder with --results")
         features.save(folder / f"kinematic-{features.fingerprint}.npz")
     warnings = tuple(filter(None, (*_too_few(column, comparison), source.remark_at(column.fps))))
-    return Found({label: _Scored(cells.value, features.fingerprint, warnings)}, cells.missing)
+    scores = found.value
+    return Found({label: _Scored(scores.cells, scores.differences, features.fingerprint, warnings)}, found.missing)
 
 
-def _block(
+def _blocks(
     source: FeatureSource, sheet: _Sheet, columns: Sequence[ColumnSize], notes: Mapping[str, str], request: TableRequest
-) -> Block:
+) -> list[Block]:
+    """The scores, and which rows differ."""
     names = dict.fromkeys((*REFERENCES, *(name for scored in sheet.values() for name in scored.cells)))
     cells = {
         name: {label: scored.cells[name] for label, scored in sheet.items() if name in scored.cells} for name in names
     }
     warnings = dict.fromkeys(warning for scored in sheet.values() for warning in scored.warnings)
-    return Block(
+    labels, metrics = tuple(column.label for column in columns), (measure(CLIP_FID),)
+    pairs = dict.fromkeys(pair for scored in sheet.values() for pair in scored.differences)
+    differences = {
+        pair: {label: scored.differences[pair] for label, scored in sheet.items() if pair in scored.differences}
+        for pair in pairs
+    }
+    scores = Block(
         source.title,
-        tuple(column.label for column in columns),
+        labels,
         tuple(
-            Row(name, "reference" if name in REFERENCES else "ours", found, notes.get(name, ""))
+            Row(
+                name,
+                "reference" if name in REFERENCES else "ours",
+                found,
+                "; ".join(filter(None, (notes.get(name, ""), _counted(found)))),
+            )
             for name, found in cells.items()
             if found
         ),
@@ -205,8 +232,19 @@ def _block(
             "fingerprints": {label: scored.fingerprint for label, scored in sheet.items()},
             "replications": source.protocol(request.clip_fid.protocol).replications,
         },
-        metrics=(measure(CLIP_FID),),
+        metrics=metrics,
     )
+    told = differences_block(source.title, labels, differences, metrics)
+    return [scores] if told is None or not scores.rows else [scores, told]
+
+
+def _counted(cells: Mapping[str, Cell]) -> str:
+    """How many motions and takes a row has: "52 motions of 30 takes at 100 and 120 fps"."""
+    columns: dict[str, list[str]] = {}
+    for label, cell in cells.items():
+        motions, takes = (int(cell.details[name]) for name in (MOTIONS, TAKES))
+        columns.setdefault(f"{motions:,} motions of {takes:,} takes", []).append(label.removesuffix(" fps"))
+    return ", ".join(f"{count} at {' and '.join(rates)} fps" for count, rates in columns.items())
 
 
 def _too_few(column: Column, comparison: Comparison) -> list[str]:
@@ -222,13 +260,15 @@ def _too_few(column: Column, comparison: Comparison) -> list[str]:
             f"With {protocol.num_clips} clips for {num_features} features every covariance is singular: clip-FID is "
             f"still the distance of the two fitted Gaussians, and says little about the motions; {advice} clips."
         )
-    counts = {name: column.rows[name].num_sequences for name in column.samples}
+    counts = {name: column.rows[name].num_sequences for name in (*column.models, *column.samples)}
+    counts = {"the real set": column.real.num_sequences, **counts}
     few = {name: count for name, count in counts.items() if count <= num_features}
-    found += [
-        f"{name!r} has {count} motions, no more than there are features ({num_features}): its clips are parts of the "
-        f"same few motions, and its clip-FID says how those differ; {advice} motions."
-        for name, count in few.items()
-    ]
+    if few:
+        named = ", ".join(f"{name} ({count})" for name, count in few.items())
+        found.append(
+            f"At {column.label} these have no more motions than there are features ({num_features}): {named}. Their "
+            f"clips are parts of the same few motions, and clip-FID says how those differ; {advice} motions."
+        )
     return found
 
 
@@ -251,9 +291,9 @@ def _caption(columns: Sequence[ColumnSize], request: TableRequest) -> str:
     protocol = request.clip_fid.protocol
     seconds = [column.duration_seconds for column in columns]
     caption = (
-        f"clip-FID ({VERSION}), lower is better: mean ± half the 95 % interval over {protocol.replications} "
-        f"replications of N = {protocol.num_clips:,} random clips on each side, "
-        f"{request.real.named}."
+        f"clip-FID ({VERSION}), lower is better: mean over {protocol.replications} replications of N = "
+        f"{protocol.num_clips:,} random clips on each side, {request.real.named}, ± half the 95 % interval over "
+        f"takes ({protocol.resamplings} resamplings of the takes of both sides)."
     )
     if request.clip_fid.low_pass_hz is not None:
         caption += f" Every set, the real one too, was low-passed at {request.clip_fid.low_pass_hz:g} Hz."
@@ -287,7 +327,7 @@ def _definition(columns: Sequence[ColumnSize], request: TableRequest) -> dict[st
     }
 
 
-def _notes(columns: Sequence[ColumnSize]) -> tuple[str, ...]:
+def _notes(columns: Sequence[ColumnSize], request: TableRequest) -> tuple[str, ...]:
     sets = "; ".join(
         f"{column.label}: {column.num_sequences} sequences, {column.duration_seconds / 60:.1f} min"
         for column in columns
@@ -295,14 +335,25 @@ def _notes(columns: Sequence[ColumnSize]) -> tuple[str, ...]:
     return (
         f"Real sets: {sets}.",
         "Columns hold different sequences, so numbers compare down a column, not along a row.",
+        "An interval says how far a score would move with as many other takes of the same kind"
+        + (", and with other generations. " if request.evaluated.draws > 1 else ". ")
+        + "Few takes push every score up, which no interval holds: compare with the row of training takes.",
         "clip-FID here has nothing to do with the FID of images on CLIP features.",
     )
 
 
-def _sample_notes(columns: Sequence[ColumnSize], folders: Sequence[SampleFolder]) -> tuple[str, ...]:
-    if not folders or len({column.num_sequences for column in columns}) == 1:
-        return ()
-    return (
-        "A folder of samples enters every column with all its motions, but a column's real set holds the takes that "
-        "are fast enough: where samples were made for other takes too, part of their score is what those do.",
-    )
+def _sample_notes(real: RealMotion, folders: Sequence[SampleFolder]) -> tuple[str, ...]:
+    notes = []
+    for folder in folders:
+        found = takes_of_samples(folder, real)
+        if not any(found.takes):
+            notes.append(
+                f"{folder.name}: neither names nor captions say for which real takes its motions were made, so all of "
+                "them are in every column, though a column's real set holds the takes that are fast enough."
+            )
+        elif found.num_without:
+            notes.append(
+                f"{folder.name}: {found.num_without:,} of {folder.num_motions:,} motions are for none of the compared "
+                "takes, by name or caption: left out."
+            )
+    return tuple(notes)

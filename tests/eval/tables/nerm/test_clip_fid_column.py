@@ -1,14 +1,16 @@
 """One framerate's cells: rows that are too short for the largest clips are missing, and say so."""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
+import pytest
 
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.clip_fid.features import Comparison
 from eval.clip_fid.score import score_rows
 from eval.sets.sets import SampleSet, sample_set
-from eval.tables.nerm.clip_fid_column import P1, P2, score_column
+from eval.tables.nerm.clip_fid_column import MOTIONS, P1, P2, SLERP, TAKES, TRAINING, score_column
 from tests.eval.clip_fid.test_calibration import MeanHeight
 
 FPS = Fraction(20)
@@ -25,17 +27,53 @@ def test_cells_are_the_scores_of_the_rows_that_fit() -> None:
     real, other = takes("real", 4), takes("other", 4)
     rows = {P1: real, "other": other, "short": takes("short", 3, frames=12)}
     found = score_column(Comparison(real, MeanHeight(), PROTOCOL), rows)
-    assert set(found.value) == {P1, P2, "other"}
+    assert set(found.value.cells) == {P1, P2, "other"}
     (told,) = found.missing
     assert told.startswith("short, 20 fps: short: no sequence has the 16 poses")
     expected = score_rows(real, {"other": other}, MeanHeight(), PROTOCOL)["other"].clip_fid
-    assert (found.value["other"].value, found.value["other"].ci95) == (expected.mean, expected.ci95)
+    cell = found.value.cells["other"]
+    assert (cell.value, cell.ci95) == (expected.mean, expected.ci95)
+    assert (cell.details[MOTIONS], cell.details[TAKES]) == (4, 4)
+    assert (found.value.cells[P2].details[MOTIONS], found.value.differences) == (2, {})
 
 
 def test_one_take_has_no_halves() -> None:
     real = takes("real", 1)
     comparison = Comparison(real, MeanHeight(), PROTOCOL)
     found = score_column(comparison, {P1: real})
-    assert set(found.value) == {P1}
+    assert set(found.value.cells) == {P1}
+    assert found.value.cells[P1].ci95 is None  # one take says nothing of others
     assert found.missing == (f"{P2}, 20 fps: real: 1 take cannot be split into two halves",)
     assert not score_column(comparison, {P1: real}, halves=False).missing
+
+
+def test_rows_are_compared_with_one_another_and_with_upsampling() -> None:
+    real = takes("real", 12)
+    rows = {P1: real, SLERP: real, "near": takes("near1", 12), "far": moved(takes("far", 12), 50.0)}
+    found = score_column(Comparison(real, MeanHeight(), PROTOCOL), rows, halves=False).value
+    assert set(found.differences) == {("near", "far"), ("near", SLERP), ("far", SLERP)}
+    difference = found.differences["near", "far"]
+    assert difference.verdict == "lower"
+    assert difference.value == found.cells["near"].value - found.cells["far"].value
+    assert found.differences["far", SLERP].verdict == "higher"
+
+
+def test_a_row_of_subsets_has_the_spread_of_single_ones() -> None:
+    real, train = takes("real", 12), takes("training", 30)
+    comparison = Comparison(real, MeanHeight(), replace(PROTOCOL, replications=12))
+    rows = {P1: real, TRAINING: train}
+    few, many = (
+        score_column(comparison, rows, subset_sizes={TRAINING: size}, halves=False).value.cells[TRAINING]
+        for size in (4, 30)
+    )
+    assert (few.details[TAKES], many.details[TAKES]) == (4, 30)
+    assert few.value > many.value
+    assert few.ci95 is not None
+    assert many.ci95 is not None
+    assert few.ci95 > 2 * many.ci95
+    drawing = [cell for name, cell in few.details.items() if name.startswith("±")]
+    assert drawing == [pytest.approx(few.ci95 / np.sqrt(12))]
+
+
+def moved(samples: SampleSet, metres: float) -> SampleSet:
+    return samples.with_positions("far", FPS, [sequence + np.float32(metres) for sequence in samples.sequences])

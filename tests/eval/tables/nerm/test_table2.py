@@ -10,6 +10,7 @@ import pytest
 from eval.clip_fid import features
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.report.results import Result
+from eval.sample_folder import SampleOptions
 from eval.tables.nerm import clip_fid_column, table2
 from eval.tables.registry import find_table, installed_tables
 from motionkit.core.errors import UsageError
@@ -92,6 +93,36 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
     assert result.provenance["run"] == "run"
     hashes = result.blocks[0].provenance["fingerprints"].values()
     assert {path.name for path in (tmp_path / "features").iterdir()} == {f"kinematic-{each}.npz" for each in hashes}
+
+
+def test_generations_of_a_model_count_as_its_motions_and_rows_are_compared(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install_models(monkeypatch, lambda run: ScriptedModel(truth))
+    result = build(store, tmp_path, run=trained_run(tmp_path / "run"), draws=2)
+    assert result.definition["generated_motions"] == {"20 fps": {"NeRM": 24}, "60 fps": {"NeRM": 24}}
+    scores, differences = result.blocks[:2]
+    row = next(row for row in scores.rows if row.name == NERM)
+    assert "24 motions of 12 takes at 20 and 60 fps" in row.note
+    assert "NeRM (24)" in scores.note
+    told = {row.name: row for row in differences.rows}
+    assert "better: 60 fps" in told[f"{NERM} − {clip_fid_column.SLERP}"].note
+    assert "not told apart" in told[f"{NERM_SLERP} − {clip_fid_column.SLERP}"].note
+    training = next(row for row in scores.rows if row.name == clip_fid_column.TRAINING)
+    assert training.cells["60 fps"].details["takes"] == 12
+
+
+def test_samples_enter_the_columns_of_their_takes(store: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "samples"
+    folder.mkdir()
+    for seed in range(1, 13, 2):
+        np.save(folder / f"take-{seed}.npy", positions_at(np.arange(300) / 60, seed))
+    np.save(folder / "somebody.npy", positions_at(np.arange(300) / 60, 99))
+    options = SampleOptions(fps=Fraction(60))
+    result = build(store, tmp_path, samples={"theirs": folder}, sample_options=options)
+    row = next(row for row in result.blocks[0].rows if row.name == "theirs")
+    assert "6 motions of 6 takes at 20 and 60 fps" in row.note
+    assert any("theirs: 1 of 7 motions are for none of the compared takes" in note for note in result.notes)
 
 
 def test_a_missing_run_leaves_its_rows_out(store: Path, tmp_path: Path) -> None:

@@ -1,0 +1,56 @@
+"""Which rows differ: differences of two rows' numbers with paired 95 % intervals, and what they allow to say."""
+
+from collections.abc import Iterable, Mapping
+from itertools import combinations
+
+from eval.metrics.resampling import Difference
+from eval.report.results import Block, Cell, Measure, Row
+
+NOTE = (
+    "A row's number less another's, ± half the 95 % interval: 1.96 standard deviations over resamplings that draw the "
+    "same takes for both rows. One is said to be better only where the interval leaves out 0; nothing corrects for how "
+    "many pairs there are."
+)
+# Differences of two rows (the first less the second) by column.
+Differences = Mapping[tuple[str, str], Mapping[str, Difference]]
+
+
+def pairs_of(rows: Iterable[str], references: Iterable[str] = ()) -> list[tuple[str, str]]:
+    """Which rows are compared: each with every later one, and with the references."""
+    own = list(rows)
+    return [*combinations(own, 2), *((row, reference) for row in own for reference in references)]
+
+
+def differences_block(
+    title: str, columns: tuple[str, ...], differences: Differences, metrics: tuple[Measure, ...]
+) -> Block | None:
+    """A row for each pair, and what it allows to say; None where there is no pair. `metrics` are those of the table."""
+    rows = tuple(
+        Row(
+            f"{first} − {second}",
+            "ours",
+            {column: Cell(each.value, each.ci95) for column, each in found.items()},
+            said(found, metrics),
+        )
+        for (first, second), found in differences.items()
+        if found
+    )
+    if not rows:
+        return None
+    return Block(f"{title}: differences between rows", columns, rows, note=NOTE, metrics=metrics)
+
+
+def said(found: Mapping[str, Difference], metrics: tuple[Measure, ...]) -> str:
+    """In which columns the first row is better, worse, or not told apart; "lower" and "higher" where neither is better.
+
+    A metric holds for the column that it names, or for all where it names none.
+    """
+    by_column = {measure.column: measure.better for measure in metrics}
+    columns: dict[str, list[str]] = {}
+    for column, each in found.items():
+        best = by_column.get(column, by_column.get("", "as real"))
+        verdict: str = each.verdict
+        if verdict in ("lower", "higher") and best != "as real":
+            verdict = "better" if verdict == best else "worse"
+        columns.setdefault(verdict, []).append(column)
+    return "; ".join(f"{verdict}: {', '.join(where)}" for verdict, where in sorted(columns.items()))
