@@ -122,7 +122,7 @@ def framerate_rows(metrics: Sequence[Metric], columns: Mapping[str, Measured]) -
     rows = []
     for metric in metrics:
         means = {name: each.mean(metric, Resampling()) for name, each in columns.items()}
-        cells = {name: mean.cell() for name, mean in means.items() if mean is not None}
+        cells = {name: mean.cell for name, mean in means.items() if mean is not None}
         first, last = means[FIRST], means[LAST]
         if first is not None and last is not None and first.value:
             pairs = zip(last.resampled, first.resampled, strict=True)

@@ -14,6 +14,7 @@ from eval.metrics.metric import Metric, find_metric
 from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
 from eval.metrics.resampling import (
+    Difference,
     Resampled,
     Resampling,
     Units,
@@ -22,19 +23,19 @@ from eval.metrics.resampling import (
     units_of,
 )
 from eval.report.results import Block, Cell, Result, Row, measure
-from eval.sets.found import each_found
+from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion
 from eval.sets.sets import SampleSet
+from eval.tables.differences import differences_block, pairs_of
 from eval.tables.models import check_names, generated_fields
-from eval.tables.nerm.clip_fid_column import ModelFields, framerate_label
+from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, ModelFields, framerate_label, samples_at
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.progress import task
 
 VERSION = "physical/1"
 COLUMNS = (Fraction(20), Fraction(120))
 REAL = "real"
-LESS_REAL, LESS_REAL_CI = "less real motion's", "half the 95 % interval of that difference"
 # Per instant, so no framerate moves them, whoever defined them first.
 PER_INSTANT = ("physdiff_penetrate", "physdiff_float")
 OURS = (*METRICS[:4], *(find_metric(name) for name in PER_INSTANT), *METRICS[4:])
@@ -80,11 +81,14 @@ class Mean:
     value: float
     resampled: Resampled
 
-    def cell(self, real: "Mean | None" = None) -> Cell:
-        """The number as a table shows it, with how far it is from the real set's."""
-        apart = None if real is None else paired_difference(self.value, self.resampled, real.value, real.resampled)
-        details = {} if apart is None else {LESS_REAL: apart.value, LESS_REAL_CI: apart.ci95}
-        return Cell(self.value, half_width(self.resampled), details)
+    @property
+    def cell(self) -> Cell:
+        """The number as a table shows it."""
+        return Cell(self.value, half_width(self.resampled))
+
+    def less(self, other: "Mean") -> Difference | None:
+        """This row's number less another's, whose takes were drawn alike."""
+        return paired_difference(self.value, self.resampled, other.value, other.resampled)
 
 
 def floors_of(samples: SampleSet) -> list[float]:
@@ -127,11 +131,15 @@ def build_physical(request: TableRequest) -> Result:
         raise NoRealMotionError(rates.missing[-1])
     evaluated = request.evaluated
     with task(request.on_progress, "generating", 1):
-        fields = generated_fields(evaluated.run, real.at(min(rates.value)), request.seed, evaluated.max_motions)
+        wanted = real.at(min(rates.value))
+        fields = generated_fields(evaluated.run, wanted, request.seed, evaluated.max_motions, evaluated.draws)
     check_names(evaluated.samples, (REAL, *fields.value))
     blocks: list[Block] = []
+    slow: list[str] = []
     for fps in rates.value:
-        blocks += _blocks(fps, _sets(fps, real, fields.value, request), request)
+        sets = _sets(fps, real, fields.value, request)
+        blocks += _blocks(fps, sets.value, request)
+        slow += sets.missing
         real.forget_all_but(min(rates.value))
     return Result(
         task="physical",
@@ -141,7 +149,7 @@ def build_physical(request: TableRequest) -> Result:
         blocks=tuple(blocks),
         definition={"split": request.real.split, "where": request.real.where, "version": VERSION},
         notes=tuple(f"{folder.name}: {folder.describe()}" for folder in folders),
-        missing=(*rates.missing, *fields.missing),
+        missing=(*rates.missing, *fields.missing, *slow),
         provenance=request.provenance(
             store,
             run=evaluated.run.name if evaluated.run and fields.value else None,
@@ -153,15 +161,17 @@ def build_physical(request: TableRequest) -> Result:
 TABLE = Table("nerm", "physical", "feet, floor and roughness", build_physical)
 
 
-def _sets(fps: Fraction, real: RealMotion, fields: ModelFields, request: TableRequest) -> dict[str, SampleSet]:
-    """What the rows of one framerate are of."""
+def _sets(fps: Fraction, real: RealMotion, fields: ModelFields, request: TableRequest) -> Found[dict[str, SampleSet]]:
+    """What the rows of one framerate are of: motions for its real takes."""
     reference = real.at(fps)
+    samples = samples_at(request.sample_folders, real, fps, request.on_progress)
     generated = {name: sample_fields(own, reference.sequence_ids, fps, name) for name, own in fields.items()}
-    made = {name: samples for name, samples in generated.items() if samples is not None}
-    return {REAL: reference, **made, **{folder.name: folder.at(fps) for folder in request.sample_folders}}
+    made = {name: found for name, found in generated.items() if found is not None}
+    slow = (f"{name}, {framerate_label(fps)}: {NOT_SO_FAST}" for name in generated if name not in made)
+    return Found({REAL: reference, **made, **samples.value}, (*slow, *samples.missing))
 
 
-def _blocks(fps: Fraction, sets: Mapping[str, SampleSet], request: TableRequest) -> tuple[Block, Block]:
+def _blocks(fps: Fraction, sets: Mapping[str, SampleSet], request: TableRequest) -> list[Block]:
     """Ours and the field's, at one framerate."""
     rows: dict[str, Measured] = {}
     for name, samples in sets.items():
@@ -169,38 +179,46 @@ def _blocks(fps: Fraction, sets: Mapping[str, SampleSet], request: TableRequest)
             rows[name] = measured(samples, work.advance)
     notes = {name: _size(samples) for name, samples in sets.items()}
     label = framerate_label(fps)
-    return (
-        block_of(f"Per second, at {label}", OURS, rows, notes, NOTE, request.seed),
-        block_of(f"By the field's definitions, at {label}", PER_FRAME, rows, notes, PUBLISHED_NOTE, request.seed),
-    )
+    return [
+        *blocks_of(f"Per second, at {label}", OURS, rows, notes, NOTE, request.seed),
+        *blocks_of(f"By the field's definitions, at {label}", PER_FRAME, rows, notes, PUBLISHED_NOTE, request.seed),
+    ]
 
 
-def block_of(
+def blocks_of(
     title: str, metrics: Sequence[Metric], rows: Mapping[str, Measured], notes: Mapping[str, str], note: str, seed: int
-) -> Block:
-    """A block with a column for each metric that some row has; the row `real` is the reference."""
-    means = {name: {m.title: row.mean(m, Resampling(seed=seed)) for m in metrics} for name, row in rows.items()}
-    shown = [metric for metric in metrics if any(row[metric.title] is not None for row in means.values())]
-    real = means.get(REAL, {})
-    return Block(
-        title,
-        tuple(metric.title for metric in shown),
-        tuple(
-            Row(
-                name,
-                "reference" if name == REAL else "ours",
-                {
-                    column: mean.cell(None if name == REAL else real.get(column))
-                    for column, mean in row.items()
-                    if mean is not None
-                },
-                notes[name],
-            )
-            for name, row in means.items()
-        ),
-        note=note,
-        metrics=tuple(measure(metric, column=metric.title) for metric in shown),
+) -> list[Block]:
+    """A block with a column for each metric that some row has, and which rows differ; `real` is the reference."""
+    means = {name: _means(metrics, row, Resampling(seed=seed)) for name, row in rows.items()}
+    shown = [metric for metric in metrics if any(metric.title in row for row in means.values())]
+    columns = tuple(metric.title for metric in shown)
+    measures = tuple(measure(metric, column=metric.title) for metric in shown)
+    found = tuple(
+        Row(
+            name,
+            "reference" if name == REAL else "ours",
+            {column: mean.cell for column, mean in row.items()},
+            notes[name],
+        )
+        for name, row in means.items()
     )
+    pairs = pairs_of((name for name in means if name != REAL), (REAL,))
+    told = {
+        (first, second): {
+            column: difference
+            for column, mean in means[first].items()
+            if column in means[second] and (difference := mean.less(means[second][column])) is not None
+        }
+        for first, second in pairs
+    }
+    differences = differences_block(title, columns, told, measures)
+    return [Block(title, columns, found, note=note, metrics=measures), *([differences] if differences else [])]
+
+
+def _means(metrics: Sequence[Metric], row: Measured, resampling: Resampling) -> dict[str, Mean]:
+    """What a row has, by column."""
+    found = {metric.title: row.mean(metric, resampling) for metric in metrics}
+    return {title: mean for title, mean in found.items() if mean is not None}
 
 
 def _size(samples: SampleSet) -> str:

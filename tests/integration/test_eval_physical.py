@@ -31,7 +31,7 @@ def test_from_the_command_line_with_samples(tmp_path: Path, motionkit) -> None:
     done = motionkit("eval", "--table", "physical", "--samples-fps", 20, "--fps", 20, *arguments)
     assert done.code == 0, done.stderr
     result = json.loads(done.stdout)
-    assert result["task"] == "physical" and len(result["blocks"]) == 2
+    assert result["task"] == "physical" and len(result["blocks"]) == 4
     frozen = next(row for row in result["blocks"][0]["rows"] if row["name"] == "frozen")
     assert frozen["note"] == "2 takes, 2 motions, 6 s"
     assert frozen["cells"]["Foot skating, speed"]["value"] == 0.0
