@@ -101,7 +101,7 @@ EvaluatorNames = Annotated[
     typer.Option(
         "--evaluator",
         "--features",
-        help="Feature sets: kinematic,native,guo; all there are. Of actions: linear, humanact12, uestc, cmu-mocap.",
+        help="Feature sets: kinematic,native,guo,motion-clip,tmr; all there are. Of actions: linear, humanact12, …",
         rich_help_panel=EVALUATOR,
     ),
 ]
@@ -127,13 +127,19 @@ StatisticsFolder = Annotated[
         rich_help_panel=EVALUATOR,
     ),
 ]
+MotionClipFolder = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="MARDM's MotionCLIP: finest.tar, its statistics, CLIP's words.", rich_help_panel=EVALUATOR
+    ),
+]
 MostMotions = Annotated[
     int, typer.Option(min=2, help="Most motions that a model generates.", rich_help_panel=EVALUATED)
 ]
 ProtocolName = Annotated[
     str,
     typer.Option(
-        help="Of whole motions: native, nerm, t2m, mdm, mld, t2m-gpt, momask; of actions: a2m, actor, mdm.",
+        help="Of texts: native, nerm, t2m, mdm, mld, t2m-gpt, momask, mardm, tmr, kimodo; of actions: a2m, …",
         rich_help_panel=PROTOCOL,
     ),
 ]
@@ -266,6 +272,7 @@ class EvaluatorOptions:
     weights: Weights = None
     glove: Glove = None
     statistics: StatisticsFolder = None
+    motion_clip: MotionClipFolder = None
 
     def chosen(self) -> "Evaluators":
         """As tables take it; raises `UsageError` for files of no evaluator."""
@@ -280,6 +287,7 @@ class EvaluatorOptions:
         return Evaluators(
             tuple(self.evaluator.split(",")) if self.evaluator else None,
             None if self.weights is None else GuoFiles(self.weights, self.glove, self.statistics),
+            self.motion_clip,
         )
 
 

@@ -60,10 +60,14 @@ class Evaluated:
 
 @dataclass(frozen=True)
 class Evaluators:
-    """By what: evaluators (feature sets, recognisers) by name, None for all there are; files of a published one."""
+    """By what: evaluators (feature sets, recognisers) by name, None for all there are; files of published ones.
+
+    `motion_clip` is the folder of MARDM's MotionCLIP.
+    """
 
     names: tuple[str, ...] | None = None
     guo: GuoFiles | None = None
+    motion_clip: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,9 @@ class TableRequest:
     def sample_folders(self) -> tuple[SampleFolder, ...]:
         """The motions of every folder of samples, read when they are first asked for; raises `SampleFolderError`."""
         folders = []
-        # Guo's evaluators alone read pose vectors and KIT-ML's joints.
-        options = replace(self.evaluated.sample_options, keep_published=self.evaluators.guo is not None)
+        # Published evaluators alone read pose vectors and KIT-ML's joints.
+        keep = self.evaluators.guo is not None or self.evaluators.motion_clip is not None
+        options = replace(self.evaluated.sample_options, keep_published=keep)
         for name, path in self.evaluated.samples.items():
             with task(self.on_progress, f"reading {name}") as work:
                 folders.append(read_sample_folder(name, path, options, work.set))

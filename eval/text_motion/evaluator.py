@@ -52,6 +52,16 @@ class TextMotionEvaluator(Protocol):
 
 
 @runtime_checkable
+class CosineEvaluator(TextMotionEvaluator, Protocol):
+    """One whose embeddings have length 1: how well a text and its motion match is the cosine of their angle."""
+
+    @property
+    def pair_score(self) -> str:
+        """Name, in `eval.metrics.metric`, of the score of pairs that its authors print."""
+        ...
+
+
+@runtime_checkable
 class PoseVectorEvaluator(TextMotionEvaluator, Protocol):
     """One that reads pose vectors: motions that come as such reach it as they are, as in published comparisons."""
 

@@ -88,6 +88,24 @@ class LengthRule:
         return floor(self.longest_seconds * float(fps) + 1e-6) + 1
 
 
+@dataclass(frozen=True)
+class RetrievalRule:
+    """One table of retrieval: who is ranked among whom, and what counts as right.
+
+    All pairs are ranked together, or those of pools of `pool` in a random order, or the `least_similar` ones by their
+    sentences. Texts of a score above `same_above` (½ + ½ · cosine; None: none) count as one: by a sentence encoder that
+    belongs to no evaluator (`same_by` "sentences"), or by the evaluator's own embeddings ("texts"), by which one that
+    cannot tell texts apart finds everything.
+    """
+
+    name: str
+    pool: int | None = None
+    least_similar: int | None = None
+    same_above: float | None = None
+    same_by: Literal["sentences", "texts"] = "sentences"
+    directions: tuple[str, ...] = ("text asks for motion", "motion asks for text")
+
+
 PUBLISHED_LENGTHS = LengthRule(2.0, 9.95, "left out")
 """40 to 199 pose vectors at 20 fps (text-to-motion, data/dataset.py)."""
 PUBLISHED_KIT_LENGTHS = LengthRule(1.92, 15.92, "left out")
@@ -104,9 +122,9 @@ class TextMotionProtocol:
     pool are left out of. `num_motions`: how many generated motions count, None for all. `reference`: FID against the
     whole real set ("whole"), the real motions of the same texts ("paired") or another random order of the real set with
     its own remainder ("redraw"). `asks`: the direction whose R-Precision the source quotes; both are computed.
-    `details`: metrics that are computed once, on the first draw. `known_bugs`: names in `eval.text_motion.protocol`
-    that its published code has. `leak`: what the padding leak shows, zeros or the generated frames that follow.
-    `kit_lengths` are the `lengths` of KIT-ML. Raises `ValueError` for senseless numbers.
+    `details`: metrics that are computed once, on the first draw. `retrieval`: tables of retrieval. `known_bugs`: names
+    in `eval.text_motion.protocol` that its published code has. `leak`: what the padding leak shows, zeros or the
+    generated frames that follow. `kit_lengths` are the `lengths` of KIT-ML. Raises `ValueError` for senseless numbers.
     """
 
     name: str
@@ -124,6 +142,7 @@ class TextMotionProtocol:
     lengths: LengthRule = PUBLISHED_LENGTHS
     kit_lengths: LengthRule = PUBLISHED_KIT_LENGTHS
     details: tuple[str, ...] = ()
+    retrieval: tuple[RetrievalRule, ...] = ()
     known_bugs: tuple[str, ...] = ()
     leak: Literal["zeros", "frames"] = "zeros"
     remarks: tuple[str, ...] = ()
@@ -189,7 +208,7 @@ T2M_GPT = TextMotionProtocol(
 )
 MOMASK = TextMotionProtocol(
     name="momask",
-    title="MoMask, MARDM",
+    title="MoMask",
     source="Guo et al. 2024, utils/eval_t2m.py",
     multimodality=MultiModalityRule(num_texts=96),
     known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
@@ -205,7 +224,54 @@ NERM = TextMotionProtocol(
     multimodality=MultiModalityRule(pairs="distinct"),
     remarks=("The paper's words: its code is not published. How many texts MultiModality has it does not say.",),
 )
-TEXT_MOTION_PROTOCOLS = (NATIVE, NERM, T2M, MDM, MLD, T2M_GPT, MOMASK)
+MARDM = TextMotionProtocol(
+    name="mardm",
+    title="MARDM",
+    source="neu-vi/MARDM @ 443313b, evaluation_MARDM.py and utils/eval_utils.py",
+    multimodality=MultiModalityRule(num_texts=96),
+    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
+    # A batch is decoded as long as its longest motion, and handed on so.
+    leak="frames",
+    remarks=("MARDM's evaluators read 67 numbers (KIT-ML: 64): --evaluator guo,motion-clip with its own weights.",),
+)
+WHOLE_SET = (
+    "The number of motions that a text chooses among is in the table's name: recalls of different N do not compare."
+)
+TMR = TextMotionProtocol(
+    name="tmr",
+    title="TMR",
+    source="Mathux/TMR @ 6d74688, retrieval.py and src/model/metrics.py",
+    remainder="R-Precision",
+    multimodality=NATIVE.multimodality,
+    lengths=NATIVE.lengths,
+    kit_lengths=NATIVE.kit_lengths,
+    retrieval=(
+        RetrievalRule("all"),
+        RetrievalRule("all, texts of a score above 0.95 are one", same_above=0.95),
+        RetrievalRule("100 dissimilar texts", least_similar=100),
+        RetrievalRule("pools of 32", pool=32),
+    ),
+    remarks=(WHOLE_SET,),
+)
+KIMODO = TextMotionProtocol(
+    name="kimodo",
+    title="Kimodo",
+    source="nv-tlabs/kimodo @ 7330e7e, kimodo/metrics/tmr.py",
+    remainder="R-Precision",
+    multimodality=NATIVE.multimodality,
+    lengths=NATIVE.lengths,
+    kit_lengths=NATIVE.kit_lengths,
+    retrieval=(
+        RetrievalRule(
+            "all, texts that the evaluator scores above 0.99 are one",
+            same_above=0.99,
+            same_by="texts",
+            directions=("text asks for motion", "motion asks for real motion"),
+        ),
+    ),
+    remarks=(WHOLE_SET,),
+)
+TEXT_MOTION_PROTOCOLS = (NATIVE, NERM, T2M, MDM, MLD, T2M_GPT, MOMASK, MARDM, TMR, KIMODO)
 
 
 def find_text_motion_protocol(name: str) -> TextMotionProtocol:

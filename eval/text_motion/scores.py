@@ -11,6 +11,7 @@ from eval.metrics.actions import diversity, multimodality, multimodality_shared_
 from eval.metrics.gaussian import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid
 from eval.metrics.r_precision import RANKS, BothWays, RPrecision, pool_distances, ranked_both_ways
 from eval.metrics.replications import Scores, Tally
+from eval.metrics.retrieval import clip_score, tmr_score
 from eval.text_motion.protocol import NAN_IS_BEST, KnownBug, TextMotionProtocol, chosen_bugs
 
 
@@ -54,6 +55,7 @@ def _ranked(distances: Float32[np.ndarray, "pools pool pool"]) -> RPrecision:
     return RPrecision(top, float(own.astype(np.float64).mean()), own.size)
 
 
+PAIR_SCORES = {"clip_score": clip_score, "tmr_score": tmr_score}
 GENERATED, REAL, DIVERSITY, MULTIMODALITY = range(4)
 """Streams of random numbers of one replication: what one metric draws does not move another's."""
 
@@ -90,6 +92,7 @@ def score_text_motion(
     *,
     repeated: Float[np.ndarray, "texts generations features"] | None = None,
     compat: Sequence[str] = (),
+    pair_score: str = "",
     on_replication: Callable[[], None] = lambda: None,
 ) -> Scores:
     """R-Precision in both directions, MM-Dist, FID, Diversity and MultiModality of generated motions under a protocol.
@@ -98,7 +101,8 @@ def score_text_motion(
     draws than replications the interval holds less than the protocol means, and a remark says so. `repeated` holds
     several motions of one text for MultiModality, which is left out without it. With the protocol's reference "paired",
     row i of a draw was generated for the text of row i of `real`. To score real motion itself give `[real]`: its FID
-    is then 0, or what the dropped remainders leave ("redraw"). `compat` names known bugs to switch on.
+    is then 0, or what the dropped remainders leave ("redraw"). `compat` names known bugs to switch on, `pair_score` a
+    metric of pairs of embeddings of length 1 (`CosineEvaluator`).
 
     Raises `ValueError` for pairs that do not fit together or are not finite, fewer than a pool of them, and
     `UsageError` for a bug that the protocol does not have.
@@ -119,6 +123,8 @@ def score_text_motion(
             _add_precision(draw, order, protocol, bugs, tally)
             tally.add("fid", fids.value(which, order, seed, replication))
             rng = np.random.default_rng((seed, replication, DIVERSITY))
+            if pair_score:
+                tally.add(pair_score, PAIR_SCORES[pair_score](draw.texts[order], draw.motions[order]))
             tally.add("diversity", diversity(draw.motions[order], rng, protocol.diversity_pairs))
             if repeated is not None and replication < protocol.multimodality.replications:
                 _add_multimodality(repeated, protocol, np.random.default_rng((seed, replication, MULTIMODALITY)), tally)

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from jaxtyping import Float32
 
+from eval.metrics.checks import Estimate
 from eval.metrics.replications import Scores
 from eval.report.results import Block, Result
 from eval.sample_folder import SampleFolder
@@ -15,14 +17,16 @@ from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
 from eval.sets.real import NoRealMotionError
 from eval.tables.models import Trained, TrainedModel, check_names, trained_models
+from eval.tables.nerm.retrieval import RetrievalSets, retrieval_blocks, sentence_embeddings
 from eval.tables.nerm.sample_motions import sample_embeddings
 from eval.tables.nerm.text_motion import ScoredRow, paper_block, scored_blocks, text_motion_evaluators
 from eval.tables.registry import Table, TableRequest
 from eval.text_motion.embedding_cache import FOLDER, Embedder
-from eval.text_motion.evaluator import TextMotionEvaluator
+from eval.text_motion.evaluator import CosineEvaluator, TextMotionEvaluator
 from eval.text_motion.model_motions import ModelMotions
 from eval.text_motion.protocol import TextMotionProtocol, find_text_motion_protocol
 from eval.text_motion.real_pairs import MADE_OF_22, CaptionedMotions, captioned_motions, kit_bone_lengths, limited
+from eval.text_motion.retrieval import score_retrieval
 from eval.text_motion.scores import TextMotionPairs, score_text_motion
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
@@ -58,12 +62,18 @@ class _Sight:
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """What every evaluator's numbers are made from."""
+    """What every evaluator's numbers are made from.
+
+    `sentences` are embeddings of the real motions' captions where the protocol retrieves; `pair_score` is the score of
+    pairs that the evaluator's authors print.
+    """
 
     request: TableRequest
     protocol: TextMotionProtocol
     models: Mapping[str, TrainedModel]
     folders: tuple[SampleFolder, ...]
+    sentences: Float32[np.ndarray, "pairs numbers"] | None = None
+    pair_score: str = ""
 
 
 def build_table1(request: TableRequest) -> Result:
@@ -194,6 +204,10 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
     with task(request.on_progress, f"{evaluator.name}: embedding real motion"):
         pairs = TextMotionPairs(embedder.texts(real.captions), embedder.motions(real.samples))
     chosen = _chosen(real, protocol, request)
+    if protocol.retrieval:
+        job = replace(job, sentences=sentence_embeddings(real.captions))
+    if isinstance(evaluator, CosineEvaluator):
+        job = replace(job, pair_score=evaluator.pair_score)
     folders = {folder.name: folder for folder in job.folders}
     made = each_found(
         (*job.models, *folders),
@@ -210,7 +224,10 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
     provenance = {"evaluator": evaluator.name, "fingerprint": evaluator.fingerprint, "protocol": protocol.name}
     main, other_way = scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
     remark = evaluator.remark_at(real.samples.fps)
-    return Found((replace(main, note=" ".join(filter(None, (main.note, remark)))), other_way), made.missing)
+    main = replace(main, note=" ".join(filter(None, (main.note, remark))))
+    own = None if job.sentences is None else RetrievalSets(pairs.select(chosen), job.sentences[chosen])
+    found = () if own is None else retrieval_blocks(rows, own, protocol, request.seed, head, provenance)
+    return Found((main, other_way, *found), made.missing)
 
 
 def _chosen(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> npt.NDArray[np.int64]:
@@ -226,12 +243,13 @@ def _real_row(job: _Job, pairs: TextMotionPairs, chosen: npt.NDArray[np.int64]) 
     """Real motion under the protocol; without its FID where that would be a set's distance from itself."""
     own = pairs.select(chosen)
     scores = _score(job, own if job.protocol.reference == "paired" else pairs, [own])
+    ranked = _retrieval(job, own, [own], chosen)
     if job.protocol.reference == "redraw":
         return ScoredRow(
             REAL, "reference", scores, "its FID is what dropped remainders and the choice of motions leave"
         )
     values = {name: score for name, score in scores.values.items() if name not in ("fid", "fid_infinity", "kid")}
-    return ScoredRow(REAL, "reference", replace(scores, values=values))
+    return ScoredRow(REAL, "reference", replace(scores, values=values), retrieval=ranked)
 
 
 def _model_row(
@@ -253,7 +271,8 @@ def _model_row(
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
     remarks = size_remarks(pairs.motions, reference.motions, draws[0].motions, job.request.seed)
     note = "; ".join((f"run {trained.run.name!r}", *([] if lengths is None else [MADE_OF_22]), *remarks))
-    return ScoredRow(name, "ours", _score(job, reference, draws, repeated), note)
+    ranked = _retrieval(job, reference, draws, chosen)
+    return ScoredRow(name, "ours", _score(job, reference, draws, repeated), note, ranked)
 
 
 def _sample_row(
@@ -263,7 +282,23 @@ def _sample_row(
     reference = pairs if found.real_rows is None else pairs.select(found.real_rows)
     scores = _score(job, reference, list(found.draws), found.repeated)
     remarks = size_remarks(pairs.motions, reference.motions, found.draws[0].motions, job.request.seed)
-    return ScoredRow(folder.name, "ours", scores, "; ".join((folder.describe(), *found.remarks, *remarks)))
+    ranked = _retrieval(job, reference, list(found.draws), found.real_rows)
+    return ScoredRow(folder.name, "ours", scores, "; ".join((folder.describe(), *found.remarks, *remarks)), ranked)
+
+
+def _retrieval(
+    job: _Job,
+    reference: TextMotionPairs,
+    draws: list[TextMotionPairs],
+    rows: npt.NDArray[np.int64] | None,
+) -> tuple[Mapping[str, Estimate], ...]:
+    """Retrieval of motions that answer the captions of some of the real ones, under each of the protocol's rules."""
+    if job.sentences is None:
+        return ()
+    sentences = job.sentences if rows is None else job.sentences[rows]
+    return tuple(
+        score_retrieval(reference, draws, rule, sentences, job.request.seed) for rule in job.protocol.retrieval
+    )
 
 
 def _score(
@@ -280,6 +315,7 @@ def _score(
             job.request.seed,
             repeated=repeated,
             compat=job.request.published.compat,
+            pair_score=job.pair_score,
             on_replication=work.advance,
         )
 

@@ -20,7 +20,7 @@ from eval.tables.registry import TableRequest
 from eval.text_motion.evaluator import TextMotionEvaluator
 from eval.text_motion.guo.kind import Padding
 from eval.text_motion.protocol import PADDING_LEAK, TextMotionProtocol, chosen_bugs
-from eval.text_motion.scores import TextMotionPairs
+from eval.text_motion.scores import PAIR_SCORES, TextMotionPairs
 from motionkit.core.errors import MotionkitError, UsageError
 
 DEFAULT = ("native",)
@@ -36,6 +36,7 @@ def text_motion_evaluators(request: TableRequest, protocol: TextMotionProtocol) 
     known: dict[str, Callable[[TableRequest], TextMotionEvaluator]] = {
         "native": _native,
         "guo": partial(_guo, leak=protocol.leak),
+        "motion-clip": _motion_clip,
     }
     wanted = request.evaluators.names or DEFAULT
     for name in wanted:
@@ -70,6 +71,14 @@ def _guo(request: TableRequest, leak: Padding) -> TextMotionEvaluator:
     return load_guo(request.evaluators.guo)
 
 
+def _motion_clip(request: TableRequest) -> TextMotionEvaluator:
+    from eval.text_motion.motion_clip import load_motion_clip
+
+    if request.evaluators.motion_clip is None:
+        raise UsageError("--evaluator motion-clip needs its folder: --motion-clip DIR (docs/evaluators.md)")
+    return load_motion_clip(request.evaluators.motion_clip)
+
+
 ORACLE, FLOOR = "each motion on its caption's point", "real, disjoint halves"
 NOTES = {
     ORACLE: "the ceiling of R-Precision: motions that share a caption cannot be told apart",
@@ -87,12 +96,13 @@ PRINTED_NOTES = (
 
 @dataclass(frozen=True)
 class ScoredRow:
-    """A row before it has cells."""
+    """A row before it has cells; `retrieval` has a table's values for each of the protocol's rules."""
 
     name: str
     origin: Origin
     scores: Scores
     note: str = ""
+    retrieval: tuple[Mapping[str, Estimate], ...] = ()
 
 
 def title_of(name: str) -> str:
@@ -115,7 +125,8 @@ def scored_blocks(
     motions_ask = [f"{name}_motion_asks" for name in texts_ask]
     shared = [remark for remark in rows[0].scores.remarks if all(remark in row.scores.remarks for row in rows)]
     asked, turned = (texts_ask, motions_ask) if protocol.asks == "text" else (motions_ask, texts_ask)
-    every = [*asked, "mm_dist", "fid", "diversity", protocol.multimodality.metric]
+    paired = [name for name in PAIR_SCORES if name in rows[0].scores.values]
+    every = [*asked, "mm_dist", *paired, "fid", "diversity", protocol.multimodality.metric]
     oracle = _oracle(real, protocol, seed)
     floor = {title_of("fid"): _cell(_halves(real, protocol, seed)), COUNT: Cell(len(real.motions) // 2)}
     main = Block(

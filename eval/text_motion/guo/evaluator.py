@@ -17,7 +17,14 @@ from jaxtyping import Float, Float32, Float64
 
 from eval.sets.sets import SampleSet
 from eval.text_motion.guo.kind import REACH_FRAMES, GuoError, GuoFiles, GuoKind, Padding, read_statistics
-from eval.text_motion.guo.networks import FRAMES_PER_TOKEN, PUBLISHED, GuoNetworks, GuoWidths, networks_of
+from eval.text_motion.guo.networks import (
+    FRAMES_PER_TOKEN,
+    PUBLISHED,
+    GuoNetworks,
+    GuoWidths,
+    MotionNetworks,
+    networks_of,
+)
 from eval.text_motion.guo.words import WordVectors, read_word_vectors
 from motionkit.core.motion import Caption
 from motionkit.features import humanml3d
@@ -40,7 +47,7 @@ MOST_HEIGHT_FACTOR = 10.0
 class GuoEvaluator:
     """The networks with what belongs to them; `words` is None where no captions are to be read."""
 
-    networks: GuoNetworks
+    networks: MotionNetworks
     statistics: Statistics
     words: WordVectors | None = None
     padding: Padding = "masked"
@@ -119,14 +126,15 @@ class GuoEvaluator:
 
         Raises `GuoError` without word vectors, and for a caption without `word/POS` tokens.
         """
-        if self.words is None:
+        networks = self.networks
+        if self.words is None or not isinstance(networks, GuoNetworks):
             raise GuoError("the word vectors that Guo's text encoder reads were not given: --glove DIR (our_vab_*)")
         sentences = [self.words.sentence(caption) for caption in captions]
 
         def embed(chosen: list[int]) -> torch.Tensor:
             words = [torch.from_numpy(sentences[index].words) for index in chosen]
             parts = [torch.from_numpy(sentences[index].parts) for index in chosen]
-            return self.networks.embed_texts(words, parts)
+            return networks.embed_texts(words, parts)
 
         return self._in_batches([len(sentence.words) for sentence in sentences], embed)
 

@@ -8,11 +8,11 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 from torch import Tensor, nn
 from torch.nn.utils.rnn import pack_sequence
 
@@ -37,6 +37,22 @@ class GuoWidths:
 
 
 PUBLISHED = GuoWidths()
+
+
+@runtime_checkable
+class MotionNetworks(Protocol):
+    """Networks that read standardised frames of one kind of pose vectors."""
+
+    kind: GuoKind
+    num_features: int
+
+    def embed_motions(self, motions: list[Tensor], num_tokens: list[int]) -> Float[Tensor, "batch shared"]:
+        """One embedding for each motion's frames [frames, numbers], of which its tokens count."""
+        ...
+
+    def published(self) -> dict[str, dict[str, Tensor]]:
+        """The parameters by the published checkpoint's keys and names."""
+        ...
 
 
 class MovementEncoder(nn.Module):

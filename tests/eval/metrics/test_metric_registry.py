@@ -50,6 +50,8 @@ def arrays_of(metric: Metric, rng: np.random.Generator) -> tuple[tuple[np.ndarra
     known: dict[str, tuple[tuple[np.ndarray, ...], dict[str, object]]] = {
         "accuracy": ((rng.normal(size=(12, 20, 5)), rng.integers(5, size=(12, 20))), {}),
         "mre": (tuple(vectors), {}),
+        "clip_score": (tuple(vectors), {}),
+        "tmr_score": (tuple(vectors), {}),
         "mean_vector_distance": (tuple(vectors), {}),
         "velocity_error": (tuple(motion), per_second),
         "acceleration_error": (tuple(motion), per_second),
@@ -98,7 +100,7 @@ def test_streams_do_not_depend_on_batches_or_ranks(metric: Metric) -> None:
 
 PER_FRAME = {
     "accuracy", "mpjpe", "mpjpe_global", "mpjpe_procrustes", "mre", "mean_vector_distance", "bone_length_error",
-    "rotation_angle_error",
+    "rotation_angle_error", "clip_score", "tmr_score",
 }  # fmt: skip
 
 

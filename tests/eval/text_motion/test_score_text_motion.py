@@ -35,6 +35,9 @@ PLAIN = {
     "mld": Plain(None, False, True, 100, False, 20),
     "t2m-gpt": Plain(None, True, True, None, False, 20),
     "momask": Plain(None, True, True, 96, False, 20),
+    "mardm": Plain(None, True, True, 96, False, 20),
+    "tmr": Plain(None, False, True, 100, True, 20),
+    "kimodo": Plain(None, False, True, 100, True, 20),
 }
 
 

@@ -152,6 +152,34 @@ def test_the_result_says_what_its_numbers_mean(
     assert read_result(write_result(result, tmp_path)).blocks == result.blocks
 
 
+@pytest.mark.parametrize("published", ["tmr", "kimodo"])
+def test_retrieval_stands_in_blocks_of_its_own(
+    published: str,
+    store: Path,
+    tmp_path: Path,
+    run: Path,
+    models: dict[str, ScriptedModel],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Shapes, "pair_score", "tmr_score", raising=False)
+    sentences = np.random.default_rng(0).normal(size=(TAKES, 40)).astype(np.float32)
+    monkeypatch.setattr(table1, "sentence_embeddings", lambda captions: sentences)
+    result = build(store, tmp_path / "results", run, published=published)
+    blocks = [block.title for block in result.blocks if block.title.startswith("Retrieval")]
+    assert len(blocks) == (4 if published == "tmr" else 1) and "N = 70" in blocks[0]
+    assert rows_of(result)["NeRM"][title_of("tmr_score")] > rows_of(result)["NeRM-fixed"][title_of("tmr_score")]
+    rows = rows_of(result, 2)
+    first, tenth, middle = (title_of(name) for name in ("recall_at_1", "recall_at_10", "median_rank"))
+    assert rows["real"][first] > 0.95 and rows["NeRM"][first] > 0.95 and rows[ORACLE][first] == 1.0
+    if published == "tmr":
+        assert rows["chance"][tenth] == pytest.approx(10 / 70) and rows["chance"][middle] == 35.5
+        assert rows["NeRM-fixed"][tenth] < 0.4 and rows["NeRM-fixed"][middle] > 15
+        assert "pools of 32, N = 32" in blocks[3]
+    else:
+        assert rows["NeRM"][title_of("recall_at_10_real_asked")] > 0.95
+        assert "of the other texts count as a text's own" in result.blocks[2].note
+
+
 def test_embeddings_are_kept_and_motions_are_not_generated_again(
     store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:

@@ -1,0 +1,194 @@
+"""MARDM's MotionCLIP on random weights in the published layout: what is loaded, what is refused, what it computes."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from eval.metrics.retrieval import clip_score
+from eval.text_motion.evaluator import CosineEvaluator, PoseVectorEvaluator
+from eval.text_motion.guo.kind import GuoError
+from eval.text_motion.motion_clip import KEY, MotionClipSizes, clip_tokens, load_motion_clip
+from motionkit.core.motion import Caption
+from motionkit.training.tensors import CheckpointError
+from tests.helpers.published_guo import pose_vectors, write_statistics
+
+pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
+
+LETTERS = "abcdefghijklmnopqrstuvwxyz"
+WORDS = [*LETTERS, *(f"{letter}</w>" for letter in LETTERS), "wa", "lk</w>", "walk</w>"]
+SIZES = MotionClipSizes(
+    width=16, feedforward=32, layers=2, heads=8, vocabulary=len(WORDS) + 2, context=9, positions=200
+)
+STATISTICS = ((0.01283, 0.01693, 0.15378, 0.12224), 0.93862)
+
+
+def shapes(sizes: MotionClipSizes, num_inputs: int) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of the published checkpoint, as its classes make them."""
+    width, forward = sizes.width, sizes.feedforward
+    layer = {
+        "self_attn.in_proj_weight": (3 * width, width),
+        "self_attn.in_proj_bias": (3 * width,),
+        "self_attn.out_proj.weight": (width, width),
+        "self_attn.out_proj.bias": (width,),
+        "linear1.weight": (forward, width),
+        "linear1.bias": (forward,),
+        "linear2.weight": (width, forward),
+        "linear2.bias": (width,),
+        **{f"norm{each}.{part}": (width,) for each in (1, 2) for part in ("weight", "bias")},
+    }
+    named = {
+        "positional_embedding": (sizes.context, width),
+        "logit_scale": (),
+        "token_embedding.weight": (sizes.vocabulary, width),
+        "motion_encoder.query_token": (1, width),
+        "motion_encoder.embed_motion.weight": (width, num_inputs),
+        "motion_encoder.embed_motion.bias": (width,),
+        "motion_encoder.sequence_pos_encoder.pe": (sizes.positions, width),
+    }
+    for norm in ("motion_encoder.out_ln", "text_ln"):
+        named |= {f"{norm}.weight": (width,), f"{norm}.bias": (width,)}
+    for out in ("motion_encoder.out", "out"):
+        named |= {f"{out}.weight": (width, width), f"{out}.bias": (width,)}
+    for encoder in ("motion_encoder.transformer", "textTransEncoder"):
+        for number in range(sizes.layers):
+            named |= {f"{encoder}.layers.{number}.{name}": shape for name, shape in layer.items()}
+    return named
+
+
+def write(folder: Path, sizes: MotionClipSizes = SIZES, num_inputs: int = 67) -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    tensors = {
+        name: torch.randn(shape, generator=generator) * (0.3 if len(shape) > 1 else 0.1)
+        for name, shape in shapes(sizes, num_inputs).items()
+    }
+    tensors["motion_encoder.sequence_pos_encoder.pe"] = positions(sizes)
+    torch.save({KEY: tensors, "epoch": 3}, folder / "finest.tar")
+    write_statistics(folder, STATISTICS, ("eval_mean.npy", "eval_std.npy"))
+    words = {word: number for number, word in enumerate((*WORDS, "<|startoftext|>", "<|endoftext|>"))}
+    (folder / "vocab.json").write_text(json.dumps(words), encoding="utf-8")
+    (folder / "merges.txt").write_text("#version: 0.2\nw a\nl k</w>\nwa lk</w>\n", encoding="utf-8")
+    return tensors
+
+
+def positions(sizes: MotionClipSizes) -> torch.Tensor:
+    table = torch.zeros(sizes.positions, sizes.width)
+    for place in range(sizes.positions):
+        for number in range(sizes.width):
+            angle = place * math.exp(-math.log(10000.0) * (number - number % 2) / sizes.width)
+            table[place, number] = math.cos(angle) if number % 2 else math.sin(angle)
+    return table
+
+
+def transformed(x: np.ndarray, w: dict[str, np.ndarray], prefix: str, layers: int, heads: int) -> np.ndarray:
+    """A post-norm transformer by plain loops over heads, [steps, width]."""
+    width = x.shape[1]
+    size = width // heads
+    for number in range(layers):
+        p = f"{prefix}.layers.{number}."
+        qkv = x @ w[p + "self_attn.in_proj_weight"].T + w[p + "self_attn.in_proj_bias"]
+        heard = []
+        for head in range(heads):
+            q, k, v = (qkv[:, part * width + head * size : part * width + (head + 1) * size] for part in range(3))
+            scores = q @ k.T / math.sqrt(size)
+            weights = np.exp(scores - scores.max(axis=1, keepdims=True))
+            heard.append(weights / weights.sum(axis=1, keepdims=True) @ v)
+        attended = np.concatenate(heard, axis=1) @ w[p + "self_attn.out_proj.weight"].T
+        x = normed(x + attended + w[p + "self_attn.out_proj.bias"], w, p + "norm1")
+        hidden = x @ w[p + "linear1.weight"].T + w[p + "linear1.bias"]
+        hidden = 0.5 * hidden * (1 + np.vectorize(math.erf)(hidden / math.sqrt(2)))
+        x = normed(x + hidden @ w[p + "linear2.weight"].T + w[p + "linear2.bias"], w, p + "norm2")
+    return x
+
+
+def normed(x: np.ndarray, w: dict[str, np.ndarray], name: str) -> np.ndarray:
+    centred = x - x.mean(axis=1, keepdims=True)
+    return centred / np.sqrt((centred**2).mean(axis=1, keepdims=True) + 1e-5) * w[name + ".weight"] + w[name + ".bias"]
+
+
+def unit(x: np.ndarray) -> np.ndarray:
+    return x / np.linalg.norm(x)
+
+
+def test_both_encoders_are_the_published_ones(tmp_path: Path) -> None:
+    w = {name: tensor.double().numpy() for name, tensor in write(tmp_path).items()}
+    evaluator = load_motion_clip(tmp_path, SIZES)
+    assert isinstance(evaluator, CosineEvaluator) and isinstance(evaluator, PoseVectorEvaluator)
+    motions = [pose_vectors(length, length) for length in (41, 60, 43)]
+    found = evaluator.embed_vectors(motions)
+    mean, std = (np.load(tmp_path / f"eval_{name}.npy") for name in ("mean", "std"))
+    pe = w["motion_encoder.sequence_pos_encoder.pe"]
+    for row, motion in zip(found, motions, strict=True):
+        frames = (motion[: len(motion) // 4 * 4, :67] - mean) / std
+        steps = frames @ w["motion_encoder.embed_motion.weight"].T + w["motion_encoder.embed_motion.bias"]
+        steps = np.concatenate((w["motion_encoder.query_token"], steps))
+        last = transformed(steps + pe[: len(steps)], w, "motion_encoder.transformer", 2, 8)
+        first = normed(last[:1], w, "motion_encoder.out_ln")[0]
+        expected = unit(w["motion_encoder.out.weight"] @ first + w["motion_encoder.out.bias"])
+        np.testing.assert_allclose(row, expected, atol=2e-5)
+    captions = ["walk a", "a a a a a a a a a a"]
+    start, end = SIZES.vocabulary - 2, SIZES.vocabulary - 1
+    walk, a = WORDS.index("walk</w>"), WORDS.index("a</w>")
+    tokens = [[start, walk, a, end, 0, 0, 0, 0, 0], [start, *[a] * 7, end]]
+    texts = evaluator.embed_texts([Caption(text) for text in captions])
+    for row, numbers in zip(texts, tokens, strict=True):
+        steps = w["token_embedding.weight"][numbers] + w["positional_embedding"]
+        last = normed(transformed(steps, w, "textTransEncoder", 2, 8), w, "text_ln")[numbers.index(end)]
+        np.testing.assert_allclose(row, unit(w["out.weight"] @ last + w["out.bias"]), atol=2e-5)
+    assert clip_score(texts, found[:2]) == pytest.approx(np.mean([texts[0] @ found[0], texts[1] @ found[1]]), abs=1e-6)
+
+
+def test_a_row_does_not_depend_on_its_batch(tmp_path: Path) -> None:
+    write(tmp_path)
+    evaluator = load_motion_clip(tmp_path, SIZES)
+    motions = [pose_vectors(length, length) for length in (40, 64, 41, 63)]
+    together = evaluator.embed_vectors(motions)
+    for row, motion in zip(together, motions, strict=True):
+        np.testing.assert_allclose(evaluator.embed_vectors([motion])[0], row, atol=1e-5)
+    assert evaluator.fps == 20 and evaluator.layout == "smpl22" and evaluator.vector_size == 263
+    assert len(evaluator.fingerprint) > 16 and np.allclose(np.linalg.norm(together, axis=1), 1, atol=1e-5)
+
+
+def test_kits_evaluator_reads_64_numbers(tmp_path: Path) -> None:
+    write(tmp_path, num_inputs=64)
+    write_statistics(tmp_path, ((0.02479, 29.3192, 114.661, 93.6202), 559.62), ("eval_mean.npy", "eval_std.npy"))
+    assert load_motion_clip(tmp_path, SIZES).layout == "kit21"
+
+
+def test_files_that_are_not_its_own_are_refused(tmp_path: Path) -> None:
+    tensors = write(tmp_path)
+    with pytest.raises(CheckpointError, match=r"expected \(.*24"):
+        load_motion_clip(tmp_path, replace(SIZES, width=24))
+    for change, said in (
+        ({"out.bias": torch.full((16,), torch.nan)}, "out.bias holds numbers that are not finite"),
+        ({"more": torch.zeros(1)}, "contrast_model/more besides"),
+        ({"motion_encoder.embed_motion.weight": torch.zeros(16, 259)}, "reads 67 or 64 numbers"),
+    ):
+        torch.save({KEY: tensors | change}, tmp_path / "finest.tar")
+        with pytest.raises(CheckpointError, match=said):
+            load_motion_clip(tmp_path, SIZES)
+    torch.save({"text_encoder": tensors}, tmp_path / "finest.tar")
+    with pytest.raises(CheckpointError, match="under the key 'contrast_model'"):
+        load_motion_clip(tmp_path, SIZES)
+    write(tmp_path)
+    write_statistics(tmp_path, ((5e-4, 6.8e-4, 6e-3, 0.12), 0.9175), ("eval_mean.npy", "eval_std.npy"))
+    with pytest.raises(GuoError, match=r"mean root height is 0\.9175"):
+        load_motion_clip(tmp_path, SIZES)
+    write(tmp_path)
+    (tmp_path / "merges.txt").unlink()
+    with pytest.raises(GuoError, match=r"no merges\.txt"):
+        load_motion_clip(tmp_path, SIZES)
+    write(tmp_path)
+    (tmp_path / "vocab.json").write_text(json.dumps({"a</w>": 0, "<|startoftext|>": 1, "<|endoftext|>": 2}))
+    with pytest.raises(GuoError, match="3 word pieces"):
+        load_motion_clip(tmp_path, SIZES)
+
+
+def test_texts_are_laid_out_as_clip_does() -> None:
+    np.testing.assert_array_equal(
+        clip_tokens([[5, 6], [1] * 9, []], 8, 9, 6)[:, [0, 1, 3, 5]], [[8, 5, 9, 0], [8, 1, 1, 9], [8, 9, 0, 0]]
+    )
