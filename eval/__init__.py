@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         Accuracy,
         DeclaredMean,
         JerkError,
-        SkatingRatio,
+        MotionMean,
         SkatingSpeed,
     )
     from eval.torch_metrics.sets import FID, Diversity, MultiModality, RPrecision
@@ -38,9 +38,9 @@ __all__ = [
     "DeclaredMean",
     "Diversity",
     "JerkError",
+    "MotionMean",
     "MultiModality",
     "RPrecision",
-    "SkatingRatio",
     "SkatingSpeed",
     "clip_fid",
 ]
@@ -53,7 +53,7 @@ give_names(
     {
         "clip_fid": "eval.clip_fid.motions",
         "ClipFID": "eval.torch_metrics.clips",
-        **dict.fromkeys((*_MEANS, "SkatingRatio", "SkatingSpeed"), "eval.torch_metrics.means"),
+        **dict.fromkeys((*_MEANS, "MotionMean", "SkatingSpeed"), "eval.torch_metrics.means"),
         **dict.fromkeys(("Diversity", "FID", "MultiModality", "RPrecision"), "eval.torch_metrics.sets"),
     },
 )

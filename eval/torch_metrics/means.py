@@ -1,15 +1,19 @@
 """Metrics that are means: their states are two sums, Σ weight·value and Σ weight."""
 
+from collections.abc import Sequence
 from inspect import signature
 from typing import Any, ClassVar
 
 import numpy.typing as npt
 import torch
+from jaxtyping import Float
 from torch import Tensor
 from torchmetrics import Metric
 
 from eval.metrics.metric import MeanSums, find_metric
+from eval.metrics.physical import ground_height
 from eval.torch_metrics.arrays import array_of
+from motionkit.core.framerate import Framerate, parse_fps
 
 
 class DeclaredMean(Metric):
@@ -126,18 +130,6 @@ class SkatingSpeed(DeclaredMean):
     declared = "skating_speed"
 
 
-class SkatingRatio(DeclaredMean):
-    """Share of frames with a foot that is low and fast, of one sequence an update: `update(feet [frames, feet, 3])`.
-
-    >>> metric = SkatingRatio(fps=60)
-    >>> metric.update(torch.zeros(30, 2, 3))
-    >>> float(metric.compute())
-    0.0
-    """
-
-    declared = "skating_ratio"
-
-
 class L2P(DeclaredMean):
     """L2P of in-betweening: `update(predicted [clips, frames, joints, 3], target)`; `std` [joints, 3] of training.
 
@@ -174,3 +166,51 @@ class NPSS(DeclaredMean):
     """
 
     declared = "npss"
+
+
+class MotionMean(Metric):
+    """A physical figure of `eval.metrics.physical` or `physical_published` by name, the mean over motions.
+
+    `update` takes motions [frames, 22, 3] in metres, y up, of any lengths, each with its own floor (`ground_height`).
+    Motions weigh by their seconds; those that have nothing to measure, such as contacts, do not count. This is the mean
+    of `motionkit eval --table physical`. Raises `KeyError` for a name that is not declared.
+
+    >>> metric = MotionMean("bone_length_drift", fps=60)
+    >>> metric.update([torch.rand(1, 22, 3).expand(90, 22, 3)])
+    >>> float(metric.compute())
+    0.0
+    """
+
+    full_state_update = False
+    is_differentiable = False
+    total: Tensor
+    seconds: Tensor
+
+    def __init__(self, declared: str, fps: Framerate, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.metric_name, self.fps = find_metric(declared).name, parse_fps(fps)
+        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("seconds", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+
+    @property
+    def higher_is_better(self) -> bool | None:  # type: ignore[override]
+        """As the metric is declared."""
+        return find_metric(self.metric_name).higher_is_better
+
+    def update(self, motions: Sequence[Float[Tensor, "_frames joints 3"]]) -> None:
+        """Add motions. Raises what the function raises."""
+        function = find_metric(self.metric_name).function
+        over_floor = "floor" in signature(function).parameters
+        for motion in motions:
+            positions, seconds = array_of(motion), len(motion) / float(self.fps)
+            floor = {"floor": ground_height(positions, self.fps) / 1000.0} if over_floor else {}
+            value = function(positions, float(self.fps), **floor)
+            if value is not None:
+                assert isinstance(value, float)
+                self.total += seconds * value
+                self.seconds += seconds
+
+    def compute(self) -> Tensor:
+        """The mean over motions, float64. Raises `ValueError` where none could be measured."""
+        mean = MeanSums(float(self.total), float(self.seconds)).mean
+        return torch.tensor(mean, dtype=torch.float64, device=self.total.device)

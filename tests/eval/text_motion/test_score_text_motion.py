@@ -22,7 +22,7 @@ class Plain:
 
     counted: int | None
     drops_last_batch: bool
-    paired: bool
+    paired: bool | None
     texts: int | None
     distinct: bool
     mm_replications: int
@@ -30,6 +30,7 @@ class Plain:
 
 PLAIN = {
     "native": Plain(None, False, True, 100, True, 20),
+    "nerm": Plain(1000, False, None, 100, True, 20),
     "t2m": Plain(None, True, False, 100, False, 20),
     "mdm": Plain(1024, True, False, 128, False, 5),
     "mld": Plain(None, False, True, 100, False, 20),
@@ -83,7 +84,9 @@ def plain_scores(
         order = order[: plain.counted]
     batches = order[: len(order) // 32 * 32]
     seen = batches if plain.drops_last_batch else order
-    if plain.paired:
+    if plain.paired is None:
+        reference = real.motions
+    elif plain.paired:
         reference = real.motions[seen]
     else:
         again = np.random.default_rng((SEED, replication, 1)).permutation(len(real.motions))
@@ -120,7 +123,7 @@ def test_each_protocol_is_what_its_publication_computes(protocol) -> None:  # ty
         values = [each[name] for each in expected if name in each]
         assert found.values[name].values == pytest.approx(values, rel=1e-9), name
     assert set(found.values) - set(expected[0]) == set(protocol.details)
-    assert found.sizes["generated"] == (1024 if plain.counted else 128 if plain.drops_last_batch else 150)
+    assert found.sizes["generated"] == (plain.counted if plain.counted else 128 if plain.drops_last_batch else 150)
     for name in found.values:
         assert find_metric(name).name == name
 
@@ -225,7 +228,7 @@ def test_refusals() -> None:
     narrow = TextMotionPairs(np.zeros((64, 3)), np.zeros((64, 3)))
     with pytest.raises(ValueError, match="real motions have 5 numbers, of generated ones 3"):
         score_text_motion(make_pairs(64, 0), [narrow], native, 0)
-    with pytest.raises(UsageError, match="no text-to-motion protocol 'mmd': native, t2m, mdm"):
+    with pytest.raises(UsageError, match="no text-to-motion protocol 'mmd': native, nerm, t2m"):
         find_text_motion_protocol("mmd")
     with pytest.raises(ValueError, match="do not fill a pool"):
         replace(native, num_motions=31)

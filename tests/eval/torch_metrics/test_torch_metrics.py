@@ -23,18 +23,20 @@ from eval import (
     DeclaredMean,
     Diversity,
     JerkError,
+    MotionMean,
     MultiModality,
     RPrecision,
-    SkatingRatio,
     SkatingSpeed,
     clip_fid,
 )
 from eval.clip_fid import features
 from eval.clip_fid.clips import ClipError
 from eval.metrics.actions import accuracy, diversity, multimodality
-from eval.metrics.feet import skating_ratio, skating_speed
+from eval.metrics.feet import skating_speed
 from eval.metrics.gaussian import fid
 from eval.metrics.inbetweening import l2p, l2q, npss
+from eval.metrics.physical import ground_height, jerk
+from eval.metrics.physical_published import gmd_skating_ratio
 from eval.metrics.r_precision import r_precision
 from eval.metrics.reconstruction import acceleration_error, jerk_error, mpjpe_root_aligned, mre
 
@@ -101,14 +103,27 @@ def test_states_merge_and_begin_anew(name: str) -> None:
     assert float(second.compute()) == pytest.approx(second_alone, rel=1e-12) and second_alone != expected
 
 
-@pytest.mark.parametrize(("metric", "function"), [(SkatingSpeed, skating_speed), (SkatingRatio, skating_ratio)])
-def test_sequences_of_feet_count_by_their_steps(metric: type[DeclaredMean], function) -> None:
+def test_sequences_of_feet_count_by_their_steps() -> None:
     feet = [RNG.uniform(0, 0.1, size=(length, 4, 3)).cumsum(axis=0) * [1, 0, 1] for length in (10, 31)]
-    whole = metric(fps=30, floor=-0.01)
+    whole = SkatingSpeed(fps=30, floor=-0.01)
     for each in feet:
         whole.update(torch.from_numpy(each))
-    values = [function(each, 30.0, floor=-0.01) for each in feet]
+    values = [skating_speed(each, 30.0, floor=-0.01) for each in feet]
     assert float(whole.compute()) == pytest.approx((9 * values[0] + 30 * values[1]) / 39, rel=1e-12)
+
+
+@pytest.mark.parametrize(("name", "function"), [("jerk", jerk), ("gmd_skating_ratio", gmd_skating_ratio)])
+def test_physical_figures_are_means_over_motions(name: str, function) -> None:
+    short = MOTIONS[0][:5]  # has no jerk
+    metric = MotionMean(name, fps=60)
+    metric.update([torch.from_numpy(motion) for motion in MOTIONS[:1]])
+    metric.update([torch.from_numpy(motion) for motion in (*MOTIONS[1:], short)])
+    floors = [{"floor": ground_height(each, 60) / 1000} if name != "jerk" else {} for each in (*MOTIONS, short)]
+    values = [function(each, 60.0, **floor) for each, floor in zip((*MOTIONS, short), floors, strict=True)]
+    assert (values[-1] is None) == (name == "jerk")
+    counted = [(value, len(each)) for value, each in zip(values, (*MOTIONS, short), strict=True) if value is not None]
+    expected = sum(value * length for value, length in counted) / sum(length for _, length in counted)
+    assert float(metric.compute()) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("cuts", [(), (2, 40)], ids=str)
@@ -183,8 +198,8 @@ def test_settings_go_to_the_function_and_to_torchmetrics() -> None:
         JerkError(frame_rate=30)
     with pytest.raises(ValueError, match="fid is not a mean"):
         DeclaredMean("fid")
-    with pytest.raises(KeyError, match="there is no metric 'jerk'"):
-        DeclaredMean("jerk")
+    with pytest.raises(KeyError, match="there is no metric 'jerks'"):
+        DeclaredMean("jerks")
     assert JerkError(fps=30).higher_is_better is False and Accuracy().higher_is_better is True
 
 

@@ -167,13 +167,15 @@ def test_retrieval_stands_in_blocks_of_its_own(
     result = build(store, tmp_path / "results", run, published=published)
     blocks = [block.title for block in result.blocks if block.title.startswith("Retrieval")]
     assert len(blocks) == (4 if published == "tmr" else 1) and "N = 70" in blocks[0]
-    assert rows_of(result)["NeRM"][title_of("tmr_score")] > rows_of(result)["NeRM-fixed"][title_of("tmr_score")]
+    assert (
+        rows_of(result)["NeRM"][title_of("tmr_score")] > rows_of(result)["NeRM, fixed framerate"][title_of("tmr_score")]
+    )
     rows = rows_of(result, 2)
     first, tenth, middle = (title_of(name) for name in ("recall_at_1", "recall_at_10", "median_rank"))
     assert rows["real"][first] > 0.95 and rows["NeRM"][first] > 0.95 and rows[ORACLE][first] == 1.0
     if published == "tmr":
         assert rows["chance"][tenth] == pytest.approx(10 / 70) and rows["chance"][middle] == 35.5
-        assert rows["NeRM-fixed"][tenth] < 0.4 and rows["NeRM-fixed"][middle] > 15
+        assert rows["NeRM, fixed framerate"][tenth] < 0.4 and rows["NeRM, fixed framerate"][middle] > 15
         assert "pools of 32, N = 32" in blocks[3]
     else:
         assert rows["NeRM"][title_of("recall_at_10_real_asked")] > 0.95
