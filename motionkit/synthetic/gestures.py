@@ -5,18 +5,18 @@ from collections.abc import Callable
 import numpy as np
 
 from motionkit.synthetic.bodies import Body
-from motionkit.synthetic.curves import Constant, Pulse, Wave, cosine, product, scaled, total
+from motionkit.synthetic.curves import constant, cosine, product, pulse, scaled, total, wave
 from motionkit.synthetic.script import SIDES, Layer, Part, Swing
 
 
 def stand(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
     """Stand idle, shifting the weight."""
-    shift = Wave(float(rng.uniform(0.12, 0.25)), float(rng.uniform(0, 8)), float(rng.uniform(0.01, 0.035)))
+    shift = wave(float(rng.uniform(0.12, 0.25)), float(rng.uniform(0, 8)), float(rng.uniform(0.01, 0.035)))
     layers = (
         Layer("pelvis_left", shift),
         Layer("pelvis_roll", scaled(1.2, shift)),
         Layer("spine_roll", scaled(-1.6, shift)),
-        Layer("head_yaw", Wave(float(rng.uniform(0.08, 0.2)), float(rng.uniform(0, 8)), float(rng.uniform(0.1, 0.4)))),
+        Layer("head_yaw", wave(float(rng.uniform(0.08, 0.2)), float(rng.uniform(0, 8)), float(rng.uniform(0.1, 0.4)))),
     )
     return Part("stand", start, end, layers, (), ("stands still", "stands idle", "waits, standing on the spot"))
 
@@ -26,7 +26,7 @@ def _wave(sides: tuple[str, ...]) -> Callable[[np.random.Generator, Body, float,
 
     def build(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
         rise = float(rng.uniform(0.5, 0.8))
-        up = Pulse(start, rise, end - start - 2 * rise, rise)
+        up = pulse(start, rise, end - start - 2 * rise, rise)
         frequency = float(rng.uniform(1.3, 2.6))
         swing = float(rng.uniform(0.25, 0.55))
         raised, bent = float(rng.uniform(1.1, 1.9)), float(rng.uniform(0.9, 1.6))
@@ -38,8 +38,8 @@ def _wave(sides: tuple[str, ...]) -> Callable[[np.random.Generator, Body, float,
                 Layer(f"{side}_arm_azimuth", scaled(0.35, up)),
                 Layer(f"{side}_arm_twist", scaled(1.45, up)),
                 Layer(f"{side}_elbow", scaled(bent, up)),
-                Layer(f"{side}_elbow", product(up, Wave(frequency, start, swing))),
-                Layer(f"{side}_arm_twist", product(up, Wave(frequency, start + 0.05, 0.3 * swing))),
+                Layer(f"{side}_elbow", product(up, wave(frequency, start, swing))),
+                Layer(f"{side}_arm_twist", product(up, wave(frequency, start + 0.05, 0.3 * swing))),
                 Layer("spine_roll", scaled(lean, up)),
             ]
         phrases = (f"waves {words}", f"waves hello with {words}", f"raises {words} and waves")
@@ -56,7 +56,7 @@ def bow(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
     """Bow once."""
     seconds = min(end - start, float(rng.uniform(2.0, 3.2)))
     depth = float(rng.uniform(0.5, 1.1))
-    down = Pulse(start, 0.4 * seconds, 0.2 * seconds, 0.4 * seconds)
+    down = pulse(start, 0.4 * seconds, 0.2 * seconds, 0.4 * seconds)
     layers = (
         Layer("pelvis_pitch", scaled(0.55 * depth, down)),
         Layer("spine_pitch", scaled(0.65 * depth, down)),
@@ -76,7 +76,7 @@ def squat(rng: np.random.Generator, body: Body, start: float, end: float) -> Par
     depth = float(rng.uniform(0.28, 0.46)) * body.leg_length / 0.805
     layers: list[Layer] = []
     for k in range(count):
-        down = Pulse(start + k * period, 0.42 * period, 0.10 * period, 0.42 * period)
+        down = pulse(start + k * period, 0.42 * period, 0.10 * period, 0.42 * period)
         layers += [
             Layer("pelvis_drop", scaled(depth, down)),
             Layer("pelvis_forward", scaled(-0.32 * depth, down)),
@@ -97,10 +97,10 @@ def sit(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
     down_for, up_for = 0.30 * seconds, 0.28 * seconds
     scale = body.leg_length / 0.805
     seat = float(rng.uniform(0.36, 0.42)) * scale
-    seated = Pulse(start + 0.05 * seconds, down_for, 0.30 * seconds, up_for)
-    lean_down = Pulse(start, 0.5 * down_for, 0.0, 0.8 * down_for)
+    seated = pulse(start + 0.05 * seconds, down_for, 0.30 * seconds, up_for)
+    lean_down = pulse(start, 0.5 * down_for, 0.0, 0.8 * down_for)
     rise = start + 0.05 * seconds + down_for + 0.30 * seconds
-    lean_up = Pulse(rise - 0.4 * up_for, 0.5 * up_for, 0.0, 0.8 * up_for)
+    lean_up = pulse(rise - 0.4 * up_for, 0.5 * up_for, 0.0, 0.8 * up_for)
     leaning = total(lean_down, lean_up)
     layers = (
         Layer("pelvis_drop", scaled(seat, seated)),
@@ -122,7 +122,7 @@ def raise_arms(rng: np.random.Generator, body: Body, start: float, end: float) -
     seconds = end - start
     sideways = bool(rng.random() < 0.5)
     height = float(rng.uniform(1.4, 2.75))
-    up = Pulse(start, 0.35 * seconds, 0.25 * seconds, 0.35 * seconds)
+    up = pulse(start, 0.35 * seconds, 0.25 * seconds, 0.35 * seconds)
     layers: list[Layer] = [Layer("spine_pitch", scaled(-0.08, up)), Layer("head_pitch", scaled(-0.12, up))]
     for side in SIDES:
         layers += [
@@ -137,7 +137,7 @@ def raise_arms(rng: np.random.Generator, body: Body, start: float, end: float) -
 
 def clap(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
     """Clap the hands."""
-    ready = Pulse(start, 0.6, end - start - 1.2, 0.6)
+    ready = pulse(start, 0.6, end - start - 1.2, 0.6)
     frequency = float(rng.uniform(1.6, 2.8))
     layers: list[Layer] = []
     for side in SIDES:
@@ -154,7 +154,7 @@ def clap(rng: np.random.Generator, body: Body, start: float, end: float) -> Part
 
 def punch(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
     """Punch with alternating or always the same fist out of a guard."""
-    guard = Pulse(start, 0.6, end - start - 1.2, 0.6)
+    guard = pulse(start, 0.6, end - start - 1.2, 0.6)
     layers: list[Layer] = [
         Layer("pelvis_drop", scaled(0.05, guard)),
         Layer("spine_pitch", scaled(0.12, guard)),
@@ -168,7 +168,7 @@ def punch(rng: np.random.Generator, body: Body, start: float, end: float) -> Par
     for k in range(count):
         side = sides[k % 2]
         sign = 1.0 if side == "right" else -1.0
-        strike = Pulse(start + 0.6 + k * pause, 0.25, 0.05, 0.35)
+        strike = pulse(start + 0.6 + k * pause, 0.25, 0.05, 0.35)
         layers += [
             Layer(f"{side}_arm_elevation", scaled(1.0, strike)),
             Layer(f"{side}_elbow", scaled(-1.75, strike)),
@@ -195,8 +195,8 @@ def kick(rng: np.random.Generator, body: Body, start: float, end: float) -> Part
     for k in range(count):
         begin = start + k * period
         off = begin + 0.45
-        weight = Pulse(begin, 0.45, 0.9, 0.5)
-        strike = Pulse(off + 0.1, 0.32, 0.04, 0.42)
+        weight = pulse(begin, 0.45, 0.9, 0.5)
+        strike = pulse(off + 0.1, 0.32, 0.04, 0.42)
         swings.append(Swing(side, off, off + 1.0, lift=0.12, heel_rise=0.35, toe_up=0.0))
         layers += [
             Layer("pelvis_left", scaled(-0.075 * sign, weight)),
@@ -225,8 +225,8 @@ def throw(rng: np.random.Generator, body: Body, start: float, end: float) -> Par
     layers: list[Layer] = []
     for k in range(count):
         begin = start + k * period + 0.1
-        wind_up = Pulse(begin, 0.7, 0.25, 0.35)
-        release = Pulse(begin + 0.95, 0.3, 0.1, 0.9)
+        wind_up = pulse(begin, 0.7, 0.25, 0.35)
+        release = pulse(begin + 0.95, 0.3, 0.1, 0.9)
         layers += [
             Layer(f"{side}_arm_elevation", scaled(1.5, wind_up)),
             Layer(f"{side}_arm_azimuth", scaled(0.5, wind_up)),
@@ -246,16 +246,16 @@ def throw(rng: np.random.Generator, body: Body, start: float, end: float) -> Par
 def stretch(rng: np.random.Generator, body: Body, start: float, end: float) -> Part:
     """Bend the trunk from side to side with the arms up."""
     seconds = end - start
-    up = Pulse(start, 0.25 * seconds, 0.5 * seconds, 0.25 * seconds)
+    up = pulse(start, 0.25 * seconds, 0.5 * seconds, 0.25 * seconds)
     count = max(1, round(seconds / 3.5))
-    bend = product(up, Wave(count / (0.7 * seconds), start + 0.15 * seconds, float(rng.uniform(0.35, 0.6))))
+    bend = product(up, wave(count / (0.7 * seconds), start + 0.15 * seconds, float(rng.uniform(0.35, 0.6))))
     layers: list[Layer] = [Layer("spine_roll", bend), Layer("pelvis_left", scaled(0.10, bend))]
     for side in SIDES:
         layers += [
             Layer(f"{side}_arm_elevation", scaled(2.5, up)),
             Layer(f"{side}_arm_azimuth", scaled(0.4, up)),
             Layer(f"{side}_shrug", scaled(0.3, up)),
-            Layer(f"{side}_elbow", product(up, Constant(0.3))),
+            Layer(f"{side}_elbow", product(up, constant(0.3))),
         ]
     phrases = ("stretches to both sides", "bends from side to side with raised arms", "stretches the upper body")
     return Part("stretch", start, end, tuple(layers), (), phrases)

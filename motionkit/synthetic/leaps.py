@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from scipy.interpolate import BPoly
 
 from motionkit.synthetic.bodies import Body
-from motionkit.synthetic.curves import Pulse, Shock, scaled
+from motionkit.synthetic.curves import pulse, scaled, shock
 from motionkit.synthetic.locomotion import GRAVITY
 from motionkit.synthetic.script import SIDES, Layer, Part, Swing
 
@@ -54,22 +54,22 @@ def _leap(
     crouch, dip = min(0.12 + 0.5 * rise, 0.32) * scale, min(0.08 + 0.4 * rise, 0.25) * scale
     height, off, on, end = _spring(start, crouch, rise, dip)
     flight = on - off
-    bent = Pulse(start, 0.45, 0.0, 0.28)
-    landed = Pulse(on - 0.05, 0.22, 0.05, 0.55)
+    bent = pulse(start, 0.45, 0.0, 0.28)
+    landed = pulse(on - 0.05, 0.22, 0.05, 0.55)
     layers = [
         Layer("pelvis_drop", scaled(-1.0, height)),
-        Layer("forward_speed", Pulse(off - 0.2, 0.2, flight - 0.1, 0.3, distance / (flight + 0.15))),
+        Layer("forward_speed", pulse(off - 0.2, 0.2, flight - 0.1, 0.3, distance / (flight + 0.15))),
         Layer("pelvis_pitch", scaled(1.3 * crouch, bent)),
         Layer("spine_pitch", scaled(1.6 * crouch, bent)),
         Layer("pelvis_forward", scaled(-0.35 * crouch, bent)),
         Layer("pelvis_pitch", scaled(1.2 * dip, landed)),
         Layer("spine_pitch", scaled(1.2 * dip, landed)),
         Layer("pelvis_forward", scaled(-0.3 * dip, landed)),
-        Layer("spine_pitch", Shock(on, 0.03)),
+        Layer("spine_pitch", shock(on, 0.03)),
         *(Layer(f"{side}_arm_elevation", scaled(-0.8, bent)) for side in SIDES),
-        *(Layer(f"{side}_arm_azimuth", scaled(-0.8, Pulse(start, 0.3, end - start - 0.6, 0.3))) for side in SIDES),
-        *(Layer(f"{side}_arm_elevation", Pulse(off - 0.30, 0.45, 0.4 * flight, 0.6, arms)) for side in SIDES),
-        *(Layer(f"{side}_elbow", Pulse(off - 0.2, 0.3, 0.5 * flight, 0.6, 0.5)) for side in SIDES),
+        *(Layer(f"{side}_arm_azimuth", scaled(-0.8, pulse(start, 0.3, end - start - 0.6, 0.3))) for side in SIDES),
+        *(Layer(f"{side}_arm_elevation", pulse(off - 0.30, 0.45, 0.4 * flight, 0.6, arms)) for side in SIDES),
+        *(Layer(f"{side}_elbow", pulse(off - 0.2, 0.3, 0.5 * flight, 0.6, 0.5)) for side in SIDES),
     ]
     swings = [Swing(side, off, on, 0.85 * rise + 0.04, 0.75, 0.0, out=spread) for side in SIDES]
     return layers, swings, end
@@ -113,12 +113,12 @@ def jumping_jacks(rng: np.random.Generator, body: Body, start: float, end: float
         off = start + k * beat + 0.3 * beat
         opening = k % 2 == 0
         swings += [Swing(side, off, off + flight, rise, 0.6, 0.0, out=wide if opening else None) for side in SIDES]
-        layers.append(Layer("pelvis_drop", Pulse(off - 0.25 * beat, 0.2 * beat, 0.0, 0.2 * beat, 0.05)))
-        layers.append(Layer("pelvis_drop", Pulse(off, 0.5 * flight, 0.0, 0.5 * flight, -rise)))
-        layers.append(Layer("pelvis_drop", Pulse(off + 0.8 * flight, 0.2 * beat, 0.0, 0.3 * beat, 0.06)))
-        layers.append(Layer("spine_pitch", Shock(off + flight, 0.015)))
+        layers.append(Layer("pelvis_drop", pulse(off - 0.25 * beat, 0.2 * beat, 0.0, 0.2 * beat, 0.05)))
+        layers.append(Layer("pelvis_drop", pulse(off, 0.5 * flight, 0.0, 0.5 * flight, -rise)))
+        layers.append(Layer("pelvis_drop", pulse(off + 0.8 * flight, 0.2 * beat, 0.0, 0.3 * beat, 0.06)))
+        layers.append(Layer("spine_pitch", shock(off + flight, 0.015)))
         if opening:
-            up = Pulse(off - 0.1 * beat, 0.65 * beat, 0.35 * beat, 0.65 * beat)
+            up = pulse(off - 0.1 * beat, 0.65 * beat, 0.35 * beat, 0.65 * beat)
             layers += [Layer(f"{side}_arm_elevation", scaled(2.6, up)) for side in SIDES]
             layers += [Layer(f"{side}_arm_azimuth", scaled(0.5, up)) for side in SIDES]
     phrases = ("does jumping jacks", f"does {pairs} jumping jacks" if pairs > 1 else "does a jumping jack", "exercises")

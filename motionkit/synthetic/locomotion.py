@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.synthetic.bodies import Body
-from motionkit.synthetic.curves import Constant, Curve, Pulse, Shock, Wave, cosine, product, scaled, total
+from motionkit.synthetic.curves import Curve, constant, cosine, product, pulse, scaled, shock, total, wave
 from motionkit.synthetic.script import SIDES, Layer, Part, Swing
 
 GRAVITY = 9.81
@@ -41,13 +41,13 @@ def travel(
     first = SIDES[int(rng.integers(2))]
     swings = _alternating(rng, gait, first, start, end)
     rise = min(0.9 * stride, (end - start) / 3.0)
-    moving = Pulse(start + 0.1 * stride, rise, end - start - 2.0 * rise, rise)
+    moving = pulse(start + 0.1 * stride, rise, end - start - 2.0 * rise, rise)
     lead = 0.0 if first == "left" else 0.5
     left_middle = start + (1.0 - gait.duty / 2.0 + lead) * stride
     sign = -1.0 if gait.forward_speed < 0.0 else 1.0
     # Walking, the body is highest over the standing leg; with a flight phase (duty < 1/2) it is lowest there.
     rising = -1.0 if gait.duty > 0.5 else 1.0
-    fore_aft = scaled(sign, product(moving, Wave(gait.cadence, left_middle)))
+    fore_aft = scaled(sign, product(moving, wave(gait.cadence, left_middle)))
     over_left = product(moving, cosine(gait.cadence, left_middle))
     layers = [
         Layer("forward_speed", scaled(gait.forward_speed, moving)),
@@ -68,11 +68,11 @@ def travel(
             Layer(f"{side}_arm_elevation", scaled(gait.arm_swing, swung)),
             Layer(f"{side}_arm_azimuth", scaled(-0.55, moving)),
             Layer(f"{side}_elbow", scaled(gait.elbow, moving)),
-            Layer(f"{side}_elbow", scaled(0.45 * gait.arm_swing, product(moving, total(Constant(0.6), swung)))),
+            Layer(f"{side}_elbow", scaled(0.45 * gait.arm_swing, product(moving, total(constant(0.6), swung)))),
         ]
     for swing in swings:
-        layers.append(Layer("spine_pitch", product(moving, Shock(swing.touchdown, gait.shock))))
-        layers.append(Layer(f"{swing.side}_elbow", product(moving, Shock(swing.touchdown, 2.0 * gait.shock, 23.0))))
+        layers.append(Layer("spine_pitch", product(moving, shock(swing.touchdown, gait.shock))))
+        layers.append(Layer(f"{swing.side}_elbow", product(moving, shock(swing.touchdown, 2.0 * gait.shock, 23.0))))
     return tuple(layers), swings, moving
 
 
@@ -110,7 +110,7 @@ def walk(rng: np.random.Generator, body: Body, start: float, end: float) -> Part
     """Walk straight on."""
     speed = float(rng.uniform(0.6, 1.6)) * np.sqrt(body.leg_length / 0.805)
     layers, swings, moving = travel(rng, _walking(rng, body, speed), start, end)
-    wander = Layer("turn_rate", product(moving, Wave(float(rng.uniform(0.08, 0.15)), float(rng.uniform(0, 9)), 0.06)))
+    wander = Layer("turn_rate", product(moving, wave(float(rng.uniform(0.08, 0.15)), float(rng.uniform(0, 9)), 0.06)))
     manner = _moderately(speed, 0.9, 1.4)
     phrases = (f"walks{manner} forward", f"walks{manner} straight ahead", f"strolls{manner} in a straight line")
     return Part("walk", start, end, (*layers, wander), swings, phrases)
@@ -160,7 +160,7 @@ def _walk_and_turn(side: str) -> Callable[[np.random.Generator, Body, float, flo
         length = float(rng.uniform(1.2, 1.8))
         begin = float(rng.uniform(start + 0.25 * (end - start), max(start + 0.3 * (end - start), end - length - 0.8)))
         angle = sign * float(rng.uniform(0.9, 1.9))
-        turn = Pulse(begin, 0.4 * length, 0.2 * length, 0.4 * length, angle / (0.6 * length))
+        turn = pulse(begin, 0.4 * length, 0.2 * length, 0.4 * length, angle / (0.6 * length))
         layers, swings = _bending_walk(rng, body, start, end, lambda _: turn, 1.0)
         phrases = (f"walks forward and turns {side}", f"walks and makes a turn to the {side}", f"walks, turning {side}")
         return Part(f"turn_{side}", start, end, layers, swings, phrases)
@@ -271,7 +271,7 @@ def turn_in_place(rng: np.random.Generator, body: Body, start: float, end: float
     )  # fmt: skip
     angle = float(min(rng.uniform(0.5, 2.0) * np.pi, 1.5 * (end - start)))
     layers, swings, _ = travel(rng, gait, start, end)
-    turn = Pulse(start + 0.1, 0.4, end - start - 1.2, 0.4, sign * angle / (end - start - 0.8))
+    turn = pulse(start + 0.1, 0.4, end - start - 1.2, 0.4, sign * angle / (end - start - 0.8))
     amount = "all the way around" if angle > 1.6 * np.pi else "around" if angle > 0.75 * np.pi else "a little"
     phrases = (f"turns {amount} to the {side} on the spot", f"turns {amount} in place", f"rotates to the {side}")
     layers = (*layers, Layer("turn_rate", turn), Layer("head_yaw", scaled(0.3, turn)))

@@ -14,7 +14,7 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Poses, check_times
 from motionkit.synthetic import gestures, leaps, locomotion
 from motionkit.synthetic.bodies import Body
-from motionkit.synthetic.curves import Constant, Wave, band_noise
+from motionkit.synthetic.curves import band_noise, constant, wave
 from motionkit.synthetic.feet import FootPath, foot_path
 from motionkit.synthetic.rig import pose
 from motionkit.synthetic.script import SIDES, Layer, Part, Swing, Trajectory, evaluate, integrate
@@ -152,16 +152,16 @@ def posture(rng: np.random.Generator) -> tuple[Layer, ...]:
     slouch = float(rng.normal(0.03, 0.03))
     breath = float(rng.uniform(0.2, 0.35))
     layers = [
-        Layer("spine_pitch", Constant(slouch)),
-        Layer("spine_pitch", Wave(breath, float(rng.uniform(0, 5)), 0.012)),
-        Layer("head_pitch", Constant(float(rng.normal(0.05, 0.05)))),
-        Layer("pelvis_pitch", Constant(float(rng.normal(0.02, 0.02)))),
+        Layer("spine_pitch", constant(slouch)),
+        Layer("spine_pitch", wave(breath, float(rng.uniform(0, 5)), 0.012)),
+        Layer("head_pitch", constant(float(rng.normal(0.05, 0.05)))),
+        Layer("pelvis_pitch", constant(float(rng.normal(0.02, 0.02)))),
     ]
     for side in SIDES:
         layers += [
-            Layer(f"{side}_arm_elevation", Constant(float(rng.uniform(0.08, 0.20)))),
-            Layer(f"{side}_arm_azimuth", Constant(float(rng.uniform(0.8, 1.1)))),
-            Layer(f"{side}_elbow", Constant(float(rng.uniform(0.15, 0.35)))),
+            Layer(f"{side}_arm_elevation", constant(float(rng.uniform(0.08, 0.20)))),
+            Layer(f"{side}_arm_azimuth", constant(float(rng.uniform(0.8, 1.1)))),
+            Layer(f"{side}_elbow", constant(float(rng.uniform(0.15, 0.35)))),
             Layer(f"{side}_arm_elevation", band_noise(rng, 0.030, 0.1, 3.0)),
             Layer(f"{side}_elbow", band_noise(rng, 0.040, 0.1, 4.0)),
             Layer(f"{side}_elbow", band_noise(rng, 0.0030, 8.0, 45.0)),
