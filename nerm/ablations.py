@@ -5,12 +5,7 @@ tables are about its own layout of z, `global`; rows of the `local` layout (ours
 makes sense there too.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
-from motionkit.store.sql import conjunction
-from motionkit.training.ablations import Ablation, Ablations, Entry, Sweep, check_not_varied, check_unchanged
-from motionkit.training.config import apply_overrides, parse_override
+from motionkit.training.ablations import Ablation, Ablations, Entry, Sweep, Variant, check_unchanged
 from motionkit.training.run import RunFolder, copy_stage
 from nerm.recipes import RECIPES, NermConfig
 from nerm.settings import LatentLayout
@@ -31,52 +26,24 @@ LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
 BOTH_STAGES = ("field", "denoiser")
 
 
-@dataclass(frozen=True)
-class Variant:
-    """One training: a layout of z, and what it changes in a recipe that has this layout."""
+def _variant(layout: LatentLayout, name: str = "", *change: str) -> Variant:
+    """A training with a layout of z, in a recipe that has the other layout too."""
 
-    name: str
-    layout: LatentLayout
-    change: tuple[str, ...] = ()
+    def needs(recipe: NermConfig) -> tuple[str, ...]:
+        return () if recipe.field.latents.layout == layout else LAYOUTS[layout]
 
-    @property
-    def varied(self) -> frozenset[str]:
-        """Keys of its change, and of what the two layouts need."""
-        settings = (*self.change, *(setting for layout in LAYOUTS.values() for setting in layout))
-        return frozenset(parse_override(setting)[0] for setting in settings)
-
-    def configure(self, recipe: NermConfig, overrides: Sequence[str] = (), where: str | None = None) -> NermConfig:
-        """A recipe's configuration with the layout, overrides that all variants share, and this one's change.
-
-        `where` (SQL) narrows the sequences of all stages. Raises `UsageError` for an override of what is varied.
-        """
-        check_not_varied(self, overrides)
-        narrowed = [
-            f"{stage}.where={conjunction(getattr(recipe, stage).where, where)}"
-            for stage in ("codebook", "field")
-            if where
-        ]
-        return apply_overrides(recipe, [*self.settings(recipe), *narrowed, *overrides])
-
-    def settings(self, recipe: NermConfig) -> tuple[str, ...]:
-        """What is set in a recipe: the layout's settings where it has the other layout, and the change."""
-        layout = () if recipe.field.latents.layout == self.layout else LAYOUTS[self.layout]
-        return (*layout, *self.change)
+    either = tuple(setting for settings in LAYOUTS.values() for setting in settings)
+    return Variant(f"{layout}-{name}" if name else layout, change, needs, either, ("codebook.where", "field.where"))
 
 
-GLOBAL = Variant("global", "global")
-LOCAL = Variant("local", "local")
-
-
-def _changed(base: Variant, name: str, *change: str) -> Variant:
-    return Variant(f"{base.name}-{name}", base.layout, change)
+GLOBAL, LOCAL = _variant("global"), _variant("local")
 
 
 def _both(label: str, name: str, change: str, reported: str = "") -> tuple[Entry, Entry]:
     """The same change to either layout."""
     return (
-        Entry(f"global: {label}", _changed(GLOBAL, name, change), reported),
-        Entry(f"local: {label}", _changed(LOCAL, name, change)),
+        Entry(f"global: {label}", _variant("global", name, change), reported),
+        Entry(f"local: {label}", _variant("local", name, change)),
     )
 
 
@@ -124,15 +91,15 @@ ABLATIONS: dict[str, Ablation] = {
             "8",
             "size of z and weight of the KL term",
             (
-                Entry("global: d = 128", _changed(GLOBAL, "d-128", "field.latents.dimension=128"), "latent_dim=128"),
+                Entry("global: d = 128", _variant("global", "d-128", "field.latents.dimension=128"), "latent_dim=128"),
                 Entry("global: d = 256", GLOBAL, "latent_dim=256"),
-                Entry("global: d = 512", _changed(GLOBAL, "d-512", "field.latents.dimension=512"), "latent_dim=512"),
+                Entry("global: d = 512", _variant("global", "d-512", "field.latents.dimension=512"), "latent_dim=512"),
                 Entry(
-                    "global: λ_KL = 1e-5", _changed(GLOBAL, "kl-1e-5", "field.loss.kl_weight=1e-5"), "kl_weight=1e-5"
+                    "global: λ_KL = 1e-5", _variant("global", "kl-1e-5", "field.loss.kl_weight=1e-5"), "kl_weight=1e-5"
                 ),
                 Entry("global: λ_KL = 1e-4", GLOBAL, "kl_weight=1e-4"),
                 Entry(
-                    "global: λ_KL = 1e-3", _changed(GLOBAL, "kl-1e-3", "field.loss.kl_weight=1e-3"), "kl_weight=1e-3"
+                    "global: λ_KL = 1e-3", _variant("global", "kl-1e-3", "field.loss.kl_weight=1e-3"), "kl_weight=1e-3"
                 ),
             ),
             ("field",),
@@ -143,7 +110,8 @@ ABLATIONS: dict[str, Ablation] = {
             (
                 # Knots lie at normalised coordinates, so this table has no rows of the local layout.
                 Entry(
-                    "global: frame numbers 1 … T", _changed(GLOBAL, "frame-numbers", "field.encoder.coordinates=frames")
+                    "global: frame numbers 1 … T",
+                    _variant("global", "frame-numbers", "field.encoder.coordinates=frames"),
                 ),
                 Entry("global: normalised to [−1, 1]", GLOBAL),
             ),

@@ -3,43 +3,14 @@
 Tables share trainings: the full model (ζ = 16, own activations, λ = 0.5, S = 3) is trained once for all three.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
-from motionkit.store.sql import conjunction
-from motionkit.training.ablations import Ablation, Ablations, Entry, check_not_varied
-from motionkit.training.config import apply_overrides, parse_override
-from pahires.recipes import RECIPES, PaHiResConfig
+from motionkit.training.ablations import Ablation, Ablations, Entry, Variant
+from pahires.recipes import RECIPES
 from pahires.stage import STAGE
 
 SINES = (1, 2, 4, 8, 16, 32)
 VELOCITY_WEIGHTS = ("0", "0.1", "0.5", "1", "2")
 # N_s of each number of scales: the finest and the coarsest of the recipes' three, and what lies between.
 FRAMES_PER_SCALE = {1: (2,), 2: (2, 6), 3: (2, 6, 14), 4: (2, 6, 10, 14), 5: (2, 4, 6, 10, 14)}
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One training: what it changes in a recipe."""
-
-    name: str
-    change: tuple[str, ...] = ()
-
-    @property
-    def varied(self) -> frozenset[str]:
-        """Keys of its change."""
-        return frozenset(parse_override(setting)[0] for setting in self.change)
-
-    def configure(
-        self, recipe: PaHiResConfig, overrides: Sequence[str] = (), where: str | None = None
-    ) -> PaHiResConfig:
-        """A recipe's configuration with overrides that all variants share and this one's change.
-
-        `where` (SQL) narrows the takes. Raises `UsageError` for an override of what is varied.
-        """
-        check_not_varied(self, overrides)
-        narrowed = [f"training.where={conjunction(recipe.training.where, where)}"] if where else []
-        return apply_overrides(recipe, [*FULL_SETTINGS, *narrowed, *overrides, *self.change])
 
 
 # The paper's own values, said once more: a recipe may have others.
@@ -49,23 +20,29 @@ FULL_SETTINGS = (
     "network.frames_per_scale=2,6,14",
     "training.loss.velocity_weight=0.5",
 )
-FULL = Variant("full")
+
+
+def _variant(name: str, *change: str) -> Variant:
+    return Variant(name, change, needs=lambda recipe: FULL_SETTINGS, conditions=("training.where",))
+
+
+FULL = _variant("full")
 
 
 def _activation(num_sines: int, shared: bool) -> Variant:
     if num_sines == 16 and not shared:
         return FULL
     sharing = ("network.shared_activation=true",) if shared else ()
-    return Variant(f"sines-{num_sines}{'-shared' if shared else ''}", (f"network.num_sines={num_sines}", *sharing))
+    return _variant(f"sines-{num_sines}{'-shared' if shared else ''}", f"network.num_sines={num_sines}", *sharing)
 
 
 def _scales(count: int) -> Variant:
     frames = ",".join(map(str, FRAMES_PER_SCALE[count]))
-    return FULL if count == 3 else Variant(f"scales-{count}", (f"network.frames_per_scale={frames}",))
+    return FULL if count == 3 else _variant(f"scales-{count}", f"network.frames_per_scale={frames}")
 
 
 def _velocity(weight: str) -> Variant:
-    return FULL if weight == "0.5" else Variant(f"velocity-{weight}", (f"training.loss.velocity_weight={weight}",))
+    return FULL if weight == "0.5" else _variant(f"velocity-{weight}", f"training.loss.velocity_weight={weight}")
 
 
 OWN, SHARED = "own parameters in every layer", "one activation shared by all layers"

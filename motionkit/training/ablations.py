@@ -9,42 +9,49 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.training.config import ConfigLike, parse_override
+from motionkit.store.sql import conjunction
+from motionkit.training.config import ConfigLike, apply_overrides, flatten, parse_override
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import Stage, StageContext
 
 GROUP = "motionkit.ablations"
 
 
-@runtime_checkable
-class Variant(Protocol):
-    """One training: a name, and what it changes in a recipe."""
+@dataclass(frozen=True)
+class Variant:
+    """One training: a name for runs and options, and the settings that it changes in a recipe, as `--set` takes them.
 
-    @property
-    def name(self) -> str:
-        """A word for runs and options."""
-        ...
+    `needs` gives the settings that a recipe needs before any change, whatever it has itself; `may_need` are all that it
+    may give. `conditions` are the recipe's own SQL conditions on sequences, by their dotted keys.
+    """
 
-    @property
-    def change(self) -> tuple[str, ...]:
-        """Settings that it varies, as `--set` takes them."""
-        ...
+    name: str
+    change: tuple[str, ...] = ()
+    needs: Callable[[Any], tuple[str, ...]] = field(default=lambda recipe: (), compare=False, repr=False)
+    may_need: tuple[str, ...] = ()
+    conditions: tuple[str, ...] = ()
 
     @property
     def varied(self) -> frozenset[str]:
         """Keys of all settings in which a table's runs may differ: those of `change`, and of what comes with it."""
-        ...
+        return frozenset(parse_override(setting)[0] for setting in (*self.change, *self.may_need))
 
     def configure(self, recipe: Any, overrides: Sequence[str] = (), where: str | None = None) -> Any:
-        """A recipe's configuration with what all variants share and this one's change; `where` narrows the sequences.
+        """A recipe's configuration with what it needs, overrides that all variants share, and this one's change.
 
-        Raises `UsageError` for an override of what is varied.
+        `where` (SQL) narrows the sequences. Raises `UsageError` for an override of what is varied.
         """
-        ...
+        varied = {parse_override(setting)[0] for setting in self.change}
+        for override in overrides:
+            if parse_override(override)[0] in varied:
+                raise UsageError(f"--set {override}: this is what {self.name!r} varies ({', '.join(self.change)})")
+        given = flatten(recipe)
+        narrowed = [f"{key}={conjunction(given[key], where)}" for key in self.conditions if where]
+        return apply_overrides(recipe, [*self.needs(recipe), *self.change, *narrowed, *overrides])
 
 
 @dataclass(frozen=True)
@@ -170,14 +177,6 @@ def find_ablations(paper: str | None = None) -> Ablations:
 def run_name(prefix: str, variant: Variant, seed: int) -> str:
     """The run of one variant: PREFIX-VARIANT, and -seedN after it for any seed but 0."""
     return f"{prefix}-{variant.name}" + (f"-seed{seed}" if seed else "")
-
-
-def check_not_varied(variant: Variant, overrides: Sequence[str]) -> None:
-    """Raise `UsageError` for an override of what a variant changes."""
-    varied = {parse_override(setting)[0] for setting in variant.change}
-    for override in overrides:
-        if parse_override(override)[0] in varied:
-            raise UsageError(f"--set {override}: this is what {variant.name!r} varies ({', '.join(variant.change)})")
 
 
 def train_variant(

@@ -11,10 +11,10 @@ from eval.tables.parts import reported_figures
 from motionkit.clips.poses import WindowPoses
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
-from motionkit.training.ablations import run_name
+from motionkit.training.ablations import Variant, run_name
 from motionkit.training.config import apply_overrides, flatten, parse_override
 from motionkit.training.schedule import step_generator
-from nerm.ablations import ABLATIONS, GLOBAL, LOCAL, NERM, Variant
+from nerm.ablations import ABLATIONS, GLOBAL, LOCAL, NERM
 from nerm.field.training import FieldTraining, remarks, training_windows
 from nerm.recipes import RECIPES, NermConfig, nano, paper
 from nerm.settings import FieldConfig
@@ -61,7 +61,7 @@ def _losses(training: FieldTraining) -> list[float]:
 @pytest.mark.parametrize("recipe", ["paper", "nano"])
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
 def test_every_variant_trains(variant: Variant, recipe: str) -> None:
-    losses = _losses(_training(_settings(recipe, *variant.settings(RECIPES[recipe]()))))
+    losses = _losses(_training(_settings(recipe, *variant.needs(RECIPES[recipe]()), *variant.change)))
     assert np.isfinite(losses).all()
     assert np.mean(losses[-3:]) < np.mean(losses[:3])
 
@@ -83,9 +83,9 @@ def test_the_rows_are_those_of_the_paper_s_tables(table: str) -> None:
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
 @pytest.mark.parametrize("recipe", sorted(RECIPES))
 def test_a_variant_differs_from_its_layout_in_what_it_says(variant: Variant, recipe: str) -> None:
-    base = Variant("base", variant.layout).configure(RECIPES[recipe]())
-    ours = variant.configure(RECIPES[recipe]())
-    assert ours.field.latents.layout == variant.layout
+    layout = GLOBAL if variant.name.startswith(GLOBAL.name) else LOCAL
+    base, ours = layout.configure(RECIPES[recipe]()), variant.configure(RECIPES[recipe]())
+    assert ours.field.latents.layout == layout.name
     was, now = flatten(base), flatten(ours)
     changed = {key for key in now if now[key] != was[key]}
     assert changed <= {parse_override(setting)[0] for setting in variant.change}
