@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypedDict, Unpack, overload
 
 from motionkit.core.errors import UsageError
 from motionkit.core.framerate import Framerate, format_fps, parse_fps
@@ -18,6 +18,16 @@ from motionkit.generate.models import GenerationRequest, GenerativeModel, Sampli
 from motionkit.generate.samples import motion_name, sample_field
 
 Several = list[str] | tuple[str, ...]
+
+
+class Options(TypedDict, total=False):
+    """What `generate` takes beside a text and a number, whatever it then gives."""
+
+    action: str | None
+    fps: Framerate | None
+    seconds: int | float | None
+    seed: int
+    sampling: SamplingOptions | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,43 +64,13 @@ class MotionModel:
         return self.model.max_duration_seconds
 
     @overload
-    def generate(
-        self,
-        text: str | None = None,
-        *,
-        action: str | None = None,
-        fps: Framerate | None = None,
-        seconds: int | float | None = None,
-        n: None = None,
-        seed: int = 0,
-        sampling: SamplingOptions | None = None,
-    ) -> Motion: ...
+    def generate(self, text: str | None = None, *, n: None = None, **options: Unpack[Options]) -> Motion: ...
 
     @overload
-    def generate(
-        self,
-        text: str | None = None,
-        *,
-        action: str | None = None,
-        fps: Framerate | None = None,
-        seconds: int | float | None = None,
-        n: int,
-        seed: int = 0,
-        sampling: SamplingOptions | None = None,
-    ) -> list[Motion]: ...
+    def generate(self, text: str | None = None, *, n: int, **options: Unpack[Options]) -> list[Motion]: ...
 
     @overload
-    def generate(
-        self,
-        text: Several,
-        *,
-        action: str | None = None,
-        fps: Framerate | None = None,
-        seconds: int | float | None = None,
-        n: int | None = None,
-        seed: int = 0,
-        sampling: SamplingOptions | None = None,
-    ) -> list[Motion]: ...
+    def generate(self, text: Several, *, n: int | None = None, **options: Unpack[Options]) -> list[Motion]: ...
 
     def generate(
         self,
@@ -176,43 +156,19 @@ def load_model(run: str | Path, name: str | None = None) -> MotionModel:
 
 @overload
 def generate(
-    text: str | None = None,
-    *,
-    run: str | Path = "nano",
-    action: str | None = None,
-    fps: Framerate | None = None,
-    seconds: int | float | None = None,
-    n: None = None,
-    seed: int = 0,
-    sampling: SamplingOptions | None = None,
+    text: str | None = None, *, run: str | Path = "nano", n: None = None, **options: Unpack[Options]
 ) -> Motion: ...
 
 
 @overload
 def generate(
-    text: str | None = None,
-    *,
-    run: str | Path = "nano",
-    action: str | None = None,
-    fps: Framerate | None = None,
-    seconds: int | float | None = None,
-    n: int,
-    seed: int = 0,
-    sampling: SamplingOptions | None = None,
+    text: str | None = None, *, run: str | Path = "nano", n: int, **options: Unpack[Options]
 ) -> list[Motion]: ...
 
 
 @overload
 def generate(
-    text: Several,
-    *,
-    run: str | Path = "nano",
-    action: str | None = None,
-    fps: Framerate | None = None,
-    seconds: int | float | None = None,
-    n: int | None = None,
-    seed: int = 0,
-    sampling: SamplingOptions | None = None,
+    text: Several, *, run: str | Path = "nano", n: int | None = None, **options: Unpack[Options]
 ) -> list[Motion]: ...
 
 
