@@ -106,36 +106,13 @@ def quaternion_slerp(
     return unit
 
 
-def euler_to_matrix(
-    angles: Float[np.ndarray, "*n axes"], order: str, *, kind: Literal["intrinsic", "extrinsic"] = "intrinsic"
-) -> Float[np.ndarray, "*n 3 3"]:
-    """Euler angles in radians → rotation matrices, for any order of axes such as "ZYX" (repeats allowed).
-
-    Intrinsic: R = R(order[0])·R(order[1])·…, as BVH lists its channels; extrinsic: the reverse product.
-    """
-    axes = order if kind == "intrinsic" else order[::-1]
-    columns = range(len(order)) if kind == "intrinsic" else range(len(order) - 1, -1, -1)
-    sine, cosine = np.sin(angles), np.cos(angles)
-    product: Array | None = None
-    for axis, column in zip(axes, columns, strict=True):
-        rotation = np.zeros((*angles.shape[:-1], 3, 3), dtype=angles.dtype)
-        i, j, k = {"X": (0, 1, 2), "Y": (1, 2, 0), "Z": (2, 0, 1)}[axis.upper()]
-        rotation[..., i, i] = 1.0
-        rotation[..., j, j] = rotation[..., k, k] = cosine[..., column]
-        rotation[..., j, k] = -sine[..., column]
-        rotation[..., k, j] = sine[..., column]
-        product = rotation if product is None else product @ rotation
-    if product is None:
-        raise ValueError("an Euler order needs at least one axis")
-    return product
-
-
 def euler_to_quaternion(
     angles: Float[np.ndarray, "*n axes"], order: str, *, kind: Literal["intrinsic", "extrinsic"] = "intrinsic"
 ) -> Float[np.ndarray, "*n 4"]:
-    """Euler angles in radians → unit quaternions, for any order of axes; the conventions of `euler_to_matrix`.
+    """Euler angles in radians → unit quaternions, for any order of axes such as "ZYX" (repeats allowed).
 
-    The product is built one axis at a time: q·(cos, sin·axis) needs eight products, not sixteen.
+    Intrinsic: R = R(order[0])·R(order[1])·…, as BVH lists its channels; extrinsic: the reverse product. The
+    product is built one axis at a time: q·(cos, sin·axis) needs eight products, not sixteen.
     """
     axes = order if kind == "intrinsic" else order[::-1]
     columns = range(len(order)) if kind == "intrinsic" else range(len(order) - 1, -1, -1)

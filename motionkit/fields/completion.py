@@ -82,8 +82,11 @@ def complete(
     the remedy. The grid is that of the motion's first frame. Raises `ValueError` for negative seconds or where no frame
     is observed.
     """
-    completion = begin(
-        motion, encoder, fps=fps, observed=observed, before_seconds=before_seconds, after_seconds=after_seconds
+    known = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
+    completion = begin_observed(
+        *(Observation.of(motion, observed), known, motion.timegrid, encoder, motion.fps if fps is None else fps),
+        before_seconds=before_seconds,
+        after_seconds=after_seconds,
     )
     return completion.motion(0, completion.grid.num_frames).annotated_like(motion)
 
@@ -125,24 +128,6 @@ class Completion:
         return poses.at(TimeGrid(self.grid.fps, stop - start, float(times[0])), self.observation.skeleton)
 
 
-def begin(
-    motion: Motion,
-    encoder: MotionEncoder,
-    *,
-    fps: Fraction | None = None,
-    observed: Bool[np.ndarray, "frames"] | None = None,
-    before_seconds: float = 0.0,
-    after_seconds: float = 0.0,
-) -> Completion:
-    """What `complete` samples, for motions that are written while they are made; raises what `complete` raises."""
-    known = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
-    return begin_observed(
-        *(Observation.of(motion, observed), known, motion.timegrid, encoder, motion.fps if fps is None else fps),
-        before_seconds=before_seconds,
-        after_seconds=after_seconds,
-    )
-
-
 def begin_observed(
     observation: Observed,
     known_frames: Int[np.ndarray, "known"],
@@ -153,7 +138,10 @@ def begin_observed(
     before_seconds: float = 0.0,
     after_seconds: float = 0.0,
 ) -> Completion:
-    """`begin` for what is observed of a motion: its frames `known_frames` on the grid `source`, in memory or not."""
+    """What `complete` samples, for motions that are written while they are made; raises what `complete` raises.
+
+    Observed are the frames `known_frames` of the grid `source`, in memory or not.
+    """
     grid = _grid(source.start_seconds, source.span_seconds, fps, before_seconds, after_seconds)
     rows, frames = _shared_frames(source, grid, before_seconds)
     poses = np.minimum(np.searchsorted(known_frames, frames), len(known_frames) - 1)

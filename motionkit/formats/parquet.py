@@ -354,10 +354,7 @@ def row_of(motion: Motion) -> dict[str, Any]:
         "fps_denominator": motion.fps.denominator,
         "start_seconds": motion.timegrid.start_seconds,
         "duration_seconds": motion.duration_seconds,
-        "captions": [
-            {name: getattr(caption, name) for name in ("text", "start_seconds", "end_seconds", "tokens")}
-            for caption in motion.captions
-        ],
+        "captions": list(map(vars, motion.captions)),
         "action": motion.action,
         "style": motion.style,
         "split": motion.split,

@@ -1,7 +1,7 @@
 """Motions and skeletons ↔ rows of the store's tables and segments of its parts, column by column."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -23,17 +23,18 @@ RUN_FRAMES = RUN_SEGMENTS * SEGMENT_FRAMES
 # Columns of a run of segments: the number of their sequence is not known yet.
 RUN = pa.schema([field for field in SEGMENTS if field.name != "sequence_index"])
 
+# What a motion's provenance says in columns of text.
+PROVENANCE = tuple(field.name for field in fields(Provenance) if field.name != "operations")
+
 
 def motion_row(motion: Motion) -> Row:
     """A motion's row in the table of sequences, but for its index and the place of its segments."""
     quality = measure(motion)
-    provenance = motion.provenance
     return {
         "sequence_id": motion.sequence_id,
         "fps_numerator": motion.fps.numerator,
         "fps_denominator": motion.fps.denominator,
         "fps": float(motion.fps),
-        "stated_fps": provenance.stated_fps,
         "num_frames": motion.num_frames,
         "duration_seconds": motion.duration_seconds,
         "start_seconds": motion.timegrid.start_seconds,
@@ -42,25 +43,11 @@ def motion_row(motion: Motion) -> Row:
         "num_joints": motion.skeleton.num_joints,
         "has_rotations": motion.local_rotations is not None,
         "has_root_translation": motion.root_translation is not None,
-        "source": provenance.source,
-        "subset": provenance.subset,
-        "licence": provenance.licence,
-        "subject": provenance.subject,
         "split": motion.split,
         "action": motion.action,
         "style": motion.style,
-        "captions": [
-            {
-                "text": caption.text,
-                "start_seconds": caption.start_seconds,
-                "end_seconds": caption.end_seconds,
-                "tokens": caption.tokens,
-            }
-            for caption in motion.captions
-        ],
-        "source_path": provenance.source_path,
-        "source_sha256": provenance.source_sha256,
-        "source_format": provenance.source_format,
+        "captions": list(map(vars, motion.captions)),
+        **vars(motion.provenance),
         "max_joint_speed_metres_per_second": quality.max_joint_speed,
         "floor_height_metres": quality.floor_height,
         "num_teleports": quality.num_teleports,
@@ -74,7 +61,6 @@ def motion_row(motion: Motion) -> Row:
         "bone_length_drift": quality.bone_length_drift,
         "effective_fps": quality.effective_fps,
         "quality_flags": list(quality.flags),
-        "operations": list(provenance.operations),
         "num_segments": -(-motion.num_frames // SEGMENT_FRAMES),
     }
 
@@ -107,17 +93,7 @@ def motion_from_row(
         style=row["style"],
         split=row["split"],
         sequence_id=row["sequence_id"],
-        provenance=Provenance(
-            source=row["source"],
-            subset=row["subset"],
-            source_path=row["source_path"],
-            source_sha256=row["source_sha256"],
-            source_format=row["source_format"],
-            licence=row["licence"],
-            subject=row["subject"],
-            stated_fps=row["stated_fps"],
-            operations=tuple(row["operations"]),
-        ),
+        provenance=Provenance(**{name: row[name] for name in PROVENANCE}, operations=tuple(row["operations"])),
     )
 
 
@@ -131,14 +107,7 @@ def skeleton_row(skeleton: Skeleton) -> Row:
         "parents": list(skeleton.parents),
         "offsets": skeleton.offsets.astype(np.float32).ravel().tolist(),
         "left_right_pairs": [{"left": left, "right": right} for left, right in skeleton.left_right_pairs],
-        "feet": None
-        if feet is None
-        else {
-            "left_ankle": feet.left_ankle,
-            "left_toe": feet.left_toe,
-            "right_ankle": feet.right_ankle,
-            "right_toe": feet.right_toe,
-        },
+        "feet": None if feet is None else vars(feet),
         "end_sites": [{"joint": joint, "x": x, "y": y, "z": z} for joint, (x, y, z) in skeleton.end_sites],
         "layout_map": skeleton.layout_map,
     }

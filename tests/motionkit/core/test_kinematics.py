@@ -32,14 +32,6 @@ def test_rotation_vectors_agree_with_scipy() -> None:
     assert np.allclose(kinematics.quaternion_to_matrix(found), expected, atol=1e-5)
 
 
-@pytest.mark.parametrize("order", ["XYZ", "ZYX", "ZXY", "YXZ"])
-def test_euler_orders_agree_with_scipy(order: str) -> None:
-    angles = np.random.default_rng(1).uniform(-3, 3, size=(20, 3))
-    assert np.allclose(kinematics.euler_to_matrix(angles, order), Rotation.from_euler(order, angles).as_matrix())
-    extrinsic = Rotation.from_euler(order.lower(), angles).as_matrix()
-    assert np.allclose(kinematics.euler_to_matrix(angles, order, kind="extrinsic"), extrinsic)
-
-
 def test_the_shortest_rotation_between_directions() -> None:
     rng = np.random.default_rng(2)
     a, b = rng.normal(size=(100, 3)), rng.normal(size=(100, 3))
@@ -129,10 +121,12 @@ def test_forward_kinematics_with_offsets_that_move_agrees_with_the_plain_recursi
 
 @pytest.mark.parametrize("order", ["XYZ", "ZYX", "YXZ", "ZX", "Y", "XYX"])
 @pytest.mark.parametrize("kind", ["intrinsic", "extrinsic"])
-def test_euler_angles_as_quaternions_and_as_matrices_agree(order: str, kind: Literal["intrinsic", "extrinsic"]) -> None:
+def test_euler_orders_agree_with_scipy(order: str, kind: Literal["intrinsic", "extrinsic"]) -> None:
     angles = np.random.default_rng(6).uniform(-4, 4, size=(3, 5, len(order)))
     q = kinematics.euler_to_quaternion(angles, order, kind=kind)
-    assert np.allclose(kinematics.quaternion_to_matrix(q), kinematics.euler_to_matrix(angles, order, kind=kind))
+    written = order if kind == "intrinsic" else order.lower()
+    expected = Rotation.from_euler(written, angles.reshape(-1, len(order))).as_matrix().reshape(3, 5, 3, 3)
+    assert np.allclose(kinematics.quaternion_to_matrix(q), expected)
 
 
 def test_quaternions_never_jump() -> None:
