@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -15,6 +16,8 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 
+# Characters of a legend's line; two columns of longer ones are wider than a panel.
+LABEL_WIDTH = 40
 # Okabe and Ito's palette: distinguishable with any colour vision.
 BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#5F5F5F",
@@ -150,7 +153,8 @@ def draw_curves(axes: Axes, panel: Panel) -> None:
         colour, marker = CURVE_COLOURS[index % len(CURVE_COLOURS)], MARKERS[index % len(MARKERS)]
         # Colours come round again after six curves; the next six are dashed.
         style = "-" if index < len(CURVE_COLOURS) else "--"
-        axes.plot(places, values, style, color=colour, marker=marker, markersize=4.5, linewidth=1.6, label=curve.label)
+        lines = axes.plot(places, values, style, color=colour, marker=marker, markersize=4.5, linewidth=1.6)
+        lines[0].set_label(fill(curve.label, LABEL_WIDTH))
         low = np.maximum(values - widths, 1e-2 * values)
         axes.fill_between(places, low, values + widths, color=colour, alpha=0.18, linewidth=0)
     values = np.concatenate([np.array(curve.values) for curve in curves])
