@@ -20,6 +20,7 @@ GMD_HEIGHT, GMD_SPEED, GMD_WINDOW = 0.05, 0.5, 5
 MDM_CONTACT_METRES = 0.01
 HUMANML3D_CONTACT_SQUARED = 0.002
 MBENCH_HEIGHT, MBENCH_STEP, MBENCH_TOLERANCE = 0.02, 0.01, 0.005
+MBENCH_REST, MBENCH_STILL, MBENCH_SLOW, MBENCH_FAST, MBENCH_RUN = 1e-3, 1.2e-4, 0.6, 1.75, 4
 KIMODO_HEIGHT, KIMODO_SPEED = 0.05, 0.2
 PHYSDIFF_TOLERANCE = 0.005
 SMALL = 1e-6
@@ -80,10 +81,7 @@ def mbench_foot_sliding(positions: Positions, fps: float, floor: float = 0.0) ->
     In contact: a step under 1 cm, or a height under 2 cm. The last step counts twice. Source: MBench (ViMoGen, 2025),
     SMPLCap/ViMoGen@230b14f, mbench/motion_quality.py, get_contact and compute_foot_sliding.
     """
-    toes = _motion(positions, floor)[:, TOES]
-    steps = np.diff(toes, axis=0)
-    steps = np.concatenate((steps, steps[-1:]))
-    contact = (np.linalg.norm(steps, axis=-1) < MBENCH_STEP) | (toes[..., 1] < MBENCH_HEIGHT)
+    contact, steps = _mbench_contact(_motion(positions, floor))
     slid = (_horizontal(steps) * contact).sum(axis=0) / (contact.sum(axis=0) + SMALL)
     return float(slid.mean())
 
@@ -106,6 +104,34 @@ def mbench_jitter(positions: Positions, fps: float, floor: float = 0.0) -> float
     motion = _motion(positions, floor)
     each = (motion, motion - motion[:, :1])
     return float(sum(np.linalg.norm(np.diff(one, n=2, axis=0), axis=-1).mean() for one in each))
+
+
+def mbench_foot_floating(positions: Positions, fps: float, floor: float = 0.0) -> float:
+    """Frames in which feet hang, over all frames: MBench adds three counts, so it may pass 1.
+
+    A toe that touches (as for `mbench_foot_sliding`) hangs where it moves, the root goes 1 mm a frame or more, and the
+    toe's step relative to the root is less than 0.6 or more than 1.75 of the root's; the frame counts where all toes
+    that touch do. Of four frames and more without touch, those count half for each toe whose relative step is under 0.4
+    of the root's, unless the root rests for more than half of them; and all of those without touch of either toe in
+    which the left one's direction from the first of them turns to and fro more than twice. Source: MBench, as
+    `mbench_foot_sliding`, compute_foot_floating.
+    """
+    motion = _motion(positions, floor)
+    touches, _ = _mbench_contact(motion)
+    root, relative = (_mbench_steps(each) for each in (motion[:, :1], motion[:, TOES] - motion[:, :1]))
+    rate = relative / (root + SMALL)
+    goes, moves = root[:, 0] >= MBENCH_REST, _mbench_steps(motion[:, TOES]) > MBENCH_STILL
+    hangs = moves & ((rate < MBENCH_SLOW) | (rate > MBENCH_FAST)) & goes[:, None]
+    count = float((touches.any(axis=1) & (hangs | ~touches).all(axis=1)).sum())
+    runs = [_runs(~touches[:, foot]) for foot in range(2)]
+    for foot, found in enumerate(runs):
+        for start, stop in found:
+            if stop - start >= MBENCH_RUN and (~goes[start:stop]).mean() <= 0.5:
+                count += float((rate[start:stop, foot] < MBENCH_SLOW - 0.2).sum()) / 2
+    for start, stop in _runs(~(touches[:, 0] | touches[:, 1])):
+        if stop - start >= MBENCH_RUN and _turns(motion[start:stop, TOES[0]]) > 2:
+            count += stop - start
+    return count / len(motion)
 
 
 def kimodo_foot_skate(positions: Positions, fps: float, floor: float = 0.0) -> float:
@@ -173,6 +199,37 @@ def _steps(positions: Positions) -> Float64[np.ndarray, "steps 4"]:
     return np.asarray(np.linalg.norm(np.diff(_motion(positions, 0.0)[:, FEET], axis=0), axis=-1))
 
 
+def _mbench_contact(
+    motion: Float64[np.ndarray, "frames 22 3"],
+) -> tuple[Bool[np.ndarray, "frames 2"], Float64[np.ndarray, "frames 2 3"]]:
+    """Which toes MBench has in contact, and their steps, the last one twice."""
+    toes = motion[:, TOES]
+    steps = np.diff(toes, axis=0)
+    steps = np.concatenate((steps, steps[-1:]))
+    contact = (np.linalg.norm(steps, axis=-1) < MBENCH_STEP) | (toes[..., 1] < MBENCH_HEIGHT)
+    return np.asarray(contact), steps
+
+
+def _mbench_steps(joints: Float64[np.ndarray, "frames joints 3"]) -> Float64[np.ndarray, "frames joints"]:
+    lengths = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
+    return np.concatenate((lengths, lengths[-1:]))
+
+
+def _runs(holds: Bool[np.ndarray, "frames"]) -> list[tuple[int, int]]:
+    """First frame and end of every run of frames for which it holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])).astype(np.int8)))
+    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+
+
+def _turns(path: Float64[np.ndarray, "frames 3"]) -> int:
+    """How often the angle between the way from the first place and the way to the last one has a peak."""
+    from scipy.signal import find_peaks
+
+    ways = path[1:] - path[0]
+    ways = ways / (np.linalg.norm(ways, axis=-1, keepdims=True) + SMALL)
+    return len(find_peaks(np.degrees(np.arccos(np.clip(ways @ ways[-1], -1.0, 1.0))))[0])
+
+
 def _horizontal(steps: Float64[np.ndarray, "*steps 3"]) -> Float64[np.ndarray, "*steps"]:
     return np.asarray(np.hypot(steps[..., 0], steps[..., 2]))
 
@@ -190,6 +247,7 @@ METRICS = (
     Metric("mdm_contact_loss", "MDM contact loss", "m²/frame²", False, "MDM", _ONE, mdm_contact_loss),
     Metric("humanml3d_contact_share", "HumanML3D contact", "", None, "HumanML3D", _ONE, humanml3d_contact_share),
     Metric("mbench_foot_sliding", "MBench foot sliding", "m/frame", False, "MBench", _ONE, mbench_foot_sliding),
+    Metric("mbench_foot_floating", "MBench foot floating", "", False, "MBench", _ONE, mbench_foot_floating),
     Metric("mbench_penetration", "MBench penetration", "m", False, "MBench", _ONE, mbench_penetration),
     Metric("mbench_jitter", "MBench jitter degree", "m/frame²", False, "MBench", _ONE, mbench_jitter),
     Metric("kimodo_foot_skate", "Kimodo foot skate", "m/s", False, "Kimodo", _ONE, kimodo_foot_skate),

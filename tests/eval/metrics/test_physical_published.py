@@ -9,6 +9,7 @@ from eval.metrics.physical_published import (
     humanml3d_contact_share,
     kimodo_foot_skate,
     kimodo_skate_ratio,
+    mbench_foot_floating,
     mbench_foot_sliding,
     mbench_jitter,
     mbench_penetration,
@@ -71,6 +72,30 @@ def test_heights_are_over_the_floor_that_is_named() -> None:
     assert physdiff_float(sunk, 20.0, floor=0.5) == physdiff_penetrate(hung, 20.0, floor=0.5) == 0.0
     assert physdiff_float(hung, 20.0, floor=0.5) == pytest.approx(25.0)
     assert mbench_penetration(hung, 20.0, floor=0.5) == 0.0
+
+
+def test_feet_that_hang_by_mbench() -> None:
+    # A statue on wheels: the toes touch, and go as the root goes, in every frame.
+    assert mbench_foot_floating(sliding(20.0, 1.0), 20.0) == 1.0
+    # In the air nothing touches, and each toe's frames count half; under 1 mm a frame the root rests.
+    assert mbench_foot_floating(sliding(20.0, 1.0, height=0.5), 20.0) == 1.0
+    assert mbench_foot_floating(sliding(20.0, 0.019), 20.0) == 0.0
+    planted = sliding(20.0, 1.0)
+    planted[:, TOES] = planted[0, TOES]
+    assert mbench_foot_floating(planted, 20.0) == 0.0
+    assert mbench_foot_floating(planted + np.array([0.0, 0.5, 0.0]), 20.0) == 0.0
+    one = sliding(20.0, 1.0)
+    one[:, TOES[1]] = planted[:, TOES[1]]
+    # One of two that touch rests: no frame hangs; the other one lifted, the first alone decides.
+    assert mbench_foot_floating(one, 20.0) == 0.0
+    one[:, TOES[1], 1] = 0.5
+    one[:, TOES[1], 0] += 0.1 * (-1.0) ** np.arange(len(one))
+    assert mbench_foot_floating(one, 20.0) == 1.0
+    # The root rests, both toes are in the air, and the left one goes to and fro.
+    waving = sliding(20.0, 0.0, height=0.5)
+    waving[:, TOES, 2] += 0.05 * np.arange(len(waving))[:, None]
+    waving[:, TOES[0], 0] += 0.3 * np.sin(2 * np.pi * np.arange(len(waving)) / 8)
+    assert mbench_foot_floating(waving, 20.0) == 1.0
 
 
 def test_jitter_of_a_parabola_falls_with_the_square_of_the_framerate() -> None:
