@@ -13,6 +13,7 @@ from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from motionkit.store.reports.quality import Offender, QualityReport, SourceQuality
+    from motionkit.store.reports.summary import Rig, SourceSummary, StoreSummary
 
 SHOWN_UPSAMPLED = 20
 
@@ -55,10 +56,6 @@ def _figure(value: float) -> str:
 def _place(offender: "Offender") -> str:
     return "" if offender.seconds is None else f", at {offender.seconds:.3f} s (frame {offender.frame})"
 
-
-if TYPE_CHECKING:
-    from motionkit.store.reports.quality import QualityReport
-    from motionkit.store.reports.summary import Rig, SourceSummary, StoreSummary
 
 MEGABYTE = 1e6
 SHOWN_COUNTS = 8

@@ -15,11 +15,11 @@ from motionkit.core.motion import Caption
 from motionkit.formats.indexes.entries import (
     Entry,
     Index,
+    read_entries,
     read_json_index,
     seconds_of,
     sequence_name,
     source_parts,
-    unique,
 )
 from motionkit.formats.scan.cuts import TimeCut
 
@@ -39,15 +39,7 @@ def read_babel(path: Path) -> Index:
     """
     named = re.search(r"train|val|test", path.stem)
     split = named[0] if named else ""
-    entries: list[Entry] = []
-    problems: list[FormatError] = []
-    for name, value in read_json_index(path).items():
-        try:
-            entries.append(_entry(name, value, split, path))
-        except FormatError as problem:
-            problems.append(problem)
-    kept, repeated = unique(entries, path)
-    return Index(NAME, path, kept, (*problems, *repeated))
+    return read_entries(NAME, path, read_json_index(path).items(), lambda row: _entry(*row, split, path))
 
 
 def _entry(name: str, value: Any, split: str, path: Path) -> Entry:

@@ -4,12 +4,12 @@ import json
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
@@ -18,6 +18,7 @@ from motionkit.formats.scan.cuts import Cut
 from motionkit.formats.source import source_file
 
 Key = tuple[str, ...]
+Row = TypeVar("Row")
 
 # SMPL+H files are called NAME_poses, SMPL-X files NAME_stageii.
 ENDINGS = ("_poses", "_stageii")
@@ -203,22 +204,24 @@ def seconds_of(value: object, what: str, path: Path, place: str) -> float:
     return number
 
 
-def unique(entries: Iterable[Entry], path: Path) -> tuple[tuple[Entry, ...], list[FormatError]]:
-    """The first entry of each name, and a problem (`duplicate-id`) for each further one."""
+def read_entries(
+    name: str, path: Path, rows: Iterable[Row], entry_of: Callable[[Row], Entry], *, in_published_frames: bool = False
+) -> Index:
+    """The index that rows make; those that cannot be used, or name a sequence again (`duplicate-id`), are problems."""
     kept: dict[str, Entry] = {}
     problems: list[FormatError] = []
-    for entry in entries:
+    repeated: list[FormatError] = []
+    for row in rows:
+        try:
+            entry = entry_of(row)
+        except FormatError as problem:
+            problems.append(problem)
+            continue
         first = kept.setdefault(entry.name, entry)
         if first is not entry:
-            problems.append(
-                FormatError(
-                    f"{entry.name!r} is named twice, first in {first.place}",
-                    path=path,
-                    reason="duplicate-id",
-                    line=entry.line,
-                )
-            )
-    return tuple(kept.values()), problems
+            message = f"{entry.name!r} is named twice, first in {first.place}"
+            repeated.append(FormatError(message, path=path, reason="duplicate-id", line=entry.line))
+    return Index(name, path, tuple(kept.values()), (*problems, *repeated), in_published_frames)
 
 
 def _is_plain(text: str, *, limit: int) -> bool:

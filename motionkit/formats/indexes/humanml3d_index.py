@@ -10,7 +10,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from motionkit.core.errors import FormatError
-from motionkit.formats.indexes.entries import Dataset, Entry, Index, dataset_of, sequence_name, source_parts, unique
+from motionkit.formats.indexes.entries import (
+    Dataset,
+    Entry,
+    Index,
+    dataset_of,
+    read_entries,
+    sequence_name,
+    source_parts,
+)
 from motionkit.formats.scan.cuts import StepCut
 from motionkit.formats.source import source_file
 
@@ -37,8 +45,6 @@ def read_humanml3d_index(path: Path) -> Index:
     """
     text = source_file.decode(source_file.read_bytes(path), path)
     reader = csv.DictReader(text.splitlines(keepends=True), restkey=EXTRA, strict=True)
-    entries: list[Entry] = []
-    problems: list[FormatError] = []
     try:
         columns = [name.strip() for name in reader.fieldnames or ()]
         absent = [name for name in COLUMNS if name not in columns]
@@ -50,15 +56,11 @@ def read_humanml3d_index(path: Path) -> Index:
                 line=1,
             )
         reader.fieldnames = columns
-        for row in reader:
-            try:
-                entries.append(_entry(row, path, reader.line_num))
-            except FormatError as problem:
-                problems.append(problem)
+        return read_entries(
+            NAME, path, reader, lambda row: _entry(row, path, reader.line_num), in_published_frames=True
+        )
     except csv.Error as error:
         raise FormatError(f"not a CSV table ({error})", path=path, reason="index", line=reader.line_num) from None
-    kept, repeated = unique(entries, path)
-    return Index(NAME, path, kept, (*problems, *repeated), in_published_frames=True)
 
 
 def _entry(row: Mapping[str, str | None], path: Path, line: int) -> Entry:

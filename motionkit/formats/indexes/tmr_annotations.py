@@ -12,11 +12,11 @@ from motionkit.core.motion import Caption
 from motionkit.formats.indexes.entries import (
     Entry,
     Index,
+    read_entries,
     read_json_index,
     seconds_of,
     sequence_name,
     source_parts,
-    unique,
 )
 from motionkit.formats.scan.cuts import TimeCut
 
@@ -35,15 +35,7 @@ def read_tmr_annotations(path: Path) -> Index:
 
     A sequence spans all of its captions; where they cover the stated duration, the whole file.
     """
-    entries: list[Entry] = []
-    problems: list[FormatError] = []
-    for name, value in read_json_index(path).items():
-        try:
-            entries.append(_entry(name, value, path))
-        except FormatError as problem:
-            problems.append(problem)
-    kept, repeated = unique(entries, path)
-    return Index(index_name(path), path, kept, (*problems, *repeated))
+    return read_entries(index_name(path), path, read_json_index(path).items(), lambda row: _entry(*row, path))
 
 
 def index_name(path: Path) -> str:
