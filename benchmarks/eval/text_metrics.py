@@ -19,8 +19,9 @@ import scipy.linalg
 
 from eval.metrics.gaussian import fid
 from eval.report.results import provenance
+from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import TextMotionProtocol, find_text_motion_protocol
-from eval.text_motion.scores import TextMotionPairs, score_text_motion
+from eval.text_motion.scores import score_text_motion
 
 FEATURES = 512
 FID_SAMPLES = 10_000

@@ -15,9 +15,19 @@ from eval.metrics.actions import (
     diversity_with_replacement,
     multimodality_by_class,
     multimodality_by_class_with_replacement,
+    shares_of_hits,
 )
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
 from eval.metrics.replications import Scores, Tally
+from eval.metrics.resampling import (
+    Resampled,
+    Resampling,
+    Units,
+    resampled_fid,
+    resampled_mean_distance,
+    units_of,
+    weighted_means,
+)
 from motionkit.core.errors import UsageError
 
 
@@ -135,10 +145,40 @@ def score_actions(
                     multimodality_by_class_with_replacement(features, labels, rng=rng, num_pairs=protocol.class_pairs),
                 )
             on_replication()
+        tally.resampled |= _resampled(references, draws, protocol)
     tally.remark_on_draws(len(draws), protocol.replications)
     sizes = {f"real ({name})" if name else "real": len(features) for name, features in references.items()}
     counted = min(len(draws[0].labels), protocol.num_motions or len(draws[0].labels))
     return tally.scores(protocol.name, sizes | {"generated": counted, "draws": len(draws)}, protocol.remarks)
+
+
+def _resampled(
+    references: Mapping[str, Float[np.ndarray, "_samples features"]],
+    draws: Sequence[LabelledRecognition],
+    protocol: ActionProtocol,
+) -> dict[str, Resampled]:
+    """Every metric's values with other motions, numbered alike in all sets; those of several draws go together."""
+    takes = [str(row) for draw in draws for row in range(len(draw.labels))]
+    number = [which for which, draw in enumerate(draws) for _ in draw.labels]
+
+    def units_in(blocks: int | None) -> Units:
+        return units_of(takes, number if len(draws) > 1 else (), blocks)
+
+    units = units_in(None)
+    weights, unit = units.weights(Resampling()), units.unit
+    features = np.concatenate([draw.recognition.features for draw in draws]).astype(np.float64)
+    labels = np.concatenate([draw.labels for draw in draws])
+    shares = np.concatenate([shares_of_hits(draw.recognition.scores, draw.labels) for draw in draws])
+    suffix = "" if protocol.pairs == "different" else "_with_replacement"
+    found = {
+        "accuracy": weighted_means(shares, unit, weights),
+        f"diversity{suffix}": resampled_mean_distance(features, unit, weights),
+        f"multimodality_by_class{suffix}": resampled_mean_distance(features, unit, weights, labels),
+    }
+    for name, real in references.items():
+        names = [str(row) for row in range(len(real))]
+        found[f"fid_{name}" if name else "fid"] = resampled_fid(real.astype(np.float64), names, features, units_in)
+    return found
 
 
 def _chosen(

@@ -16,6 +16,13 @@ def accuracy(scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarra
     So a recogniser that gives every class the same score has chance accuracy, whatever the order of classes. Raises
     `ValueError` for no samples, unequal numbers, labels outside the classes, NaN or infinity. Source: action-to-motion.
     """
+    return float(shares_of_hits(scores, labels).mean())
+
+
+def shares_of_hits(
+    scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarray, "samples"]
+) -> Float64[np.ndarray, "samples"]:
+    """1 where a sample's own class has the highest score, a share where others tie; raises what `accuracy` does."""
     if len(scores) != len(labels) or not len(labels):
         raise ValueError(f"there are {len(scores)} rows of scores and {len(labels)} labels")
     if not np.isfinite(scores).all():
@@ -23,7 +30,7 @@ def accuracy(scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarra
     if labels.min() < 0 or labels.max() >= scores.shape[1]:
         raise ValueError(f"labels run from {labels.min()} to {labels.max()}, but there are {scores.shape[1]} classes")
     best = scores == scores.max(axis=1, keepdims=True)
-    return float((best[np.arange(len(labels)), labels] / best.sum(axis=1)).mean())
+    return np.asarray(best[np.arange(len(labels)), labels] / best.sum(axis=1))
 
 
 ACCURACY = Metric(

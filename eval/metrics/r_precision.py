@@ -110,12 +110,20 @@ def pool_distances(
     return np.stack([cdist(queries[members], candidates[members]) for members in pools])
 
 
-def ranked(distances: Float64[np.ndarray, "pools pool pool"], ranks: int = RANKS) -> RPrecision:
-    """R-Precision of pools' distances, a query a row."""
+def hits(
+    distances: Float64[np.ndarray, "pools pool pool"], ranks: int = RANKS
+) -> Float64[np.ndarray, "ranks pools pool"]:
+    """Whether each query's own candidate, a query a row, is among the 1, 2, … nearest; ties share the hit."""
     own = np.diagonal(distances, axis1=1, axis2=2)
     nearer = (distances < own[..., None]).sum(axis=-1)
     tied = (distances == own[..., None]).sum(axis=-1)
-    top = np.array([np.clip((rank - nearer) / tied, 0.0, 1.0).mean() for rank in range(1, ranks + 1)])
+    return np.stack([np.clip((rank - nearer) / tied, 0.0, 1.0) for rank in range(1, ranks + 1)])
+
+
+def ranked(distances: Float64[np.ndarray, "pools pool pool"], ranks: int = RANKS) -> RPrecision:
+    """R-Precision of pools' distances, a query a row."""
+    own = np.diagonal(distances, axis1=1, axis2=2)
+    top = np.array([found.mean() for found in hits(distances, ranks)])
     return RPrecision(top, float(own.mean()), own.size)
 
 

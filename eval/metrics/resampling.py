@@ -14,9 +14,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Float64, Int64
 
-from eval.metrics.gaussian import Gaussian
+from eval.metrics.gaussian import Gaussian, quick_frechet_distance
 
 Weights = Float64[np.ndarray, "resamplings units"]
+Labels = Int64[np.ndarray, "labels"]
 Resampled = tuple[float | None, ...]
 """A number in every resampling of the takes; None where a resampling drew none of what it is made of."""
 
@@ -132,13 +133,13 @@ def weighted_means(
 
 
 def half_width(resampled: Resampled) -> float | None:
-    """1.96 standard deviations of a number's resamplings; None where fewer than two of them have it.
+    """1.96 standard deviations of a number's resamplings; None where no two of them differ.
 
     The standard deviation and not the quantiles: the few takes that a resampling holds push distances of distributions
     up, so its quantiles lie above the number itself (docs/deviations.md has the coverage).
     """
     values = [value for value in resampled if value is not None]
-    return float(NORMAL_95 * np.std(values, ddof=1)) if len(values) > 1 else None
+    return float(NORMAL_95 * np.std(values, ddof=1)) if len(set(values)) > 1 else None
 
 
 Verdict = Literal["lower", "higher", "not told apart"]
@@ -184,3 +185,51 @@ def resampled_scores(
         for values, gaussian in zip(rows, found, strict=True):
             values.append(None if reference is None or gaussian is None else score(reference, gaussian))
     return [tuple(values) for values in rows]
+
+
+Features = Float[np.ndarray, "_samples features"]
+
+
+def resampled_fid(
+    real: Features, real_takes: Sequence[str], other: Features, other_units: Callable[[int | None], Units]
+) -> Resampled:
+    """FID in every resampling of the takes of both sets; `other_units` gives the other set's units for so many blocks.
+
+    () where either set has a single take.
+    """
+    blocks = blocks_for(max(len(set(real_takes)), len(other)), real.shape[1])
+    sides = []
+    for features, units in ((real, units_of(real_takes, blocks=blocks)), (other, other_units(blocks))):
+        if len(set(units.takes)) < 2:
+            return ()
+        sums = UnitSums(len(units.takes), real.mean(axis=0))
+        sums.add(features, units.unit)
+        sides.append((sums, units))
+    return resampled_scores(*sides[0], sides[1:], quick_frechet_distance, Resampling())[0]
+
+
+PAIRS = 4096
+
+
+def resampled_mean_distance(
+    features: Features, unit: Int64[np.ndarray, "samples"], weights: Weights, labels: Labels | None = None
+) -> Resampled:
+    """The mean distance of random pairs of different samples; with labels of pairs of one class, classes alike."""
+    rng = np.random.default_rng(len(features))
+    classes = [np.arange(len(features))] if labels is None else [np.flatnonzero(labels == each) for each in set(labels)]
+    found = []
+    for members in classes:
+        if len(members) < 2:
+            continue
+        first = rng.integers(len(members), size=max(PAIRS // len(classes), 64))
+        second = (first + rng.integers(1, len(members), size=len(first))) % len(members)
+        a, b = members[first], members[second]
+        distances = np.linalg.norm(features[a] - features[b], axis=1)
+        together = weights[:, unit[a]] * weights[:, unit[b]]
+        drawn = together.sum(axis=1)
+        found.append((together @ distances) / np.where(drawn > 0, drawn, np.nan))
+    if not found:
+        return ()
+    there = np.isfinite(found).sum(axis=0)
+    totals = np.nansum(found, axis=0)
+    return tuple(total / count if count else None for total, count in zip(totals.tolist(), there.tolist(), strict=True))

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from itertools import combinations
 
+from eval.metrics.replications import Score
 from eval.metrics.resampling import Difference
 from eval.report.results import Block, Cell, Measure, Row
 
@@ -11,6 +12,7 @@ NOTE = (
     "same takes for both rows. One is said to be better only where the interval leaves out 0; nothing corrects for how "
     "many pairs there are."
 )
+DRAWING = "± over replications alone"
 # Differences of two rows (the first less the second) by column.
 Differences = Mapping[tuple[str, str], Mapping[str, Difference]]
 
@@ -19,6 +21,18 @@ def pairs_of(rows: Iterable[str], references: Iterable[str] = ()) -> list[tuple[
     """Which rows are compared: each with every later one, and with the references."""
     own = list(rows)
     return [*combinations(own, 2), *((row, reference) for row in own for reference in references)]
+
+
+def score_differences(rows: Mapping[str, Mapping[str, Score]], column_of: Mapping[str, str]) -> Differences:
+    """Of every two rows' metrics, which are named by `column_of` for their columns."""
+    found: dict[tuple[str, str], dict[str, Difference]] = {}
+    for first, second in pairs_of(rows):
+        for name, column in column_of.items():
+            if name in rows[first] and name in rows[second]:
+                less = rows[first][name].less(rows[second][name])
+                if less is not None:
+                    found.setdefault((first, second), {})[column] = less
+    return found
 
 
 def differences_block(

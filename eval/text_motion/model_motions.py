@@ -12,9 +12,9 @@ from jaxtyping import Float32, Float64
 
 from eval.sets.sets import SampleSet, sample_set
 from eval.text_motion.embedding_cache import Embedder
+from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import MultiModalityRule
 from eval.text_motion.real_pairs import CaptionedMotions, as_kit_joints
-from eval.text_motion.scores import TextMotionPairs
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel
 
@@ -42,7 +42,7 @@ class ModelMotions:
         """One motion for each caption, as long as the real one; `number` counts independent draws."""
         requests = _requests(wanted)
         motions = self._embedded(requests, self.seed + number, 0, wanted.samples.fps, embedder)
-        return TextMotionPairs(embedder.texts(wanted.captions), motions)
+        return TextMotionPairs(embedder.texts(wanted.captions), motions, wanted.samples.sequence_ids)
 
     def repeated(
         self, wanted: CaptionedMotions, rule: MultiModalityRule, most_motions: int, embedder: Embedder

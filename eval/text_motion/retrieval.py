@@ -8,8 +8,8 @@ from scipy.spatial.distance import cdist
 
 from eval.metrics.checks import Estimate, estimate
 from eval.metrics.retrieval import RECALL_RANKS, cosines, least_similar, retrieval
+from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import RetrievalRule
-from eval.text_motion.scores import TextMotionPairs
 
 RETRIEVAL = 9
 """The stream of random numbers that pools are drawn from."""

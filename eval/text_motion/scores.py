@@ -1,7 +1,6 @@
 """Text-to-motion's numbers from embeddings of texts, of real and of generated motions."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float32, Int64
@@ -12,6 +11,7 @@ from eval.metrics.gaussian import Gaussian, fid_infinity, fit_gaussian, frechet_
 from eval.metrics.r_precision import RANKS, BothWays, RPrecision, pool_distances, ranked_both_ways
 from eval.metrics.replications import Scores, Tally
 from eval.metrics.retrieval import clip_score, tmr_score
+from eval.text_motion.pairs import AddTerms, PairTerms, TextMotionPairs, resampled_multimodality
 from eval.text_motion.protocol import NAN_IS_BEST, KnownBug, TextMotionProtocol, chosen_bugs
 
 
@@ -62,28 +62,6 @@ GENERATED, REAL, DIVERSITY, MULTIMODALITY = range(4)
 Order = Int64[np.ndarray, "_chosen"]
 
 
-@dataclass(frozen=True, eq=False)
-class TextMotionPairs:
-    """Embeddings of texts and of the motions that belong to them, row by row, in one space.
-
-    Raises `ValueError` for unequal numbers or widths, or none.
-    """
-
-    texts: Float[np.ndarray, "texts numbers"]
-    motions: Float[np.ndarray, "motions features"]
-
-    def __post_init__(self) -> None:
-        if self.texts.shape != self.motions.shape or not len(self.texts):
-            raise ValueError(
-                f"embeddings of texts are {self.texts.shape}, of motions {self.motions.shape}: "
-                "one of either for each pair"
-            )
-
-    def select(self, rows: Int64[np.ndarray, "chosen"]) -> "TextMotionPairs":
-        """Some of the pairs, in the order of `rows`."""
-        return TextMotionPairs(self.texts[rows], self.motions[rows])
-
-
 def score_text_motion(
     real: TextMotionPairs,
     draws: Sequence[TextMotionPairs],
@@ -112,7 +90,7 @@ def score_text_motion(
     bugs = chosen_bugs(protocol.name, protocol.known_bugs, compat)
     for draw in draws:
         _check(real, draw, protocol)
-    tally, fids = Tally(), _Fids(real, draws, protocol)
+    tally, fids, terms = Tally(), _Fids(real, draws, protocol), PairTerms(draws)
     # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         for replication in range(protocol.replications):
@@ -120,7 +98,7 @@ def score_text_motion(
             draw = draws[which]
             order = np.random.default_rng((seed, replication, GENERATED)).permutation(len(draw.motions))
             order = order[: _counted(len(order), protocol)]
-            _add_precision(draw, order, protocol, bugs, tally)
+            _add_precision(draw, order, protocol, bugs, tally, terms.of_draw(which))
             tally.add("fid", fids.value(which, order, seed, replication))
             rng = np.random.default_rng((seed, replication, DIVERSITY))
             if pair_score:
@@ -130,6 +108,9 @@ def score_text_motion(
                 _add_multimodality(repeated, protocol, np.random.default_rng((seed, replication, MULTIMODALITY)), tally)
             on_replication()
         _add_details(real, draws[0], protocol, seed, tally)
+        if pair_score:
+            tally.resampled[pair_score] = terms.resampled_mean(PAIR_SCORES[pair_score])
+        tally.resampled |= terms.resampled(real) | resampled_multimodality(repeated, protocol.multimodality.metric)
     tally.remark_on_draws(len(draws), protocol.replications)
     sizes = {"real": fids.num_real, "generated": _counted(len(draws[0].motions), protocol), "draws": len(draws)}
     _remark_on_sizes(sizes, real.motions.shape[1], protocol, tally)
@@ -167,13 +148,20 @@ def _kept(number: int, protocol: TextMotionProtocol) -> int:
 
 
 def _add_precision(
-    draw: TextMotionPairs, order: Order, protocol: TextMotionProtocol, bugs: tuple[KnownBug, ...], tally: Tally
+    draw: TextMotionPairs,
+    order: Order,
+    protocol: TextMotionProtocol,
+    bugs: tuple[KnownBug, ...],
+    tally: Tally,
+    terms: AddTerms,
 ) -> None:
     names = [bug.name for bug in bugs if bug.part == "scores"]
     if names:
         found = ranked_as_published(draw.texts, draw.motions, order, protocol.pool, names[-1])
     else:
-        found = ranked_both_ways(pool_distances(draw.texts, draw.motions, order, protocol.pool))
+        distances = pool_distances(draw.texts, draw.motions, order, protocol.pool)
+        found = ranked_both_ways(distances)
+        terms(distances, order)
     for suffix, direction in (("", found.text_asks), ("_motion_asks", found.motion_asks)):
         for rank, share in enumerate(direction.top.tolist(), start=1):
             tally.add(f"r_precision_top{rank}{suffix}", share)

@@ -10,9 +10,9 @@ from eval.metrics.checks import Estimate
 from eval.metrics.retrieval import RECALL_RANKS
 from eval.report.results import Block, Cell, Row, measure
 from eval.tables.nerm.text_motion import ORACLE, ScoredRow, title_of
+from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import RetrievalRule, TextMotionProtocol
 from eval.text_motion.retrieval import SUFFIXES, no_distance, score_retrieval, share_of_same_texts
-from eval.text_motion.scores import TextMotionPairs
 from motionkit.core.motion import Caption
 from motionkit.training.text import load_text_encoder
 

@@ -13,9 +13,9 @@ from eval.sample_folder.takes import rows_by_name
 from eval.sets.sets import SampleSet, middle
 from eval.text_motion.embedding_cache import Embedder, fingerprint_of_vectors
 from eval.text_motion.evaluator import PoseVectorEvaluator
+from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import TextMotionProtocol
 from eval.text_motion.real_pairs import MADE_OF_22, CaptionedMotions, as_kit_joints, kit_bone_lengths
-from eval.text_motion.scores import TextMotionPairs
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
 
@@ -56,8 +56,8 @@ def sample_embeddings(
     groups = [np.array(rows) for rows in samples.rows_by_group().values()]
     repeated, remarks = _repeated(motions, groups), [path] if path else []
     paired = None
+    found = _real_rows(samples.select(np.array([rows[0] for rows in groups])), real)
     if protocol.reference == "paired":
-        found = _real_rows(samples.select(np.array([rows[0] for rows in groups])), real)
         paired = np.array([row for row in found if row is not None], dtype=np.int64)
         if not len(paired):
             raise UsageError(
@@ -70,9 +70,12 @@ def sample_embeddings(
                 f"{without:,} of {len(groups):,} have no real motion of their text that takes part: left out"
             )
         groups = [rows for rows, row in zip(groups, found, strict=True) if row is not None]
+        found = [row for row in found if row is not None]
+    ids = real.samples.sequence_ids
+    takes = tuple(f"prompt {number}" if row is None else ids[row] for number, row in enumerate(found))
     fewest = min(len(rows) for rows in groups)
     firsts = [np.array([rows[number] for rows in groups]) for number in range(fewest)]
-    draws = tuple(TextMotionPairs(texts[rows], motions[rows]) for rows in firsts)
+    draws = tuple(TextMotionPairs(texts[rows], motions[rows], takes) for rows in firsts)
     return SampleEmbeddings(draws, repeated, paired, tuple(remarks))
 
 

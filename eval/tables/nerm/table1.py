@@ -24,10 +24,11 @@ from eval.tables.registry import Table, TableRequest
 from eval.text_motion.embedding_cache import FOLDER, Embedder
 from eval.text_motion.evaluator import CosineEvaluator, TextMotionEvaluator
 from eval.text_motion.model_motions import ModelMotions
+from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import TextMotionProtocol, find_text_motion_protocol
 from eval.text_motion.real_pairs import MADE_OF_22, CaptionedMotions, captioned_motions, kit_bone_lengths, limited
 from eval.text_motion.retrieval import score_retrieval
-from eval.text_motion.scores import TextMotionPairs, score_text_motion
+from eval.text_motion.scores import score_text_motion
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
@@ -202,7 +203,8 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
     protocol, request = job.protocol, job.request
     embedder = Embedder(evaluator, request.results / FOLDER)
     with task(request.on_progress, f"{evaluator.name}: embedding real motion"):
-        pairs = TextMotionPairs(embedder.texts(real.captions), embedder.motions(real.samples))
+        ids = real.samples.sequence_ids
+        pairs = TextMotionPairs(embedder.texts(real.captions), embedder.motions(real.samples), ids)
     chosen = _chosen(real, protocol, request)
     if protocol.retrieval:
         job = replace(job, sentences=sentence_embeddings(real.captions))
@@ -222,12 +224,12 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
     rows = [_real_row(job, pairs, chosen), *made.value.values()]
     head = f"{evaluator.name} evaluator, protocol {protocol.name}, {float(real.samples.fps):g} fps"
     provenance = {"evaluator": evaluator.name, "fingerprint": evaluator.fingerprint, "protocol": protocol.name}
-    main, other_way = scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
+    main, other_way, *told = scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
     remark = evaluator.remark_at(real.samples.fps)
     main = replace(main, note=" ".join(filter(None, (main.note, remark))))
     own = None if job.sentences is None else RetrievalSets(pairs.select(chosen), job.sentences[chosen])
     found = () if own is None else retrieval_blocks(rows, own, protocol, request.seed, head, provenance)
-    return Found((main, other_way, *found), made.missing)
+    return Found((main, other_way, *found, *told), made.missing)
 
 
 def _chosen(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> npt.NDArray[np.int64]:
@@ -322,8 +324,8 @@ def _score(
 
 def _caption(request: TableRequest, protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]) -> str:
     caption = (
-        f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean ± half the 95 % "
-        f"interval over {protocol.replications} replications, {request.real.named}."
+        f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean over "
+        f"{protocol.replications} replications ± half the 95 % interval over takes, {request.real.named}."
     )
     if request.published.compat:
         caption += f" Known bugs switched on: {', '.join(request.published.compat)}."

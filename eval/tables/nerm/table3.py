@@ -1,6 +1,6 @@
 """NeRM's Table 3: motions generated for actions, as a recogniser of actions sees them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -14,11 +14,13 @@ from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_a
 from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
 from eval.metrics.replications import Score, Scores
+from eval.metrics.resampling import half_width
 from eval.report.results import Block, Cell, Origin, Result, Row, measure
 from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
 from eval.sets.real import RealMotion, has_training, real_motion
 from eval.sets.sets import SampleSet
+from eval.tables.differences import DRAWING, differences_block, score_differences
 from eval.tables.models import check_names, trained_models
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
@@ -94,7 +96,11 @@ def build_table3(request: TableRequest) -> Result:
     references = _references(real, recogniser)
     scored = [_block(protocol, source, references, systems, request) for protocol in protocols]
     absent = (found.missing, models.missing, others.missing, *(each.missing for each in scored))
-    blocks = [*(each.value for each in scored), _by_action(recogniser, systems), *_paper_blocks(source)]
+    blocks = [
+        *chain.from_iterable(each.value for each in scored),
+        _by_action(recogniser, systems),
+        *_paper_blocks(source),
+    ]
     return Result(
         task="nerm-table3",
         version=VERSION,
@@ -229,10 +235,12 @@ def _block(
     references: dict[str, np.ndarray],
     systems: Sequence[_System],
     request: TableRequest,
-) -> Found[Block]:
+) -> Found[list[Block]]:
+    """A protocol's scores, and which rows differ."""
     fids = {"fid_train": "FID (train)", "fid_test": f"FID ({request.real.split})"}
     rows, missing = [], []
     shown: dict[str, str] = {}
+    own: dict[str, Mapping[str, Score]] = {}
     for system in systems:
         against = {
             name: features for name, features in references.items() if not (system.is_reference and name == "test")
@@ -244,6 +252,7 @@ def _block(
             missing.append(f"{system.name}, protocol {protocol.name!r}: {error}")
             continue
         origin: Origin = "reference" if system.is_reference else "ours"
+        own |= {} if system.is_reference else {system.name: scores.values}
         shown |= {name: (fids | COLUMN_OF)[name] for name in scores.values}
         cells = _with_kid(_cells(scores, fids | COLUMN_OF), fids, against, system)
         remarks = [] if system.is_reference else size_remarks(against["test"], against["test"], first, request.seed)
@@ -257,7 +266,8 @@ def _block(
         provenance={"protocol": asdict(protocol)},
         metrics=tuple(measure(name, column=column) for name, column in shown.items()),
     )
-    return Found(block, tuple(missing))
+    told = differences_block(block.title, block.columns, score_differences(own, shown), block.metrics)
+    return Found([block] if told is None else [block, told], tuple(missing))
 
 
 def _note(system: _System, scores: Scores, protocol: ActionProtocol) -> str:
@@ -289,10 +299,12 @@ def _with_kid(
 
 
 def _cell(score: Score) -> Cell:
-    """Mean and interval; neither interval nor variance where every replication had the same motions to count."""
+    """Mean and interval over motions; details hold interval and variance over replications, where these differ."""
+    width = half_width(score.resampled)
     if np.ptp(score.values) <= 1e-9 * abs(score.values[0]):
-        return Cell(score.estimate.mean)
-    return Cell(score.estimate.mean, score.estimate.ci95, {VARIANCE: score.variance_spread})
+        return Cell(score.estimate.mean, width)
+    details = {VARIANCE: score.variance_spread} | ({} if width is None else {DRAWING: score.drawing.ci95})
+    return Cell(score.estimate.mean, score.estimate.ci95, details)
 
 
 def _by_action(recogniser: ActionRecogniser, systems: Sequence[_System]) -> Block:
@@ -343,7 +355,7 @@ def _caption(source: RecogniserSource, real: _Real, request: TableRequest) -> st
     caption = (
         f"What a recogniser of actions ({source.title}) says of {compared.samples.num_sequences:,} real motions of "
         f"{actions} actions, {request.real.named}, and of motions generated for the same "
-        "actions: mean ± half the 95 % interval over the protocol's replications."
+        "actions: mean over the protocol's replications ± half the 95 % interval over motions."
     )
     if compared.samples.num_sequences < SMALL_MOTIONS:
         caption += " A small-scale run: rows say how systems rank on this store and no more."
@@ -378,6 +390,6 @@ def _notes(source: RecogniserSource, real: _Real) -> tuple[str, ...]:
     return (
         f"Always naming the commonest action has an accuracy of {chance:.3f}.",
         f"All motions are seen at {source.fps} fps: slower real ones are left out, generated ones are asked for at it.",
-        "FIDs of different numbers of motions do not compare; rows name theirs. Where every replication has the same "
-        "motions, accuracy and FID have no interval (--draws N generates N sets).",
+        "FIDs of different numbers of motions do not compare; rows name theirs. Intervals resample motions, and "
+        "generations where there are several (--draws).",
     )

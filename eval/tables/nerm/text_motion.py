@@ -1,5 +1,6 @@
 """Table 1: the evaluators of text and motion that can be had, and the blocks of their rows."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -11,16 +12,19 @@ from threadpoolctl import threadpool_limits
 from eval.metrics.checks import Estimate, estimate
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
 from eval.metrics.metric import find_metric
-from eval.metrics.r_precision import r_precision_both_ways
-from eval.metrics.replications import Scores
+from eval.metrics.r_precision import pool_distances, ranked_both_ways
+from eval.metrics.replications import Score, Scores, Tally
+from eval.metrics.resampling import half_width
 from eval.report.results import Block, Cell, Origin, Row, measure
 from eval.sets.found import Found, each_found
+from eval.tables.differences import DRAWING, differences_block, score_differences
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import TableRequest
 from eval.text_motion.evaluator import TextMotionEvaluator
 from eval.text_motion.guo.kind import Padding
+from eval.text_motion.pairs import PairTerms, TextMotionPairs
 from eval.text_motion.protocol import PADDING_LEAK, TextMotionProtocol, chosen_bugs
-from eval.text_motion.scores import PAIR_SCORES, TextMotionPairs
+from eval.text_motion.scores import PAIR_SCORES
 from motionkit.core.errors import MotionkitError, UsageError
 
 DEFAULT = ("native",)
@@ -82,7 +86,8 @@ def _motion_clip(request: TableRequest) -> TextMotionEvaluator:
 ORACLE, FLOOR = "each motion on its caption's point", "real, disjoint halves"
 NOTES = {
     ORACLE: "the ceiling of R-Precision: motions that share a caption cannot be told apart",
-    FLOOR: "FID between random halves of the real motions, split anew in every replication: what other motions reach",
+    FLOOR: "FID between random halves of the real motions, split anew in every replication: what other motions reach; "
+    "± is of a single split",
 }
 DETAILS = ("fid_infinity", "kid")
 COUNT = "N"
@@ -119,8 +124,8 @@ def scored_blocks(
     seed: int,
     head: str,
     provenance: Mapping[str, str],
-) -> tuple[Block, Block]:
-    """All metrics with the protocol's direction of R-Precision, and R-Precision the other way round."""
+) -> tuple[Block, ...]:
+    """All metrics with the protocol's direction of R-Precision, that the other way round, and which rows differ."""
     texts_ask = [f"r_precision_top{rank}" for rank in (1, 2, 3)]
     motions_ask = [f"{name}_motion_asks" for name in texts_ask]
     shared = [remark for remark in rows[0].scores.remarks if all(remark in row.scores.remarks for row in rows)]
@@ -157,7 +162,10 @@ def scored_blocks(
         provenance=provenance,
         metrics=tuple(measure(name, column=title_of(name)) for name in turned),
     )
-    return main, other_way
+    own = {row.name: row.scores.values for row in rows if row.origin == "ours"}
+    differences = score_differences(own, {name: title_of(name) for name in every})
+    told = differences_block(f"Table 1: {head}", main.columns, differences, main.metrics)
+    return (main, other_way) if told is None else (main, other_way, told)
 
 
 def paper_block(fps: Fraction) -> Block:
@@ -184,11 +192,11 @@ def _sentence(remark: str) -> str:
 
 def _row(row: ScoredRow, names: Sequence[str], leaving_out: Sequence[str] = ()) -> Row:
     values = row.scores.values
-    cells = {title_of(name): _cell(values[name].estimate) for name in names if name in values}
+    cells = {title_of(name): _score_cell(values[name]) for name in names if name in values}
     details = {find_metric(name).title: values[name].estimate.mean for name in DETAILS if name in values}
     if "fid" in names and details:
         fid = cells[title_of("fid")]
-        cells[title_of("fid")] = Cell(fid.value, fid.ci95, details)
+        cells[title_of("fid")] = replace(fid, details={**fid.details, **details})
     sizes = row.scores.sizes
     cells[COUNT] = Cell(sizes["generated"])
     counted = f"N = {sizes['generated']:,} against {sizes['real']:,} real motions"
@@ -196,6 +204,13 @@ def _row(row: ScoredRow, names: Sequence[str], leaving_out: Sequence[str] = ()) 
         counted += f", {sizes['multimodality generations']} motions of {sizes['multimodality texts']} texts"
     remarks = [remark for remark in row.scores.remarks if remark not in leaving_out]
     return Row(row.name, row.origin, cells, "; ".join((*([row.note] if row.note else []), counted, *remarks)))
+
+
+def _score_cell(score: Score) -> Cell:
+    """A metric of a row, with the interval over replications alone as a detail."""
+    if half_width(score.resampled) is None:
+        return _cell(score.drawing)
+    return Cell(score.estimate.mean, score.estimate.ci95, {DRAWING: score.drawing.ci95})
 
 
 def _cell(value: Estimate) -> Cell:
@@ -206,14 +221,18 @@ def _cell(value: Estimate) -> Cell:
 
 def _oracle(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> dict[str, Cell]:
     """R-Precision of texts that stand for their own motions."""
-    found: dict[str, list[float]] = {}
+    tally, own = Tally(), TextMotionPairs(real.texts, real.texts, real.takes)
+    terms = PairTerms([own])
     for replication in range(protocol.replications):
-        rng = np.random.default_rng((seed, replication, 5))
-        both = r_precision_both_ways(real.texts, real.texts, rng=rng, pool=protocol.pool)
+        order = np.random.default_rng((seed, replication, 5)).permutation(len(own.texts))
+        distances = pool_distances(own.texts, own.texts, order, protocol.pool)
+        terms.of_draw(0)(distances, order)
+        both = ranked_both_ways(distances)
         for suffix, direction in (("", both.text_asks), ("_motion_asks", both.motion_asks)):
             for rank, share in enumerate(direction.top.tolist(), start=1):
-                found.setdefault(f"r_precision_top{rank}{suffix}", []).append(share)
-    return {name: _cell(estimate(values)) for name, values in found.items()}
+                tally.add(f"r_precision_top{rank}{suffix}", share)
+    tally.resampled |= terms.resampled_means()
+    return {name: _score_cell(score) for name, score in tally.scores(protocol.name, {}, ()).values.items()}
 
 
 def _halves(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> Estimate:
@@ -223,4 +242,5 @@ def _halves(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> E
             order = np.random.default_rng((seed, replication, 6)).permutation(len(real.motions))
             first, second = order[: len(order) // 2], order[len(order) // 2 :]
             values.append(frechet_distance(fit_gaussian(real.motions[first]), fit_gaussian(real.motions[second])))
-    return estimate(values)
+    found = estimate(values)
+    return replace(found, ci95=found.ci95 * math.sqrt(found.replications))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import KIMODO, TMR
 from eval.text_motion.retrieval import no_distance, score_retrieval, share_of_same_texts
-from eval.text_motion.scores import TextMotionPairs
 
 RNG = np.random.default_rng(0)
 TEXTS = RNG.normal(size=(120, 40))

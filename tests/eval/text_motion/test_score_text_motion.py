@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from eval.metrics.metric import find_metric
 from eval.metrics.replications import Scores
+from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import TEXT_MOTION_PROTOCOLS, MultiModalityRule, find_text_motion_protocol
-from eval.text_motion.scores import TextMotionPairs, score_text_motion
+from eval.text_motion.scores import score_text_motion
 from motionkit.core.errors import UsageError
 
 SEED, FEATURES = 11, 5

@@ -1,0 +1,32 @@
+"""What a difference of two rows allows to say, by which of two numbers is better."""
+
+from eval.metrics.replications import Score
+from eval.metrics.resampling import Difference
+from eval.report.results import measure
+from eval.tables.differences import differences_block, pairs_of, said, score_differences
+
+MEASURES = (measure("fid", column="FID"), measure("accuracy", column="Accuracy"), measure("diversity", column="D"))
+
+
+def test_better_is_what_the_metric_says() -> None:
+    lower, higher, same = Difference(-2.0, 1.0), Difference(2.0, 1.0), Difference(0.5, 1.0)
+    assert said({"FID": lower, "Accuracy": lower}, MEASURES) == "better: FID; worse: Accuracy"
+    assert said({"FID": same, "Accuracy": higher, "D": higher}, MEASURES) == (
+        "better: Accuracy; higher: D; not told apart: FID"
+    )
+    assert said({"20 fps": lower, "60 fps": lower}, (measure("fid"),)) == "better: 20 fps, 60 fps"
+
+
+def test_pairs_are_each_row_with_later_ones_and_references() -> None:
+    assert pairs_of(["a", "b"], ["r"]) == [("a", "b"), ("a", "r"), ("b", "r")]
+
+
+def test_rows_without_resamplings_have_no_difference() -> None:
+    rows = {"a": {"fid": Score((1.0,), (1.0, 1.2))}, "b": {"fid": Score((3.0,), (3.0, 3.1))}}
+    found = score_differences(rows, {"fid": "FID", "accuracy": "Accuracy"})
+    block = differences_block("t", ("FID", "Accuracy"), found, MEASURES)
+    assert block is not None
+    (row,) = block.rows
+    assert (row.name, row.cells["FID"].value, row.note) == ("a − b", -2.0, "better: FID")
+    bare = {"a": {"fid": Score((1.0,))}, "b": {"fid": Score((3.0,))}}
+    assert differences_block("t", ("FID",), score_differences(bare, {"fid": "FID"}), MEASURES) is None
