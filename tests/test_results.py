@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from eval.report.render import format_cell
 from eval.report.results import read_result
 
 ROOT = Path(__file__).parents[1]
@@ -23,7 +24,7 @@ def missing(document: dict[str, Any]) -> set[str]:
     weights |= {str(run) for run in origin.get("runs", {}).values()}
     found = {
         "commit": origin.get("environment", {}).get("commit"),
-        "store": SHA256.fullmatch(origin.get("store", {}).get("fingerprint", "")),
+        "store": "format" not in document or SHA256.fullmatch(origin.get("store", {}).get("fingerprint", "")),
         "weights": not runs or any(SHA256.search(each) for each in weights),
     }
     return {name for name, value in found.items() if not value}
@@ -40,6 +41,15 @@ def test_a_result_says_where_it_comes_from_or_that_it_does_not(path: Path) -> No
     assert missing(document if isinstance(origin, dict) else {}) <= said
     if said and document.get("format"):
         assert said == missing(document), "what is there is not to be called absent"
+
+
+def test_readme_has_the_table_of_the_real_captures() -> None:
+    block = read_result(ROOT / "docs/results/real-pack-table2.json").blocks[0]
+    expected = [
+        f"| {row.name} | {' | '.join(format_cell(row.cells[column]) for column in block.columns)} |"
+        for row in block.rows
+    ]
+    assert [line for line in README.splitlines() if re.match(r"\| (real|NeRM)[ ,]", line)] == expected
 
 
 def test_readme_has_the_reconstruction_errors_of_table_4() -> None:
