@@ -28,7 +28,7 @@ from eval.native_evaluator.network import (
     rich_input,
     standardised,
 )
-from eval.native_evaluator.settings import NativeConfig
+from eval.native_evaluator.settings import NativeNetworkConfig
 from motionkit.core.errors import MotionkitError
 from motionkit.training.config import from_plain
 from motionkit.training.run import RunFolder
@@ -149,22 +149,27 @@ class NativeEvaluator:
 
 
 def load_native(run: Path) -> NativeEvaluator:
-    """Load the evaluator from a run folder (`motionkit train --stage evaluator`).
+    """Load the evaluator from a run folder (`motionkit train --stage evaluator`); raises as `load_networks` does."""
+    return load_networks(run, STAGE_NAME, VERSION)
+
+
+def load_networks(run: Path, stage: str, version: str) -> NativeEvaluator:
+    """Load what a stage of these networks left in a run folder.
 
     Raises `RunError` where it is not trained to its end and `CheckpointError` where the file is of another version.
     """
-    folder = RunFolder(run).stage(STAGE_NAME)
+    folder = RunFolder(run).stage(stage)
     folder.read_summary()
     tensors, description = load_tensors(folder.model_path)
-    if description.get("version") != VERSION:
+    if description.get("version") != version:
         raise CheckpointError(
-            f"{folder.model_path} is of version {description.get('version')!r}, expected {VERSION!r}: "
-            f"train it again (motionkit train --stage {STAGE_NAME} --run {run.name} --overwrite)"
+            f"{folder.model_path} is of version {description.get('version')!r}, expected {version!r}: "
+            f"train it again (motionkit train --stage {stage} --run {run.name} --overwrite)"
         )
-    with rebuilding(folder.model_path, STAGE_NAME, tensors):
-        config = from_plain(NativeConfig, description["config"])
-        network = NativeNetwork(config.network)
-        text = TextProjection(int(description["text_dimension"]), config.network)
+    with rebuilding(folder.model_path, stage, tensors):
+        config = from_plain(NativeNetworkConfig, description["config"]["network"])
+        network = NativeNetwork(config)
+        text = TextProjection(int(description["text_dimension"]), config)
         network.load_state_dict(unprefixed("network", tensors))
         text.load_state_dict(unprefixed("text", tensors))
         mean, scale, whitening = (tensors[f"statistics.{name}"] for name in ("mean", "scale", "whitening"))

@@ -41,6 +41,7 @@ def text_motion_evaluators(request: TableRequest, protocol: TextMotionProtocol) 
         "native": _native,
         "guo": partial(_guo, leak=protocol.leak),
         "motion-clip": _motion_clip,
+        "tmr": _tmr,
     }
     wanted = request.evaluators.names or DEFAULT
     for name in wanted:
@@ -81,6 +82,14 @@ def _motion_clip(request: TableRequest) -> TextMotionEvaluator:
     if request.evaluators.motion_clip is None:
         raise UsageError("--evaluator motion-clip needs its folder: --motion-clip DIR (docs/evaluators.md)")
     return load_motion_clip(request.evaluators.motion_clip)
+
+
+def _tmr(request: TableRequest) -> TextMotionEvaluator:
+    from eval.tmr.evaluator import load_tmr
+
+    if request.evaluated.run is None:
+        raise MotionkitError("it belongs to a run, and none was given (motionkit train --stage tmr)")
+    return load_tmr(request.evaluated.run)
 
 
 ORACLE, FLOOR = "each motion on its caption's point", "real, disjoint halves"

@@ -70,7 +70,8 @@ def test_the_padding_leak_is_switched_on_by_name(
         ({"features": ("guo",), "guo": GuoFiles(Path("finest.tar"))}, "--glove DIR"),
         ({"compat": ("padding-leak",)}, "a bug of Guo's evaluator"),
         ({"compat": ("no-such",)}, "protocol 't2m' has no such bug"),
-        ({"features": ("tmr",)}, "--evaluator tmr: not an evaluator of text and motion; give native, guo"),
+        ({"features": ("motion-clip",)}, "needs its folder: --motion-clip DIR"),
+        ({"features": ("temos",)}, "--evaluator temos: not an evaluator of text and motion; give native, guo"),
     ],
 )
 def test_what_cannot_be_had_is_told(changes: dict[str, object], message: str) -> None:

@@ -1,0 +1,75 @@
+"""A trained TMR-style evaluator: whole motions and sentences as unit vectors, whose cosine says how well they match."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from eval.native_evaluator.evaluator import load_networks
+from eval.native_evaluator.text_motion import NativeTextMotion
+from eval.sets.sets import SampleSet
+from motionkit.core.motion import Caption
+
+VERSION = "tmr/1"
+STAGE_NAME = "tmr"
+
+
+@dataclass(frozen=True, eq=False)
+class TmrEvaluator:
+    """The networks on whole motions; every embedding has length 1, so that Euclidean order is that of cosines."""
+
+    motions: NativeTextMotion
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        return "tmr"
+
+    @property
+    def pair_score(self) -> str:
+        """What TMR and Kimodo print of pairs."""
+        return "tmr_score"
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of version, settings, weights and statistics."""
+        return self.motions.fingerprint
+
+    @property
+    def fps(self) -> Fraction | None:
+        """Any framerate may be given."""
+        return None
+
+    @property
+    def layout(self) -> str:
+        """The 22 joints that it was trained with."""
+        return self.motions.layout
+
+    def remark_at(self, fps: Fraction) -> str:
+        """That it was not trained at such a framerate; empty where it was."""
+        return (
+            self.motions.remark_at(fps).replace("native evaluator", "tmr evaluator").replace("evaluator --", "tmr --")
+        )
+
+    def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
+        """One row per sequence, in the order of the set; raises what `NativeTextMotion.embed_motions` raises."""
+        return _unit(self.motions.embed_motions(samples))
+
+    def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
+        """One row per caption, in order; raises what `NativeTextMotion.embed_texts` raises."""
+        return _unit(self.motions.embed_texts(captions))
+
+
+def _unit(rows: Float64[np.ndarray, "rows features"]) -> Float64[np.ndarray, "rows features"]:
+    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12))
+
+
+def load_tmr(run: Path) -> TmrEvaluator:
+    """Load the evaluator from a run folder (`motionkit train --stage tmr`).
+
+    Raises `RunError` where it is not trained to its end and `CheckpointError` where the file is of another version.
+    """
+    return TmrEvaluator(NativeTextMotion(load_networks(run, STAGE_NAME, VERSION)))

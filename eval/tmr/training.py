@@ -1,0 +1,124 @@
+"""How the TMR-style evaluator learns: pairs of motion and sentence against all other pairs of a batch.
+
+TMR's contrastive loss: InfoNCE on cosines, in which pairs with nearly the same sentence are no negatives of each other
+(Petrovich et al. 2023; src/model/losses.py of Mathux/TMR @ 6d74688). Its decoder, and with it the reconstruction
+and the Gaussian latents, is left out: it is there to generate.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Int64
+from torch import Tensor
+
+from eval.native_evaluator.bank import ClipBank
+from eval.native_evaluator.network import MIN_POSES, NativeNetwork, TextProjection, prepare, rich_input, standardised
+from eval.native_evaluator.training import Sentences
+from eval.tmr.settings import TmrConfig
+from motionkit.training.config import rate_factor
+from motionkit.training.schedule import seeded_initialisation, set_rate
+from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+
+
+def retrieval_loss(
+    motions: Float[Tensor, "pairs shared"],
+    texts: Float[Tensor, "pairs shared"],
+    sentences: Float[Tensor, "pairs text"],
+    temperature: float,
+    same_above: float,
+) -> Float[Tensor, ""]:
+    """Symmetric InfoNCE on cosines; other pairs whose sentences score above `same_above` are left out of the sums."""
+    normalize = torch.nn.functional.normalize
+    logits = normalize(texts, dim=1) @ normalize(motions, dim=1).T / temperature
+    unit = normalize(sentences, dim=1)
+    same = unit @ unit.T > 2.0 * same_above - 1.0
+    own = torch.arange(len(logits), device=logits.device)
+    logits = logits.masked_fill(same & (own[:, None] != own), float("-inf"))
+    cross_entropy = torch.nn.functional.cross_entropy
+    return 0.5 * (cross_entropy(logits, own) + cross_entropy(logits.T, own))
+
+
+class TmrTraining:
+    """The evaluator in training; it owns the networks, the input statistics and the optimiser."""
+
+    def __init__(
+        self, config: TmrConfig, banks: Sequence[ClipBank], sentences: Sentences, seed: int, device: torch.device
+    ) -> None:
+        self.config, self.banks, self.sentences, self.device = config, banks, sentences, device
+        with seeded_initialisation(seed, "tmr"):
+            self.network = NativeNetwork(config.network).to(device)
+            self.text = TextProjection(sentences.dimension, config.network).to(device)
+        self.mean, self.scale = self._statistics(np.random.default_rng((seed, 1)))
+        parameters = [*self.network.parameters(), *self.text.parameters()]
+        self.optimizer = torch.optim.AdamW(parameters, lr=0.0, weight_decay=config.training.weight_decay)
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
+        """One batch of one framerate and one duration."""
+        training = self.config.training
+        rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
+        positions, sentence, fps = self._pairs(rng)
+        inputs = standardised(rich_input(torch.from_numpy(positions).to(self.device), fps), self.mean, self.scale)
+        inputs = inputs + training.noise * torch.randn(inputs.shape, generator=generator).to(self.device)
+        said = torch.from_numpy(self.sentences.embeddings[sentence]).to(self.device)
+        motions, texts = self.network.shared(self.network(inputs)), self.text(said)
+        loss = retrieval_loss(motions, texts, said, training.temperature, training.same_above)
+        factor = rate_factor(step, training.steps, schedule="cosine", warmup_fraction=training.warmup_fraction)
+        set_rate(self.optimizer, training.learning_rate * factor)
+        self.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), training.gradient_clip)
+        self.optimizer.step()
+        return {"loss": loss}
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Networks, statistics, optimiser."""
+        return self.model_tensors() | prefixed("optimizer", optimizer_tensors(self.optimizer))
+
+    def model_tensors(self) -> dict[str, Tensor]:
+        """Networks and statistics; embeddings keep their scale."""
+        networks = prefixed("network", self.network.state_dict()) | prefixed("text", self.text.state_dict())
+        whitening = torch.eye(self.config.network.embedding)
+        return networks | {
+            "statistics.mean": self.mean,
+            "statistics.scale": self.scale,
+            "statistics.whitening": whitening,
+        }
+
+    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Go back to a state of `state_tensors`."""
+        self.network.load_state_dict(unprefixed("network", tensors))
+        self.text.load_state_dict(unprefixed("text", tensors))
+        self.mean = tensors["statistics.mean"].to(self.device)
+        self.scale = tensors["statistics.scale"].to(self.device)
+        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+
+    def _pairs(
+        self, rng: np.random.Generator
+    ) -> tuple[Float32[np.ndarray, "pairs poses 22 3"], Int64[np.ndarray, "pairs"], float]:
+        """Clips of one framerate and length that somebody describes, and a sentence about the middle of each."""
+        training = self.config.training
+        bank = self.banks[int(rng.integers(len(self.banks)))]
+        fps = float(bank.fps)
+        seconds = rng.uniform(training.min_seconds, training.max_seconds)
+        longest = min(training.max_poses, int(bank.sequences.num_frames.max()))
+        num_poses = int(np.clip(round(seconds * fps), MIN_POSES, longest))
+        drawn = bank.draw(rng, training.batch_size, num_poses)
+        places = zip(drawn.take.tolist(), drawn.centre_seconds.tolist(), strict=True)
+        about = [self.sentences.about(take, second) for take, second in places]
+        rows = [row for row, found in enumerate(about) if len(found)]
+        sentence = np.array([rng.choice(about[row]) for row in rows], dtype=np.int64)
+        if len(rows) < 2:
+            return self._pairs(rng)
+        return prepare(drawn.positions[rows], fps), sentence, fps
+
+    def _statistics(self, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """Mean and 1 / deviation of every channel over clips of all framerates."""
+        rows = []
+        for _ in range(self.config.training.statistics_batches):
+            positions, _, fps = self._pairs(rng)
+            inputs = rich_input(torch.from_numpy(positions), fps)
+            rows.append(inputs.reshape(-1, inputs.shape[-1]).double())
+        everything = torch.cat(rows)
+        mean, deviation = everything.mean(dim=0), everything.std(dim=0)
+        return mean.float().to(self.device), (1.0 / deviation.clamp_min(1e-3)).float().to(self.device)
