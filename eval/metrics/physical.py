@@ -169,8 +169,8 @@ _GAMES = "docs/results/physical.md"
 _FREEZE = f"a frozen body has none, slow motion less, {_GAMES}"
 
 METRICS = (
-    Metric("slide_speed", "Foot skating, speed", "m/s", None, "motionkit", _ONE, slide_speed, calibration=_FREEZE),
-    Metric("slide_share", "Foot skating, share", "", None, "motionkit", _ONE, slide_share, calibration=_FREEZE),
+    Metric("slide_speed", "Skating speed", "m/s", None, "motionkit", _ONE, slide_speed, calibration=_FREEZE),
+    Metric("slide_share", "Skating share", "", None, "motionkit", _ONE, slide_share, calibration=_FREEZE),
     Metric("contact_share", "Time on the ground", "", None, "motionkit", _ONE, contact_share),
     Metric(
         "height_speed_agreement",

@@ -42,7 +42,7 @@ def test_games_win_what_the_page_says_they_win(store: Path) -> None:
     (block,) = games_result(real_motion(Store.open(store), "test"), store).blocks
     rows = {row.name: {name: cell.value for name, cell in row.cells.items()} for row in block.rows}
     speed, jerk, ground = (
-        rows[name] for name in ("Foot skating, speed, m/s", "Jerk below 10 Hz, m/s³", "Time on the ground")
+        rows[name] for name in ("Skating speed, m/s", "Jerk below 10 Hz, m/s³", "Time on the ground")
     )
     assert speed["real"] < 0.05 < 0.25 < speed["sliding"] == pytest.approx(speed["raised"], rel=1e-5)
     assert speed["frozen"] == jerk["frozen"] == 0.0

@@ -34,7 +34,7 @@ def test_from_the_command_line_with_samples(tmp_path: Path, motionkit) -> None:
     assert result["task"] == "physical" and len(result["blocks"]) == 4
     frozen = next(row for row in result["blocks"][0]["rows"] if row["name"] == "frozen")
     assert frozen["note"] == "2 takes, 2 motions, 6 s"
-    assert frozen["cells"]["Foot skating, speed"]["value"] == 0.0
+    assert frozen["cells"]["Skating speed"]["value"] == 0.0
     assert frozen["cells"]["Time on the ground"]["value"] == 1.0
     text = (tmp_path / "results" / "physical.md").read_text(encoding="utf-8")
     assert "| frozen | 0" in text and "GMD skating ratio: lower is better" in text

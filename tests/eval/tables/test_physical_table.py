@@ -70,12 +70,12 @@ def test_rows_of_real_motion_and_of_a_model_that_slides(store: Path, tmp_path: P
     assert result.blocks[0].title == "Per second, at 20 fps"
     assert list(published[REAL]) == [metric.title for metric in PER_FRAME]
     assert {row.note for row in result.blocks[0].rows} == {"4 takes, 4 motions, 17 s"}
-    speed = "Foot skating, speed"
+    speed = "Skating speed"
     assert ours[REAL][speed].value < 0.03 < 0.2 < ours["NeRM"][speed].value
     assert ours["NeRM"][speed].value == pytest.approx(faster["NeRM"][speed].value, rel=0.05)
     difference = differences["NeRM − real"][speed]
     assert difference.value == pytest.approx(ours["NeRM"][speed].value - ours[REAL][speed].value)
-    assert result.blocks[1].rows[0].note.startswith("higher: Foot skating, speed, ")
+    assert result.blocks[1].rows[0].note.startswith("higher: Skating speed, ")
     assert 0 < ours["NeRM"][speed].ci95 < 0.1
     # Only bands of frames that hold 20 Hz have jitter.
     assert "Jitter of 10 to 20 Hz" not in ours[REAL] and "Jitter of 10 to 20 Hz" in faster[REAL]
