@@ -1,11 +1,10 @@
-"""Nearest neighbours among features: precision, recall, density and coverage, and the nearest training sample."""
+"""Nearest neighbours among features: precision, recall, density and coverage."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Bool, Float, Float32, Float64
+from jaxtyping import Bool, Float, Float64
 
 from eval.metrics.checks import checked_features
 from eval.metrics.metric import Metric
@@ -136,32 +135,3 @@ def _squared_radii(points: _Points, num_neighbours: int) -> Float64[np.ndarray, 
         exact = distances.exact(rows.repeat(num_neighbours), nearest.reshape(-1))
         radii[start : start + len(rows)] = exact.reshape(nearest.shape).max(axis=1)
     return radii
-
-
-def nearest_rows(
-    queries: Float[np.ndarray, "queries features"], blocks: Iterable[Float[np.ndarray, "_ features"]]
-) -> Float32[np.ndarray, "queries features"]:
-    """The row of any block that has the least Euclidean distance to each query (the first among equals).
-
-    Blocks are looked at one after another by matrix products in float32, so two candidates whose squared distances
-    differ by less than 1e-6 of the larger squared length may change places. Raises `ValueError` where there is no row.
-    """
-    wanted = queries.astype(np.float32)
-    best = np.full(len(wanted), np.inf, dtype=np.float32)
-    found = np.zeros_like(wanted)
-    for block in blocks:
-        if not len(block):
-            continue
-        rows = block.astype(np.float32, copy=False)
-        # ‖q − r‖² − ‖q‖²: the query's own length doesn't change which row is nearest.
-        distances = wanted @ rows.T
-        distances *= -2.0
-        distances += np.einsum("rf,rf->r", rows, rows)
-        nearest = distances.argmin(axis=1)
-        closest = distances[np.arange(len(wanted)), nearest]
-        better = closest < best
-        found[better] = rows[nearest[better]]
-        best[better] = closest[better]
-    if np.isinf(best).any():
-        raise ValueError("there is nothing to look for neighbours among")
-    return found

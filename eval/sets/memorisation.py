@@ -1,68 +1,74 @@
-"""Is a generated motion a copy? How far the middle of each motion is from the nearest stretch of training motion.
+"""Which motions are copies of training motion; remarks on sets that hold real motions, or that stand still.
 
-A stretch is 2 s of body poses at 10 fps: joints relative to the root, turned to face Z+ at every instant, so that a
-copy is found wherever it stands, whichever way it faces and whenever it begins (training stretches start every 0.1 s).
-The nearest one has the least root mean square joint distance; the figure is the mean distance of its joints, the root
-not counted. Only beside the same figure of held-out real motion does it mean anything.
+A stretch is copied where its nearest training stretch (`copies`) is nearer than held-out takes of the same performers
+doing the same come, by the thresholds below; a motion is accused where enough of its moving stretches are. Stretches
+that hardly move are near everything and say nothing.
 """
 
-from collections.abc import Iterator, Mapping
-from fractions import Fraction
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from threadpoolctl import threadpool_limits
 
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
-from eval.metrics.neighbours import nearest_rows
+from eval.sets.copies import Nearest
 from eval.sets.sets import SampleSet
-from motionkit.features import field
 
-SAMPLED_FPS = Fraction(20)
-EVERY = 2
-"""Every second pose of a set at 20 fps: 10 poses a second."""
-STRETCH_POSES = 20
-STRETCH_SECONDS = 2.0
-BLOCK_STRETCHES = 4096
+STILL_BONES = 0.03
+"""Metres that bones leave their means by in a stretch (root mean square); with less it says nothing."""
 
 
-def distances_to_training(samples: SampleSet, training: SampleSet) -> Float64[np.ndarray, "motions"]:
-    """Mean joint distance in metres from the middle 2 s of each motion to the nearest 2 s of training motion.
+@dataclass(frozen=True)
+class Limit:
+    """How near a copied stretch is: less than `metres`, or than `share` of its own movement."""
 
-    Motions and training sequences shorter than that are left out, so there may be fewer distances than motions. Both
-    sets are at 20 fps; raises `ValueError` for others, and where no training sequence is long enough.
+    metres: float
+    share: float
+
+
+# Chosen on CMU's training takes, each against the others: docs/results/memorisation.md.
+LIMITS = {0.5: Limit(0.0055, 0.075), 1.0: Limit(0.007, 0.085), 2.0: Limit(0.008, 0.095)}
+ACCUSED_SHARE = 0.25
+"""Of the moving stretches of one length that a motion holds; more are copied in a motion that is accused."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdicts:
+    """Of each motion: how many stretches of each length move, which share of these is copied, and whether accused.
+
+    Shares are 0 where no stretch moves; such a motion is not `told`: nothing can be said of it.
     """
-    for each in (samples, training):
-        if each.fps != SAMPLED_FPS:
-            raise ValueError(f"{each.name} is at {each.fps} fps, not at {SAMPLED_FPS}")
-    middles = [_middle(poses) for poses in map(_body_poses, samples.sequences) if len(poses) >= STRETCH_POSES]
-    if not middles:
-        return np.zeros(0)
-    queries = np.stack(middles)
-    difference = nearest_rows(queries, _stretches(training)).astype(np.float64) - queries
-    return np.asarray(np.linalg.norm(difference.reshape(len(queries), -1, 3), axis=-1).mean(axis=1))
+
+    num_moving: Mapping[float, Int64[np.ndarray, "motions"]]
+    copied_share: Mapping[float, Float64[np.ndarray, "motions"]]
+    told: Bool[np.ndarray, "motions"]
+    accused: Bool[np.ndarray, "motions"]
 
 
-def _body_poses(positions: Float32[np.ndarray, "frames joints 3"]) -> Float32[np.ndarray, "poses numbers"]:
-    """Joints 1 … J − 1 relative to the root, each pose facing Z+, 10 poses a second."""
-    poses = positions[::EVERY]
-    yaw, origin = field.window_frame(poses)
-    return field.encode(poses[:, None], yaw, origin)[:, 0, 3:]
+def moving(nearest: Nearest) -> Bool[np.ndarray, "stretches"]:
+    """Stretches that move enough to be told from others."""
+    return np.asarray(nearest.movement >= STILL_BONES)
 
 
-def _middle(poses: Float32[np.ndarray, "poses numbers"]) -> Float32[np.ndarray, "stretch"]:
-    first = (len(poses) - STRETCH_POSES) // 2
-    return poses[first : first + STRETCH_POSES].reshape(-1)
+def copied(nearest: Nearest) -> Bool[np.ndarray, "stretches"]:
+    """Moving stretches that are nearer to training motion than held-out takes come."""
+    limit = LIMITS[nearest.seconds]
+    return moving(nearest) & (nearest.distance < np.maximum(limit.metres, limit.share * nearest.movement))
 
 
-def _stretches(training: SampleSet) -> Iterator[Float32[np.ndarray, "_ stretch"]]:
-    """All stretches of all sequences, a block at a time."""
-    for poses in map(_body_poses, training.sequences):
-        last = len(poses) - STRETCH_POSES
-        for start in range(0, last + 1, BLOCK_STRETCHES):
-            part = poses[start : min(start + BLOCK_STRETCHES, last + 1) + STRETCH_POSES - 1]
-            windows = np.lib.stride_tricks.sliding_window_view(part, STRETCH_POSES, axis=0)
-            yield np.ascontiguousarray(windows.transpose(0, 2, 1)).reshape(len(windows), -1)
+def verdicts(found: Sequence[Nearest], num_motions: int) -> Verdicts:
+    """What the stretches of 0.5, 1 and 2 s say of each motion: `copies.nearest_training` gives them."""
+    numbers, shares = {}, {}
+    for nearest in found:
+        number = np.bincount(nearest.motion[moving(nearest)], minlength=num_motions)
+        hits = np.bincount(nearest.motion[copied(nearest)], minlength=num_motions)
+        numbers[nearest.seconds] = number
+        shares[nearest.seconds] = hits / np.maximum(number, 1)
+    told = np.any([number > 0 for number in numbers.values()] or np.zeros((1, num_motions), bool), axis=0)
+    accused = np.any([share > ACCUSED_SHARE for share in shares.values()] or np.zeros((1, num_motions), bool), axis=0)
+    return Verdicts(numbers, shares, told, accused)
 
 
 CHOICES = 10

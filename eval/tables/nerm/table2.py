@@ -17,7 +17,7 @@ from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
 from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
-from eval.sets.memorisation import SAMPLED_FPS, set_remarks
+from eval.sets.memorisation import set_remarks
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
 from eval.tables.differences import differences_block
 from eval.tables.models import check_names, generated_fields
@@ -37,10 +37,10 @@ from eval.tables.nerm.clip_fid_column import (
     ModelFields,
     framerate_label,
     make_column,
-    nearest_training_block,
     samples_at,
     score_column,
 )
+from eval.tables.nerm.copies import copies_block
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError
@@ -123,15 +123,15 @@ def build_table2(request: TableRequest) -> Result:
             motion.forget_all_but(LOW_FPS)
     by_source = zip(sources.value, sheets, strict=True)
     blocks = [block for source, sheet in by_source for block in _blocks(source, sheet, sizes, notes, request)]
-    with task(request.on_progress, "nearest training motion"):
-        nearest = _nearest_training(real, train, fields, folders, notes)
-    missing = (*rates.missing, *generated.missing, *slow, *sources.missing, *chain(*absent), *nearest.missing)
+    with task(request.on_progress, "copies of training motion"):
+        copies = _copies(real, train, fields, folders, notes)
+    missing = (*rates.missing, *generated.missing, *slow, *sources.missing, *chain(*absent), *copies.missing)
     return Result(
         task="nerm-table2",
         version=VERSION,
         title="Table 2: clip-FID by framerate",
         caption=_caption(sizes, request),
-        blocks=(*(block for block in (*blocks, *nearest.value) if block.rows), _paper_block()),
+        blocks=(*(block for block in (*blocks, *copies.value) if block.rows), _paper_block()),
         definition=_definition(sizes, request),
         notes=(*_notes(sizes, request), *_sample_notes(real, folders), *dict.fromkeys(remarks)),
         missing=tuple(dict.fromkeys(missing)),
@@ -160,7 +160,7 @@ def _model_notes(models: Iterable[str]) -> dict[str, str]:
     return notes
 
 
-def _nearest_training(
+def _copies(
     real: RealMotion,
     train: RealMotion,
     fields: ModelFields,
@@ -171,13 +171,13 @@ def _nearest_training(
     try:
         if train.name == real.name:
             raise NoRealMotionError("the compared motion is the training motion")
-        held_out, training = real.at(SAMPLED_FPS), train.at(SAMPLED_FPS)
-        generated = {name: sample_fields(own, held_out.sequence_ids, SAMPLED_FPS, name) for name, own in fields.items()}
+        held_out, training = real.at(LOW_FPS), train.at(LOW_FPS)
+        generated = {name: sample_fields(own, held_out.sequence_ids, LOW_FPS, name) for name, own in fields.items()}
         others = {name: samples for name, samples in generated.items() if samples is not None}
-        others |= {folder.name: folder.at(SAMPLED_FPS) for folder in folders}
-        return Found((nearest_training_block(held_out, training, others, notes),))
+        others |= {folder.name: folder.at(LOW_FPS) for folder in folders}
+        return Found((copies_block(held_out, training, others, notes),))
     except (NoRealMotionError, ValueError) as error:
-        return Found((), (f"distance to the nearest training motion: {error}",))
+        return Found((), (f"copies of training motion: {error}",))
 
 
 def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Found[dict[str, _Scored]]:
