@@ -62,7 +62,7 @@ def evaluate(
 def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
     """End with exit code 1 where samples that were given have no row in the table, with the reason."""
     from eval.sample_folder import SampleFolderError
-    from eval.tables.nerm.clip_fid_column import TITLE as COPIES
+    from eval.tables.nerm.copies import TITLE as COPIES
 
     scored = [block for block in result.blocks if block.title != COPIES]
     shown = {row.name for block in scored for row in block.rows if row.cells}

@@ -72,7 +72,8 @@ class Stretches:
         """Root mean square over poses and bones of a bone's distance from its mean over the stretch, metres."""
         planar = self.planar - self.planar.mean(axis=1, keepdims=True)
         upright = self.upright - self.upright.mean(axis=1, keepdims=True)
-        return np.sqrt((np.abs(planar) ** 2 + upright**2).mean(axis=(1, 2), dtype=np.float64))
+        squares = np.abs(planar) ** 2 + upright**2
+        return np.asarray(np.sqrt(squares.mean(axis=(1, 2), dtype=np.float64)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -379,4 +380,4 @@ def _least_squares(
         along = -np.einsum("qn,qn->q", at, step, dtype=np.float64)
         between = at + np.clip(along / (long + TINY), 0, 1).astype(np.float32)[:, None] * step
         found = np.minimum(found, np.einsum("qn,qn->q", between, between, dtype=np.float64))
-    return found / (ours.planar.shape[1] * ours.planar.shape[2])
+    return np.asarray(found / (ours.planar.shape[1] * ours.planar.shape[2]))
