@@ -10,6 +10,7 @@ these), those of the splits val and test, and the test takes of other stores.
 import argparse
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from fractions import Fraction
 from pathlib import Path
@@ -21,7 +22,7 @@ from eval.sets.copies import FPS, Nearest, nearest_training
 from eval.sets.corruptions import jitter, low_pass, upsample_slerp
 from eval.sets.memorisation import ACCUSED_SHARE, LIMITS, STILL_BONES, copied, moving, verdicts
 from eval.sets.real import RealMotion, real_motion
-from eval.sets.sets import SampleSet, sample_set
+from eval.sets.sets import sample_set
 from eval.sets.upsampled import upsampled_positions
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.mirror import mirror_positions
@@ -35,6 +36,7 @@ from motionkit.training.run import commit
 SHORTEST_SECONDS, LONGEST_SECONDS = 2.5, 6.0
 TEMPI = ("0.8", "0.87", "0.9", "1.05", "1.1", "1.18", "1.25")
 FRAMERATES = ("12.5", "24", "25", "30000/1001", "50", "60", "144")
+PARTS = 4
 NOISE_MILLIMETRES = (0.3, 1.0, 3.0, 5.0)
 
 # Joint positions [frames, 22, 3] and their framerate.
@@ -163,6 +165,11 @@ def retargeted(store: Store, number: int, rng: np.random.Generator) -> Iterator[
         yield joints[start : start + length], motion.fps
 
 
+def names() -> list[str]:
+    """Of all disguises, in the order of the table."""
+    return [*disguises(), "another performer's skeleton", *(f"spliced from {parts} takes" for parts in (2, 3))]
+
+
 def at_20_fps(piece: Piece) -> np.ndarray:
     """As tables bring samples to 20 fps: anti-aliased from above, by SLERP from below."""
     positions, fps = np.ascontiguousarray(piece[0], dtype=np.float32), piece[1]
@@ -204,9 +211,12 @@ def judged(found: Sequence[Nearest], first: int, number: int) -> dict[str, Any]:
     }
 
 
-def judge_copies(store: Store, real: RealMotion, number: int) -> dict[str, Any]:
-    """All disguises in one search."""
-    made = copies(store, real, number)
+def judge_copies(path: str, number: int, part: int) -> dict[str, Any]:
+    """Every PARTS-th disguise from the `part`-th on, in one search."""
+    store = Store.open(path)
+    real = real_motion(store, "train")
+    every = copies(store, real, number)
+    made = {name: every[name] for name in list(every)[part::PARTS]}
     motions = [motion for each in made.values() for motion in each]
     samples = sample_set("copies", FPS, motions, [str(index) for index in range(len(motions))])
     found = nearest_training(samples, real.at(FPS))
@@ -217,20 +227,14 @@ def judge_copies(store: Store, real: RealMotion, number: int) -> dict[str, Any]:
     return result
 
 
-def judge_held_out(stores: Mapping[str, Store], training: SampleSet) -> dict[str, Any]:
-    """Whole takes that are not among those they are compared with."""
-    apart = np.eye(training.num_sequences, dtype=bool)
-    own, *others = stores
-    result = {
-        f"{own}, train, each against the others": judged(
-            nearest_training(training, training, apart), 0, training.num_sequences
-        )
-    }
-    wanted = [(own, "val"), (own, "test"), *((name, "test") for name in others)]
-    for name, split in wanted:
-        samples = real_motion(stores[name], split).at(FPS)
-        result[f"{name}, {split}"] = judged(nearest_training(samples, training), 0, samples.num_sequences)
-    return result
+def judge_held_out(path: str, other: str, split: str) -> dict[str, Any]:
+    """Whole takes of a split of a store against the training takes of the first, never against themselves."""
+    training = real_motion(Store.open(path), "train").at(FPS)
+    samples = real_motion(Store.open(other), split).at(FPS)
+    own = split == "train"
+    apart = np.eye(training.num_sequences, dtype=bool) if own else None
+    name = f"{Path(other).name}, {split}" + (", each against the others" if own else "")
+    return {name: judged(nearest_training(samples, training, apart), 0, samples.num_sequences)}
 
 
 HEAD = "| {} | motions | too still to tell | accused | copied stretches of 0.5, 1, 2 s | median distance, 1 s |"
@@ -260,20 +264,27 @@ def main() -> None:
     parser.add_argument("store", help="a store with the splits train, val and test")
     parser.add_argument("--held-out", nargs="*", default=[], help="stores whose test takes are compared too")
     parser.add_argument("--takes", type=int, default=30, help="pieces of training takes for each disguise")
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", type=Path, help="where all figures are written")
     options = parser.parse_args()
-    stores = {Path(path).name: Store.open(path) for path in (options.store, *options.held_out)}
-    store = stores[Path(options.store).name]
-    real = real_motion(store, "train")
+    path = options.store
+    held_out = [(path, "train"), (path, "val"), (path, "test"), *((other, "test") for other in options.held_out)]
+    with ProcessPoolExecutor(options.workers) as pool:
+        caught = [pool.submit(judge_copies, path, options.takes, part) for part in range(PARTS)]
+        let_go = [pool.submit(judge_held_out, path, *each) for each in held_out]
+        found = {
+            "copies": {name: row for each in caught for name, row in each.result().items()},
+            "held_out": {name: row for each in let_go for name, row in each.result().items()},
+        }
     result = {
         "limits": {f"{seconds:g} s": asdict(limit) for seconds, limit in LIMITS.items()},
         "still_bones_metres": STILL_BONES,
         "accused_share": ACCUSED_SHARE,
         "takes": options.takes,
         "commit": commit(),
-        "stores": {name: each.fingerprint for name, each in stores.items()},
-        "copies": judge_copies(store, real, options.takes),
-        "held_out": judge_held_out(stores, real.at(FPS)),
+        "stores": {Path(each).name: Store.open(each).fingerprint for each in (path, *options.held_out)},
+        "copies": {name: found["copies"][name] for name in names() if name in found["copies"]},
+        "held_out": found["held_out"],
     }
     if options.json:
         options.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
