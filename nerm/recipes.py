@@ -1,5 +1,5 @@
-"""NeRM's named recipes: `paper` and `paper-actions` (the paper's figures), `base` (an hour on a GPU), `nano` and `demo`
-(minutes on two cores); what their settings mean stands in `nerm/settings.py`.
+"""NeRM's named recipes: `paper` (the paper's figures), `base` (an hour on a GPU), `nano` and `demo` (minutes on two
+cores); what their settings mean stands in `nerm/settings.py`.
 """
 
 from collections.abc import Callable
@@ -37,18 +37,13 @@ class NermConfig:
 
 
 def paper() -> NermConfig:
-    """The paper's figures (§3, B.1, D) and its 263 numbers; where it is silent, what ../docs/deviations.md says."""
+    """The paper's figures (§3, B.1, D) and its 263 numbers; where it is silent, what ../docs/deviations.md says.
+
+    Its action task (§4.2, A) is field.pose_vectors=rotations and denoiser.conditions.text_encoder=none besides.
+    """
     return NermConfig(
         field=FieldConfig(pose_vectors="native"),
         denoiser=DenoiserConfig(conditions=ConditionsConfig(text_encoder="clip", text_dimension=768)),
-    )
-
-
-def paper_actions() -> NermConfig:
-    """`paper` for action-to-motion (§4.2, appendix A): SMPL's rotations, no texts."""
-    return NermConfig(
-        field=FieldConfig(pose_vectors="rotations"),
-        denoiser=DenoiserConfig(conditions=ConditionsConfig(text_encoder="none")),
     )
 
 
@@ -143,10 +138,4 @@ def _knot_denoiser(*, steps: int) -> DenoiserConfig:
     )
 
 
-RECIPES: dict[str, Callable[[], NermConfig]] = {
-    "nano": nano,
-    "demo": demo,
-    "base": base,
-    "paper": paper,
-    "paper-actions": paper_actions,
-}
+RECIPES: dict[str, Callable[[], NermConfig]] = {"nano": nano, "demo": demo, "base": base, "paper": paper}
