@@ -61,12 +61,16 @@ class NativeEvaluator:
 
     def remark_at(self, fps: Fraction) -> str:
         """What must be said of its numbers at a framerate; empty where it was trained around there."""
+        return self.remark_as(self.name, STAGE_NAME, fps)
+
+    def remark_as(self, name: str, stage: str, fps: Fraction) -> str:
+        """The same of an evaluator of another name that a stage trains."""
         trained = [Fraction(each) for each in self.description["framerates"]]
         if min(trained) <= fps <= max(trained):
             return ""
         return (
-            f"The native evaluator was trained at {float(min(trained)):g} to {float(max(trained)):g} fps: its numbers "
-            f"at {float(fps):g} fps mean little (motionkit train --stage evaluator --set training.framerates=…)."
+            f"The {name} evaluator was trained at {float(min(trained)):g} to {float(max(trained)):g} fps: its numbers "
+            f"at {float(fps):g} fps mean little (motionkit train --stage {stage} --set training.framerates=…)."
         )
 
     @property

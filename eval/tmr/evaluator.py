@@ -50,9 +50,7 @@ class TmrEvaluator:
 
     def remark_at(self, fps: Fraction) -> str:
         """That it was not trained at such a framerate; empty where it was."""
-        return (
-            self.motions.remark_at(fps).replace("native evaluator", "tmr evaluator").replace("evaluator --", "tmr --")
-        )
+        return self.motions.evaluator.remark_as(self.name, STAGE_NAME, fps)
 
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
         """One row per sequence, in the order of the set; raises what `NativeTextMotion.embed_motions` raises."""
