@@ -17,7 +17,7 @@ from jaxtyping import Float32, Float64
 from scipy.linalg import eigh
 
 from eval.actions.recogniser import Recognition, check_fps
-from eval.clip_fid.kinematic import local_poses
+from eval.clip_fid.channels import local_poses
 from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22

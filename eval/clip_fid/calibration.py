@@ -1,6 +1,7 @@
 """Calibration of a feature set: does clip-FID rise with every kind of damage, and stay flat where nothing changed?
 
-A feature set has to pass before its clip-FID may be quoted: a network trained to match text and motion does not.
+And does it stay as high where the damage is hidden? A feature set has to pass before its clip-FID may be quoted: a
+network trained to match text and motion does not, nor does one that noise deceives.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,10 +13,11 @@ import numpy as np
 from eval.clip_fid.features import Comparison
 from eval.metrics.checks import Estimate
 from eval.sets.corruptions import Family, families, shift_between_frames, translate, turn
+from eval.sets.games import games
 from eval.sets.sets import SampleSet
 
 TASK = "calibration"
-VERSION = "calibration/2"
+VERSION = "calibration/3"
 CLEAN = "clean (absolute)"
 DISJOINT = "disjoint halves of the takes (P2)"
 FLAT = "flat: "
@@ -23,6 +25,29 @@ FLAT = "flat: "
 MIN_SPEARMAN = 0.95
 MAX_FLAT_RATIO = 1.5
 """A transform that changes nothing may raise the score to this multiple of the same-take floor."""
+
+
+MIN_GAME_RATIO = 0.8
+"""What hides damage may lower the score to this share of that of the damage alone, no further."""
+
+
+@dataclass(frozen=True)
+class Game:
+    """Scores of motion that was damaged, and of the same with what hides it; `cheats` by their names."""
+
+    parent: str
+    honest: Estimate
+    cheats: Mapping[str, Estimate]
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """Of every cheat: its score as a share of the honest one's."""
+        return {name: score.mean / self.honest.mean for name, score in self.cheats.items()}
+
+    @property
+    def passes(self) -> bool:
+        """Whether nothing is won by cheating."""
+        return min(self.ratios.values(), default=1.0) >= MIN_GAME_RATIO
 
 
 @dataclass(frozen=True)
@@ -80,12 +105,14 @@ class Calibration:
     disjoint_floor: Estimate
     graded: tuple[Graded, ...]
     flat: Mapping[str, Estimate]
+    games: tuple[Game, ...] = ()
 
     @property
     def passes(self) -> bool:
-        """Whether every family rises and every flat test stays near the floor."""
+        """Whether every family rises, every flat test stays near the floor, and no game is won."""
         steady = all(score.mean <= MAX_FLAT_RATIO * self.floor.mean for score in self.flat.values())
-        return steady and all(family.passes for family in self.graded)
+        rising = all(family.passes for family in self.graded)
+        return steady and rising and all(game.passes for game in self.games)
 
 
 def calibrate(
@@ -95,8 +122,8 @@ def calibrate(
 
     `shifted` is the real set made from native frames that start one later, where there is one. Corrupted sets have the
     same sequences as the clean one and share its draws, so levels differ by the corruption alone. `on_replication` is
-    called after each replication of the rows and of the disjoint halves. Raises `ClipError` where the takes are too few
-    or too short.
+    called after each replication of the rows, of the disjoint halves and of each kind of damage in the games. Raises
+    `ClipError` where the takes are too few or too short.
     """
     real, seed = comparison.real, comparison.protocol.seed
     # Levels are compared with the clean set of the same takes: other takes would move both.
@@ -127,6 +154,11 @@ def calibrate(
     ]
     flat = {name: scores[name].clip_fid for name in flat_names}
     disjoint_floor = plain.disjoint_halves(on_replication).drawing
+    played = []
+    for each in games(real, seed):
+        found = plain.scores({each.parent: each.honest, **each.cheats}, on_replication)
+        cheats = {name: score.drawing for name, score in found.items() if name != each.parent}
+        played.append(Game(each.parent, found[each.parent].drawing, cheats))
     return Calibration(
         fps=real.fps,
         features=comparison.features.name,
@@ -137,6 +169,7 @@ def calibrate(
         disjoint_floor=disjoint_floor,
         graded=tuple(graded),
         flat=flat,
+        games=tuple(played),
     )
 
 

@@ -1,7 +1,7 @@
 """Clips of a sample set: their random sizes and places, and what a feature set makes of them."""
 
 import typing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Float, Float64, Int64
 
 from eval.metrics.gaussian import Gaussian
 from eval.metrics.resampling import RESAMPLINGS
-from eval.sets.sets import SampleSet
+from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import MotionkitError
 
 REAL, OTHER = 0, 1
@@ -41,8 +41,20 @@ class FeatureSet(typing.Protocol):
 
 
 @typing.runtime_checkable
-class ScoresItself(FeatureSet, typing.Protocol):
-    """A feature set with a score of its own; without one, the score is the Fréchet distance of all its features."""
+class MotionFeatures(FeatureSet, typing.Protocol):
+    """A feature set that reads whole motions before clips are cut, and has a score of its own.
+
+    Its clips are of what `frames` gives. Without a score of its own, a feature set's is the Fréchet distance.
+    """
+
+    @property
+    def num_distance(self) -> int:
+        """How many features are compared by their distribution; those after them are for the score alone."""
+        ...
+
+    def frames(self, samples: SampleSet) -> Ragged:
+        """One row of numbers for every row of the samples' sequences."""
+        ...
 
     def score(self, real: Gaussian, other: Gaussian) -> float:
         """A number of the means and covariances of two sets' features: what is printed, and what a bootstrap draws."""
@@ -167,10 +179,25 @@ def place_clips(clips: ClipList, samples: SampleSet, among: Int64[np.ndarray, "c
     return ClipPlaces(sequence, samples.sequences.start_row[sequence] + start, clips.num_poses)
 
 
+def readable(samples: SampleSet, features: FeatureSet) -> SampleSet:
+    """The sample set with what the features read of every pose: positions, or rows of their own."""
+    if not isinstance(features, MotionFeatures) or samples.sequences.values.ndim != 3:  # or they are read already
+        return samples
+    return replace(samples, sequences=features.frames(samples), local_rotations=None)
+
+
+def num_features(features: FeatureSet, samples: SampleSet, num_poses: int) -> int:
+    """How many features of clips of so many poses are compared by their distribution."""
+    if isinstance(features, MotionFeatures):
+        return features.num_distance
+    described = features.describe(samples.sequences.clips(np.zeros(1, dtype=np.int64), num_poses), samples.fps)
+    return len(described[0])
+
+
 def describe_clips(
     samples: SampleSet, places: ClipPlaces, features: FeatureSet
 ) -> Float64[np.ndarray, "clips features"]:
-    """Features of placed clips, in the order of the places; clips are handed over in groups of one size."""
+    """Features of placed clips of what `readable` gives, in the order of the places, in groups of one size."""
     order = np.argsort(places.num_poses, kind="stable")
     sizes, starts = np.unique(places.num_poses[order], return_index=True)
     parts = [

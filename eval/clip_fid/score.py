@@ -1,4 +1,4 @@
-"""clip-FID as this project defines it: Fréchet distance between features of random native-rate clips.
+"""clip-FID as this project defines it: a distance between features of random native-rate clips.
 
 The NeRM paper (§4.2) compares random clips of m poses at framerate s around a centre v, real against generated, without
 resampling either; m, the number of clips, the extractor and the real set at a target rate are this project's choices,
@@ -22,11 +22,12 @@ from eval.clip_fid.clips import (
     REAL,
     ClipError,
     FeatureSet,
+    MotionFeatures,
     Protocol,
-    ScoresItself,
     describe_clips,
     draw_clips,
     place_clips,
+    readable,
 )
 from eval.metrics.checks import Estimate, estimate
 from eval.metrics.gaussian import (
@@ -53,7 +54,7 @@ from eval.metrics.resampling import (
 )
 from eval.sets.sets import SampleSet
 
-VERSION = "clip-fid/1"
+VERSION = "clip-fid/2"
 PART = "part "
 
 
@@ -104,6 +105,7 @@ def score_rows(
     for samples in rows.values():
         if samples.fps != real.fps:
             raise ValueError(f"{samples.name} is at {samples.fps} fps, the real set at {real.fps}")
+    real, rows = readable(real, features), {name: readable(samples, features) for name, samples in rows.items()}
 
     def replicate(replication: int) -> _Replication:
         reference = _features(real, features, protocol, replication, REAL)
@@ -117,7 +119,7 @@ def score_rows(
             among = _subset(samples, subsets[name], protocol, replication) if name in subsets else None
             other = _features(samples, features, protocol, replication, OTHER, among)
             pair = (reference.features, other.features)
-            scores[name] = _compare(*pair, score_of(features), protocol, replication, parts or {})
+            scores[name] = _compare(*pair, features, protocol, replication, parts or {})
             if among is None:
                 described.append(other)
         return _Replication(scores, described)
@@ -160,6 +162,7 @@ def score_disjoint_halves(
 
     The interval is 1.96 standard deviations of single splits.
     """
+    real = readable(real, features)
 
     def replicate(replication: int) -> Scores:
         halves = _split_takes(real, np.random.default_rng((protocol.seed, replication, 3)))
@@ -167,14 +170,14 @@ def score_disjoint_halves(
             _features(real, features, protocol, replication, side, half).features
             for side, half in zip((REAL, OTHER), halves, strict=True)
         )
-        return _compare(a, b, score_of(features), protocol, replication, parts or {})
+        return _compare(a, b, features, protocol, replication, parts or {})
 
     return _of_single_sets(_summarise(list(_run(replicate, protocol.replications, on_replication))))
 
 
 def score_of(features: FeatureSet) -> Callable[[Gaussian, Gaussian], float]:
     """What is printed of two sets on these features: their own score, or the Fréchet distance."""
-    return features.score if isinstance(features, ScoresItself) else frechet_distance
+    return features.score if isinstance(features, MotionFeatures) else frechet_distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +220,7 @@ class _Takes:
         """Every row's score in every resampling; empty where the real set or the row has a single take."""
         from threadpoolctl import threadpool_limits
 
-        score = features.score if isinstance(features, ScoresItself) else quick_frechet_distance
+        score = features.score if isinstance(features, MotionFeatures) else quick_frechet_distance
         real, *others = zip(self._sums, self._units, strict=True)
         several = [each.num_takes > 1 and self._sets[0].num_takes > 1 for each in self._sets[1:]]
         with threadpool_limits(1, "blas"):
@@ -276,12 +279,14 @@ def _subset(samples: SampleSet, size: int, protocol: Protocol, replication: int)
 def _compare(
     real: Float64[np.ndarray, "clips features"],
     other: Float64[np.ndarray, "clips features"],
-    score: Callable[[Gaussian, Gaussian], float],
+    features: FeatureSet,
     protocol: Protocol,
     replication: int,
     parts: Mapping[str, slice],
 ) -> Scores:
-    scores = {"clip_fid": score(fit_gaussian(real), fit_gaussian(other))}
+    scores = {"clip_fid": score_of(features)(fit_gaussian(real), fit_gaussian(other))}
+    if isinstance(features, MotionFeatures):
+        real, other = real[:, : features.num_distance], other[:, : features.num_distance]
     for name, part in parts.items():
         scores[PART + name] = frechet_distance(fit_gaussian(real[:, part]), fit_gaussian(other[:, part]))
     if replication < protocol.detailed_replications:

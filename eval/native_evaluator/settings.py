@@ -19,7 +19,8 @@ class NativeTrainingConfig:
     """What a step sees and how much each task counts.
 
     A step draws one framerate from `framerates` (those that the store reaches) and one m, a multiple of 4 in
-    `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are. Input statistics
+    `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are, and
+    `compound_fraction` of those that lost detail get noise too. Input statistics
     are those of `statistics_batches` batches; the embedding's scale is that of `whitening_batches` batches of clean
     clips at every framerate. `bank_seconds` bounds the motion that is
     held in memory per framerate, `where` chooses the store's sequences. `text_encoder` is "" (no text) or a name that
@@ -36,6 +37,7 @@ class NativeTrainingConfig:
     min_poses: int = 16
     max_poses: int = 64
     clean_fraction: float = 0.2
+    compound_fraction: float = 0.5
     strength_weight: float = 1.0
     text_weight: float = 0.2
     text_temperature: float = 0.1
@@ -52,6 +54,8 @@ class NativeTrainingConfig:
             raise ValueError("whitening_batches must be at least 1")
         if not 0 <= self.clean_fraction < 1:
             raise ValueError("clean_fraction must lie in [0, 1)")
+        if not 0 <= self.compound_fraction <= 1:
+            raise ValueError("compound_fraction must lie in [0, 1]")
 
 
 @dataclass(frozen=True)

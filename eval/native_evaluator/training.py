@@ -1,9 +1,9 @@
 """How the native-rate evaluator learns: from damage whose strength is known, and from captions.
 
 A step takes clips of one framerate and one length, spoils most of them with one family of `eval.sets.corruptions` at a
-random strength, and lets the embedding tell by linear heads how much of what was done. Clips left clean are matched
-with their captions (InfoNCE); pairs with the same caption are no negatives. Classifying the kind of damage saturates at
-its mildest level (measured), so its log strength is regressed.
+random strength, some with noise on top, and lets the embedding tell by linear heads how much of what was done. Clips
+left clean are matched with their captions (InfoNCE); pairs with the same caption are no negatives. Classifying the kind
+of damage saturates at its mildest level (measured), so its log strength is regressed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -92,11 +92,13 @@ def spoil(
     margin: int,
     num_clean: int,
     damage: Sequence[Family],
+    compound_fraction: float,
     rng: np.random.Generator,
 ) -> SpoiledClips:
     """Spoil all but the first `num_clean` clips, families in turn, strengths at random; then cut the margins off.
 
-    What is left is made ready for the network's input (`native_input.prepare`).
+    So many of the clips that lost detail get jitter on top: damage must be seen under noise too. What is left is made
+    ready for the network's input (`native_input.prepare`).
     """
     spoiled = clips.copy()
     targets = np.zeros((len(clips), len(TARGETS)))
@@ -105,6 +107,12 @@ def spoil(
         strength = family.draw(rng, fps, len(rows))
         spoiled[rows] = family.corrupt(clips[rows], fps, strength, rng)
         targets[rows, TARGET_OF_FAMILY[family.name]] = family.severity(strength, fps)
+    noise = next(family for family in damage if family.name == "jitter")
+    lost_detail = np.flatnonzero(targets[:, [TARGETS.index("upsampling"), TARGETS.index("low-pass")]].any(axis=1))
+    rows = rng.choice(lost_detail, size=round(compound_fraction * len(lost_detail)), replace=False)
+    strength = noise.draw(rng, fps, len(rows))
+    spoiled[rows] = noise.corrupt(spoiled[rows], fps, strength, rng)
+    targets[rows, TARGETS.index("jitter")] = noise.severity(strength, fps)
     cut = spoiled[:, margin : spoiled.shape[1] - margin]
     return SpoiledClips(prepare(cut, fps), targets.astype(np.float32), num_clean)
 
@@ -196,7 +204,8 @@ class NativeTraining:
         margin = int(np.ceil(MARGIN_SECONDS * fps))
         drawn = bank.draw(rng, training.batch_size, num_poses, margin)
         num_clean = round(training.clean_fraction * training.batch_size)
-        return spoil(drawn.positions, fps, margin, num_clean, self.damage, rng), drawn, fps
+        spoiled = spoil(drawn.positions, fps, margin, num_clean, self.damage, training.compound_fraction, rng)
+        return spoiled, drawn, fps
 
     def _draw_length(self, bank: ClipBank, rng: np.random.Generator) -> int:
         """Poses of a batch's clips: a multiple of 4 that some sequence of the bank holds."""

@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from fractions import Fraction
+from typing import Any
 
 from eval.clip_fid.calibration import (
     CLEAN,
     DISJOINT,
     FLAT,
     MAX_FLAT_RATIO,
+    MIN_GAME_RATIO,
     MIN_SPEARMAN,
     TASK,
     VERSION,
@@ -27,6 +29,7 @@ from motionkit.core.progress import task
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
 FIGURE = f"{TASK}.png"
+HONEST = ", plain (absolute)"
 
 
 def build_calibration(request: TableRequest) -> Result:
@@ -49,8 +52,8 @@ def build_calibration(request: TableRequest) -> Result:
             "Scores of damaged real motion against clean real motion of the same takes, in multiples of what clean "
             f"motion scores (first row, absolute): N = {request.clip_fid.protocol.num_clips:,} clips, "
             f"{request.real.named}, features fitted on the training split. A feature set may be quoted where every "
-            f"family's Spearman correlation is at least {MIN_SPEARMAN} and no harmless transform exceeds "
-            f"{MAX_FLAT_RATIO:g} times the floor."
+            f"family's Spearman correlation is at least {MIN_SPEARMAN}, no harmless transform exceeds "
+            f"{MAX_FLAT_RATIO:g} times the floor, and no game scores below {MIN_GAME_RATIO:g} times what it hides."
         ),
         blocks=tuple(blocks),
         definition={
@@ -58,6 +61,7 @@ def build_calibration(request: TableRequest) -> Result:
             "where": request.real.where,
             "min_spearman": MIN_SPEARMAN,
             "max_flat_ratio": MAX_FLAT_RATIO,
+            "min_game_ratio": MIN_GAME_RATIO,
         },
         notes=_notes(calibrations),
         missing=(*sources.missing, *(line for each in found.values() for line in each.missing)),
@@ -71,7 +75,7 @@ def _calibrate(
 ) -> Found[dict[Fraction, Calibration]]:
     def calibration(fps: Fraction) -> Calibration:
         replications = source.protocol(request.clip_fid.protocol).replications
-        with task(request.on_progress, f"{source.name}, {fps} fps", 2 * replications) as work:
+        with task(request.on_progress, f"{source.name}, {fps} fps", 5 * replications) as work:
             comparison = source.comparison(held_out.at(fps), train.at(fps), request.clip_fid.protocol)
             return calibrate(comparison, held_out.at(fps, first_frame=1), work.advance)
 
@@ -119,7 +123,26 @@ def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Cal
             lower_is_better=False,
             provenance=provenance | {"shows": "spearman"},
         ),
+        _games_block(source, by_column, provenance),
     ]
+
+
+def _games_block(source: FeatureSource, by_column: list[tuple[str, Calibration]], provenance: dict[str, Any]) -> Block:
+    """Scores of damaged motion, and of what hides the damage as a share of them."""
+    rows: dict[str, dict[str, Cell]] = {}
+    for column, each in by_column:
+        for game in each.games:
+            rows.setdefault(game.parent + HONEST, {})[column] = Cell(game.honest.mean, game.honest.ci95)
+            for name, ratio in game.ratios.items():
+                rows.setdefault(name, {})[column] = Cell(ratio)
+    return Block(
+        f"{source.name}: games, as shares of what they hide",
+        tuple(column for column, _ in by_column),
+        tuple(Row(name, "reference", cells) for name, cells in rows.items()),
+        lower_is_better=False,
+        note=f"Rows{HONEST} are scores; the others are shares of them: below {MIN_GAME_RATIO:g} a game is won.",
+        provenance=provenance | {"shows": "games"},
+    )
 
 
 def _visible(family: str, by_column: list[tuple[str, Calibration]]) -> str:

@@ -27,7 +27,7 @@ def evaluator(run: str) -> None:
 
 def kinematic(folder: str) -> None:
     """The features of fitted kinematic descriptors, which are fitted where there are none."""
-    from eval.clip_fid.kinematic import fit_kinematic, load_kinematic
+    from eval.clip_fid.kinematic1 import fit_kinematic, load_kinematic
 
     path = Path(folder) / "kinematic.npz"
     clips = np.random.default_rng(3).normal(size=(40, 8, 22, 3))

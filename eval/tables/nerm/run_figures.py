@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eval.clip_fid.clips import REAL, describe_clips, draw_clips, place_clips
+from eval.clip_fid.clips import REAL, describe_clips, draw_clips, place_clips, readable
 from eval.clip_fid.features import Comparison, kinematic_source
+from eval.clip_fid.kinematic import NUM_TIMING
 from eval.clip_fid.kinematic import VERSION as KINEMATIC_VERSION
 from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
 from eval.metrics.actions import diversity
@@ -207,12 +208,12 @@ class Yardstick:
 
 def _diversity(samples: SampleSet, comparison: Comparison) -> Cell:
     """Diversity of random clips in the features' space, over the protocol's replications."""
-    protocol = comparison.protocol
-    values = []
+    protocol, features = comparison.protocol, comparison.features
+    samples, values = readable(samples, features), []
     for replication in range(protocol.replications):
         places = place_clips(draw_clips(protocol, samples.fps, replication, REAL), samples)
         rng = np.random.default_rng((protocol.seed, replication, 5))
-        values.append(diversity(describe_clips(samples, places, comparison.features), rng))
+        values.append(diversity(describe_clips(samples, places, features)[:, :-NUM_TIMING], rng))
     found = estimate(values)
     return Cell(found.mean, found.ci95)
 

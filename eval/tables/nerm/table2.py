@@ -6,10 +6,9 @@ from fractions import Fraction
 from itertools import chain
 from typing import Any
 
-import numpy as np
-
+from eval.clip_fid import kinematic, kinematic1
+from eval.clip_fid.clips import num_features
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
-from eval.clip_fid.kinematic import KinematicDescriptor
 from eval.clip_fid.score import CLIP_FID, VERSION
 from eval.metrics.resampling import Difference
 from eval.report.results import Block, Cell, Result, Row, measure
@@ -190,7 +189,7 @@ def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Fou
     except MotionkitError as error:
         return Found({}, (f"{label}, {source.name}: {error}",))
     features = comparison.features
-    if isinstance(features, KinematicDescriptor):
+    if isinstance(features, kinematic.KinematicDescriptor | kinematic1.KinematicDescriptor):
         folder = request.results / "features"
         require_no_link(folder, "delete the link, or name another folder with --results")
         features.save(folder / f"kinematic-{features.fingerprint}.npz")
@@ -250,23 +249,21 @@ def _counted(cells: Mapping[str, Cell]) -> str:
 def _too_few(column: Column, comparison: Comparison) -> list[str]:
     """What must be said where there are no more samples than features: covariances are then singular."""
     protocol = comparison.protocol
-    smallest = int(protocol.sizes.sizes(column.fps).min())
-    poses = column.real.sequences.clips(np.zeros(1, dtype=np.int64), smallest)
-    num_features = comparison.features.describe(poses, column.fps).shape[1]
+    size = num_features(comparison.features, column.real, int(protocol.sizes.sizes(column.fps).min()))
     advice = "quote KID, precision and recall (in the JSON's details), and give more"
     found = []
-    if protocol.num_clips <= num_features:
+    if protocol.num_clips <= size:
         found.append(
-            f"With {protocol.num_clips} clips for {num_features} features every covariance is singular: clip-FID is "
+            f"With {protocol.num_clips} clips for {size} features every covariance is singular: clip-FID is "
             f"still the distance of the two fitted Gaussians, and says little about the motions; {advice} clips."
         )
     counts = {name: column.rows[name].num_sequences for name in (*column.models, *column.samples)}
     counts = {"the real set": column.real.num_sequences, **counts}
-    few = {name: count for name, count in counts.items() if count <= num_features}
+    few = {name: count for name, count in counts.items() if count <= size}
     if few:
         named = ", ".join(f"{name} ({count})" for name, count in few.items())
         found.append(
-            f"At {column.label} these have no more motions than there are features ({num_features}): {named}. Their "
+            f"At {column.label} these have no more motions than there are features ({size}): {named}. Their "
             f"clips are parts of the same few motions, and clip-FID says how those differ; {advice} motions."
         )
     return found

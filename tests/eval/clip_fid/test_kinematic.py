@@ -1,4 +1,4 @@
-"""The kinematic descriptor: invariances, known answers of every block, independence of batches."""
+"""The kinematic descriptor: its blocks, its timing, and that a score does not fall by noise that follows nothing."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -6,127 +6,143 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.clip_fid import kinematic
-from eval.clip_fid.kinematic import BLOCKS, KinematicDescriptor, fit_kinematic, load_kinematic
-from eval.sets.corruptions import turn
+from eval.clip_fid import features, kinematic
+from eval.clip_fid.clips import REAL, Protocol, describe_clips, draw_clips, num_features, place_clips, readable
+from eval.clip_fid.features import fit_on, fit_version_1_on
+from eval.clip_fid.kinematic import WEIGHTS, KinematicDescriptor, fit_kinematic, load_kinematic
+from eval.metrics.gaussian import Gaussian, fit_gaussian
+from eval.sets.sets import SampleSet, sample_set
+from motionkit.core.errors import DamagedFileError
+from motionkit.core.skeleton import SMPL22
 
-FPS = Fraction(60)
+FPS = Fraction(120)
+PROTOCOL = Protocol(num_clips=600)
 
 
-def walks(num_clips: int, num_poses: int, fps: Fraction = FPS, seed: int = 0) -> np.ndarray:
-    """Smooth bodies whose joints swing about a rigid pose while the whole drifts; exact at any framerate."""
-    rng = np.random.default_rng(seed)
-    rest = np.random.default_rng(99).normal(size=(22, 3)) * [0.3, 0.5, 0.3]
-    rest[[2, 17], 0], rest[[1, 16], 0] = -0.2, 0.2
-    phase, rate = rng.uniform(0, 6, (num_clips, 1, 22, 3)), rng.uniform(3, 9, (num_clips, 1, 22, 3))
-    size = 0.1 * np.exp(rng.normal(0.0, 0.7, (num_clips, 1, 22, 1)) + rng.normal(0.0, 0.7, (num_clips, 1, 1, 1)))
-    seconds = np.arange(num_poses)[None, :, None, None] / float(fps)
-    velocity = rng.normal(size=(num_clips, 1, 1, 3)) * [1, 0, 1]
-    return (rest + size * np.sin(rate * seconds + phase) + velocity * seconds).astype(np.float32)
+def stamping(num_takes: int = 12, seed: int = 0) -> SampleSet:
+    """Takes of a body that stamps: above 12 Hz it shakes after each stamp and hardly between, with noise throughout."""
+    rng, rest = np.random.default_rng(seed), np.zeros((22, 3))
+    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
+        rest[joint] = rest[parent] + SMPL22.offsets[joint]
+    takes, seconds = [], np.arange(480) / 120.0
+    for _ in range(num_takes):
+        beat = rng.uniform(1.0, 1.6)
+        phase = 2 * np.pi * (beat * seconds + rng.uniform())
+        sway = np.stack([0.2 * np.sin(phase), 0.1 * np.abs(np.sin(phase)), 0.05 * np.cos(phase)], axis=-1)
+        shake = np.exp(4 * (np.cos(2 * phase) - 1)) * np.sin(
+            2 * np.pi * rng.uniform(16, 50) * seconds + rng.uniform(0, 6)
+        )
+        take = rest + rng.uniform(0.5, 1.5, (22, 1)) * sway[:, None] + 0.003 * shake[:, None, None]
+        takes.append((take + 0.0001 * rng.standard_normal(take.shape)).astype(np.float32))
+    return sample_set("stamping", FPS, takes, [str(index) for index in range(num_takes)])
 
 
 @pytest.fixture(scope="module")
-def descriptor() -> KinematicDescriptor:
-    return fit_kinematic([walks(200, m, seed=m) for m in (16, 32, 64)], FPS)
+def real() -> SampleSet:
+    return stamping()
 
 
-def test_blocks_have_equal_variance_and_mean_zero_on_the_clips_of_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kinematic, "LEAST_LOG_SPREAD", 1e-6)
-    monkeypatch.setattr(kinematic, "LEAST_POSE_SPREAD", 1e-6)
-    groups = [walks(200, m, seed=m) for m in (16, 32, 64)]
-    fitted = fit_kinematic(groups, FPS)
-    rows = np.concatenate([fitted.describe(clips, FPS) for clips in groups])
-    np.testing.assert_allclose(rows.mean(axis=0), 0.0, atol=1e-10)
-    for block in BLOCKS.values():
-        assert rows[:, block].var(axis=0).sum() == pytest.approx(1.0)
-    assert rows.shape[1] == sum(block.stop - block.start for block in BLOCKS.values()) == kinematic.NUM_FEATURES
+@pytest.fixture(scope="module")
+def descriptor(real: SampleSet) -> KinematicDescriptor:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(features, "FIT_CLIPS", 1024)
+        return fit_on(real)
 
 
-def test_a_clip_has_the_same_features_in_any_batch(descriptor: KinematicDescriptor) -> None:
-    clips = walks(600, 24, seed=5)
-    whole = descriptor.describe(clips, FPS)
-    np.testing.assert_allclose(descriptor.describe(clips[417:419], FPS), whole[417:419], rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(descriptor.describe(clips[::-1], FPS), whole[::-1], rtol=1e-10, atol=1e-12)
+def described(samples: SampleSet, descriptor: KinematicDescriptor, replication: int = 0) -> np.ndarray:
+    places = place_clips(draw_clips(PROTOCOL, FPS, replication, REAL), samples)
+    return describe_clips(readable(samples, descriptor), places, descriptor)
 
 
-def test_turning_and_moving_the_body_changes_nothing(descriptor: KinematicDescriptor) -> None:
-    clips = walks(50, 32, seed=6).astype(np.float64)
-    moved = turn(clips, np.linspace(0, 6, 50)) + np.array([3.0, 0.0, -2.0])
-    np.testing.assert_allclose(descriptor.describe(moved, FPS), descriptor.describe(clips, FPS), atol=1e-9)
+def gaussian(samples: SampleSet, descriptor: KinematicDescriptor) -> Gaussian:
+    return fit_gaussian(described(samples, descriptor))
 
 
-def test_quantities_are_per_second() -> None:
-    """One motion's poses, speed, acceleration and slip agree at 60 and 240 fps (slip's minima depend on luck)."""
-    short, long = walks(20, 61, Fraction(60), seed=7), walks(20, 241, Fraction(240), seed=7)
-    mean, components = np.zeros(63), np.eye(10, 63)
-    a = kinematic._raw_features(short, Fraction(60), mean, components)
-    b = kinematic._raw_features(long, Fraction(240), mean, components)
-    for block in (BLOCKS["pose"], BLOCKS["speed"], BLOCKS["level"], slice(61, 64)):
-        np.testing.assert_allclose(a[:, block], b[:, block], atol=0.05)
+def test_blocks_have_the_variance_of_their_weights_on_training_clips(
+    real: SampleSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("LEAST_LOG_SPREAD", "LEAST_POSE_SPREAD"):
+        monkeypatch.setattr(kinematic, name, 1e-9)
+    monkeypatch.setattr(features, "FIT_CLIPS", 512)
+    fitted = fit_on(real)
+    order = np.random.default_rng((0, features.FIT_REPLICATION)).permutation(real.num_sequences)
+    some = real.select(order)
+    places = place_clips(draw_clips(Protocol(num_clips=512), FPS, features.FIT_REPLICATION, REAL), some)
+    rows = describe_clips(readable(some, fitted), places, fitted)
+    assert rows.shape[1] == fitted.num_distance + 4 == num_features(fitted, real, 16) + 4
+    for name, block in fitted.blocks.items():
+        assert rows[:, block].var(axis=0).sum() == pytest.approx(WEIGHTS[name]), name
+        np.testing.assert_allclose(rows[:, block].mean(axis=0), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("relative_frequency", "band"), [(0.1, 0), (0.25, 1), (0.42, 2), (0.6, 3), (0.9, 4)])
-def test_an_oscillation_falls_into_its_band(relative_frequency: float, band: int) -> None:
-    """A joint swinging at f has acceleration (2πf)²·a; its mean square must appear in f's band and nowhere else."""
-    clips = np.zeros((1, 66, 22, 3))
-    frequency = relative_frequency * float(FPS) / 2
-    clips[0, :, 0, 1] = 0.01 * np.sin(2 * np.pi * frequency * np.arange(66) / float(FPS))
-    raw = kinematic._raw_features(clips, FPS, np.zeros(63), np.eye(10, 63))
-    root_bands = np.exp(raw[0, BLOCKS["acceleration"]].reshape(5, 5)[:, 0])
-    step = 2 * np.sin(np.pi * frequency / float(FPS)) * float(FPS)
-    assert np.argmax(root_bands) == band
-    assert root_bands[band] == pytest.approx(0.01 * step**2 / np.sqrt(2), rel=0.05)
-    assert np.delete(root_bands, band).max() < 0.3 * root_bands[band]
+def test_a_clip_has_the_same_features_in_any_set(real: SampleSet, descriptor: KinematicDescriptor) -> None:
+    whole, one = descriptor.frames(real), descriptor.frames(real.select([7]))
+    np.testing.assert_allclose(one[0], whole[7], rtol=1e-6, atol=1e-7)
+    clips = whole.clips(np.arange(40), 24)
+    np.testing.assert_allclose(descriptor.describe(clips[9:11], FPS), descriptor.describe(clips, FPS)[9:11], atol=1e-12)
 
 
-def test_the_level_of_a_motion_that_is_bent_at_a_few_poses_is_that_between_them() -> None:
-    """Straight lines between every eighth pose: a quarter of the frames has a kink, three quarters have none."""
-    knots = np.random.default_rng(3).normal(size=(9, 22, 3))
-    time = np.arange(65) / 8
-    bent = np.stack([np.interp(time, np.arange(9), column) for column in knots.reshape(9, -1).T], axis=1)
-    clips = np.stack((bent.reshape(65, 22, 3), np.random.default_rng(4).normal(size=(65, 22, 3))))
-    raw = kinematic._raw_features(clips, FPS, np.zeros(63), np.eye(10, 63))[:, BLOCKS["level"]]
-    np.testing.assert_allclose(raw[0, :5], np.log(kinematic.ACCELERATION_FLOOR), atol=1e-6)
-    assert raw[1].min() > 8.0
+def test_real_motion_follows_itself_and_what_is_smooth_or_noisy_does_not(
+    real: SampleSet, descriptor: KinematicDescriptor
+) -> None:
+    from eval.sets.corruptions import low_pass
+
+    rng = np.random.default_rng(3)
+    slow = real.with_positions("slow", FPS, [low_pass(take[None], 120.0, 8.0)[0] for take in real.sequences])
+    noisy = slow.with_positions(
+        "noisy", FPS, [(take + 0.001 * rng.standard_normal(take.shape)).astype(np.float32) for take in slow.sequences]
+    )
+    following = {each.name: descriptor.following(gaussian(each, descriptor)) for each in (real, slow, noisy)}
+    assert following["stamping"][0] == pytest.approx(1.0, abs=0.1)
+    assert abs(following["slow"][0]) < 0.1
+    assert abs(following["noisy"][0]) < 0.15
+    reference = gaussian(real, descriptor)
+    honest, cheat = (descriptor.score(reference, gaussian(each, descriptor)) for each in (slow, noisy))
+    assert cheat > 0.8 * honest > 0.05
 
 
-def test_slip_is_the_drift_of_the_steadier_foot() -> None:
-    """Both feet planted, body drifting at 5 cm/s; one foot swinging besides leaves the steadiest as it is."""
-    seconds = np.arange(40) / float(FPS)
-    clips = np.zeros((2, 40, 22, 3))
-    clips[:, :, :, 0] = 0.05 * seconds[None, :, None]
-    clips[1, :, [7, 10], 0] += np.sin(9 * seconds)
-    raw = kinematic._raw_features(clips, FPS, np.zeros(63), np.eye(10, 63))[:, BLOCKS["slip"]]
-    expected = np.log(0.05 + kinematic.SLIP_FLOOR)
-    np.testing.assert_allclose(raw[0], expected, atol=1e-9)
-    np.testing.assert_allclose(raw[1, 2:4], expected, atol=1e-9)
-    assert raw[1, 4] > -1.0
+def test_a_score_is_zero_for_itself_and_grows_one_way(real: SampleSet, descriptor: KinematicDescriptor) -> None:
+    """Fast motion that follows more closely than in real motion is not counted, less closely is."""
+    rows = described(real, descriptor)
+    reference = fit_gaussian(rows)
+    assert descriptor.score(reference, reference) == pytest.approx(0.0, abs=1e-9)
+    first = descriptor.num_distance
+    less, more = rows.copy(), rows.copy()
+    less[:, first] *= 0.5
+    more[:, first] *= 2.0
+    slope = descriptor.following(reference)[0]
+    assert descriptor.score(reference, fit_gaussian(less)) == pytest.approx(0.1 * (slope / 2) ** 2, rel=1e-6)
+    assert descriptor.score(reference, fit_gaussian(more)) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_numbers_that_hardly_vary_are_not_blown_up() -> None:
-    """Clips that stand still: any number of theirs is constant, and a moving clip stays at a finite distance."""
-    still = np.repeat(walks(50, 1), 32, axis=1)
-    fitted = fit_kinematic([still], FPS)
-    assert fitted.scale.max() <= 1 / kinematic.LEAST_POSE_SPREAD / np.sqrt(20)
-    assert np.abs(fitted.describe(walks(50, 32), FPS)).max() < 100
-
-
-def test_the_fit_travels_through_a_file(descriptor: KinematicDescriptor, tmp_path: Path) -> None:
-    descriptor.save(tmp_path / "fit.npz")
-    again = load_kinematic(tmp_path / "fit.npz")
+def test_it_is_saved_without_pickle_and_read_back(descriptor: KinematicDescriptor, tmp_path: Path) -> None:
+    path = tmp_path / "fit.npz"
+    descriptor.save(path)
+    again = load_kinematic(path)
     assert again.fingerprint == descriptor.fingerprint
-    clips = walks(5, 20)
-    np.testing.assert_array_equal(again.describe(clips, FPS), descriptor.describe(clips, FPS))
-    other = fit_kinematic([walks(200, 16, seed=1)], FPS)
-    assert other.fingerprint != descriptor.fingerprint
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(DamagedFileError):
+        load_kinematic(path)
 
 
-def test_refusals(descriptor: KinematicDescriptor) -> None:
-    with pytest.raises(ValueError, match="fitted at 60 fps"):
-        descriptor.describe(walks(2, 20), Fraction(120))
-    with pytest.raises(ValueError, match="21 joints"):
-        descriptor.describe(walks(2, 20)[:, :, :21], FPS)
-    with pytest.raises(ValueError, match="7 poses"):
-        descriptor.describe(walks(2, 7), FPS)
-    with pytest.raises(ValueError, match="two clips"):
-        fit_kinematic([walks(1, 20)], FPS)
+def test_a_file_of_the_first_version_is_refused(real: SampleSet, tmp_path: Path) -> None:
+    fit_version_1_on(real).save(tmp_path / "old.npz")
+    with pytest.raises(ValueError, match="kinematic/1"):
+        load_kinematic(tmp_path / "old.npz")
+
+
+def test_other_framerates_and_no_motion_are_refused(real: SampleSet, descriptor: KinematicDescriptor) -> None:
+    with pytest.raises(ValueError, match="fitted at 120"):
+        descriptor.frames(real.with_positions("60", Fraction(60), list(real.sequences)))
+    with pytest.raises(ValueError, match="at least one motion"):
+        fit_kinematic([], FPS)
+
+
+def test_twenty_frames_a_second_have_no_timing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(features, "FIT_CLIPS", 256)
+    slow = sample_set("slow", Fraction(20), [take[::6] for take in stamping().sequences], [str(i) for i in range(12)])
+    fitted = fit_on(slow)
+    places = place_clips(draw_clips(Protocol(num_clips=200), Fraction(20), 0, REAL), slow)
+    reference = fit_gaussian(describe_clips(readable(slow, fitted), places, fitted))
+    assert np.isfinite(fitted.score(reference, reference))
+    assert fitted.following(reference) == pytest.approx([0.0, 0.0])

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.clip_fid import kinematic
+from eval.clip_fid import kinematic1
 
 GOLDEN = Path(__file__).with_name("kinematic_version_1.json")
 FPS = Fraction(60)
@@ -35,26 +35,26 @@ def figure(index: int, num_poses: int) -> np.ndarray:
 def numbers() -> dict[str, list[float]]:
     """Raw numbers of one clip of 32 poses on plain axes, and standardised ones after a fit on 24 clips."""
     clips = [np.stack([figure(index, size) for index in range(12)]) for size in (16, 40)]
-    raw = kinematic._raw_features(figure(3, 32)[None], FPS, np.zeros(63), np.eye(10, 63))[0]
-    fitted = kinematic.fit_kinematic(clips, FPS)
+    raw = kinematic1._raw_features(figure(3, 32)[None], FPS, np.zeros(63), np.eye(10, 63))[0]
+    fitted = kinematic1.fit_kinematic(clips, FPS)
     return {"raw": raw.tolist(), "standardised": fitted.describe(figure(20, 32)[None], FPS)[0].tolist()}
 
 
 def test_a_change_of_the_descriptor_needs_another_version() -> None:
     golden = json.loads(GOLDEN.read_text(encoding="utf-8"))
-    assert golden.pop("version") == kinematic.VERSION, "another version needs golden numbers of its own"
+    assert golden.pop("version") == kinematic1.VERSION, "another version needs golden numbers of its own"
     found = numbers()
     assert found.keys() == golden.keys()
     for name, expected in golden.items():
-        assert len(expected) == kinematic.NUM_FEATURES
-        assert found[name] == pytest.approx(expected, rel=1e-9, abs=1e-9), f"{name}: raise kinematic.VERSION"
+        assert len(expected) == kinematic1.NUM_FEATURES
+        assert found[name] == pytest.approx(expected, rel=1e-9, abs=1e-9), f"{name}: raise kinematic1.VERSION"
 
 
 def test_every_number_depends_on_the_clip() -> None:
     """None of the 65 sits on a floor where a changed formula would go unnoticed."""
-    both = [kinematic._raw_features(figure(k, 32)[None], FPS, np.zeros(63), np.eye(10, 63))[0] for k in (3, 4)]
+    both = [kinematic1._raw_features(figure(k, 32)[None], FPS, np.zeros(63), np.eye(10, 63))[0] for k in (3, 4)]
     assert (np.abs(both[1] - both[0]) > 1e-6).all()
 
 
 if __name__ == "__main__":
-    GOLDEN.write_text(json.dumps({"version": kinematic.VERSION} | numbers(), indent=1) + "\n", encoding="utf-8")
+    GOLDEN.write_text(json.dumps({"version": kinematic1.VERSION} | numbers(), indent=1) + "\n", encoding="utf-8")

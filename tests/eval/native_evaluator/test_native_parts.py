@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eval.native_evaluator.bank import Takes, build_bank, build_banks
-from eval.native_evaluator.network import NUM_CHANNELS, prepare, rich_input, standardised
+from eval.native_evaluator.network import NUM_CHANNELS, TARGETS, prepare, rich_input, standardised
 from eval.native_evaluator.training import collect_sentences, matching_loss, spoil
 from eval.sets.corruptions import families, jitter, slide, translate, turn
 from eval.sets.sets import Ragged
@@ -117,9 +117,13 @@ def test_drawn_clips_lie_in_their_sequences_and_margins_continue_them() -> None:
 
 def test_spoiled_clips_carry_the_strength_that_was_done_to_them() -> None:
     clips = np.stack([walking(60, 60.0, seed) for seed in range(22)]).astype(np.float64)
-    batch = spoil(clips, 60.0, 10, 7, families(), np.random.default_rng(0))
+    batch = spoil(clips, 60.0, 10, 7, families(), 0.5, np.random.default_rng(0))
     assert batch.positions.shape == (22, 40, 22, 3) and batch.positions.dtype == np.float32
-    assert np.all(batch.targets[:7] == 0) and np.all((batch.targets[7:] > 0).sum(axis=1) == 1)
+    damages = (batch.targets > 0).sum(axis=1)
+    assert np.all(batch.targets[:7] == 0) and np.all(damages[7:] >= 1)
+    # Of nine clips that lost detail, four have jitter on top.
+    assert np.count_nonzero(damages == 2) == 4
+    assert np.all(batch.targets[damages == 2, TARGETS.index("jitter")] > 0)
     assert np.array_equal(batch.positions[:7], prepare(clips[:7, 10:-10], 60.0))
     assert not np.allclose(np.diff(batch.positions[7:], axis=1), np.diff(clips[7:, 10:-10], axis=1), atol=1e-5)
 

@@ -1,0 +1,120 @@
+"""Who wins clip-FID without moving better? Both versions of the kinematic descriptor, on takes they have not seen.
+
+    python -m benchmarks.eval.games TRAINING_STORE STORE[:SPLIT] … [--fps 40 …] [--results docs/results] [--json]
+
+Descriptors are fitted on the training split of the first store. Takes of the others (of their test split where none is
+named, `all` for all) are upsampled or low-passed, and what that has cost is hidden by noise or by the fast part of
+another take: `games.json` holds the scores, and how both versions stand in the rest of their calibration.
+"""
+
+import argparse
+import json
+from dataclasses import asdict
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from eval.clip_fid import kinematic, kinematic1
+from eval.clip_fid.calibration import MAX_FLAT_RATIO, MIN_GAME_RATIO, Calibration, calibrate
+from eval.clip_fid.clips import Protocol
+from eval.clip_fid.features import kinematic1_source, kinematic_source
+from eval.clip_fid.score import CLIP_FID
+from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
+from eval.report.render import to_markdown
+from eval.report.results import Block, Cell, Result, Row, measure, provenance, write_result
+from eval.sets.real import real_motion
+from eval.tables.nerm.clip_fid_column import framerate_label
+from motionkit.store import Store
+
+RATES = (40, 60, 100, 120)
+REPLICATIONS = 4
+SOURCES = {kinematic1.VERSION: kinematic1_source, kinematic.VERSION: kinematic_source}
+
+
+def played(training: Path, store: Path, split: str, rates: list[Fraction]) -> dict[str, dict[str, Calibration]]:
+    """Calibrations by version, then by framerate."""
+    train, held_out = real_motion(Store.open(training), "train"), real_motion(Store.open(store), split)
+    protocol, found = Protocol(replications=REPLICATIONS), {}
+    for version, source in SOURCES.items():
+        found[version] = {
+            framerate_label(fps): calibrate(
+                source().comparison(held_out.at(fps), train.at(fps), protocol), held_out.at(fps, first_frame=1)
+            )
+            for fps in rates
+        }
+    return found
+
+
+def blocks(name: str, found: dict[str, dict[str, Calibration]]) -> list[Block]:
+    """Scores and shares of every game by version and framerate; then the floors and the rest of the calibration."""
+    columns = {(version, label): each for version, row in found.items() for label, each in row.items()}
+    games: dict[str, dict[str, Cell]] = {}
+    for (version, label), each in columns.items():
+        for game in each.games:
+            scores = {game.parent: game.honest, **game.cheats}
+            for row, score in scores.items():
+                share = {} if row == game.parent else {"share": score.mean / game.honest.mean}
+                games.setdefault(row, {})[f"{version}, {label}"] = Cell(score.mean, score.ci95, share)
+    rest = {f"{version}, {label}": summary(each) for (version, label), each in columns.items()}
+    names = list(dict.fromkeys(key for cells in rest.values() for key in cells))
+    size = next(iter(columns.values()))
+    return [
+        Block(
+            f"{name}: games",
+            tuple(rest),
+            tuple(Row(row, "reference", cells) for row, cells in games.items()),
+            note=f"{size.num_sequences} takes, {size.duration_seconds:.0f} s. A game is won where it scores below "
+            f"{MIN_GAME_RATIO:g} times the row that it begins with.",
+            metrics=(measure(CLIP_FID),),
+        ),
+        Block(
+            f"{name}: calibration",
+            tuple(rest),
+            tuple(Row(key, "reference", {column: Cell(cells[key]) for column, cells in rest.items()}) for key in names),
+            note=f"Harmless transforms may score {MAX_FLAT_RATIO:g} times P1; correlations are of severity and score.",
+        ),
+    ]
+
+
+def summary(of: Calibration) -> dict[str, float]:
+    """The figures of a calibration that its games do not show."""
+    worst = {name: ratio for game in of.games for name, ratio in game.ratios.items()}
+    return {
+        "independent draws (P1)": of.floor.mean,
+        "disjoint halves of the takes (P2)": of.disjoint_floor.mean,
+        "the worst game, share of what it hides": min(worst.values()),
+        "the worst harmless transform, multiple of P1": max(score.mean for score in of.flat.values()) / of.floor.mean,
+        **{f"{family.family}: Spearman": family.spearman for family in of.graded},
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("training", type=Path, help="a store with a training split, captured fast enough")
+    parser.add_argument("stores", nargs="+", help="STORE or STORE:SPLIT")
+    parser.add_argument("--fps", type=Fraction, nargs="+", default=[Fraction(rate) for rate in RATES])
+    parser.add_argument("--results", type=Path, help="where games.json goes; by default it is not written")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    made: list[Block] = []
+    tested: dict[str, Any] = {}
+    for asked in options.stores:
+        path, _, split = asked.partition(":")
+        name = f"{Path(path).name}, {split or 'test'}"
+        made += blocks(name, played(options.training, Path(path), split or "test", options.fps))
+        tested[name] = provenance(Path(path))["store"]["fingerprint"]
+    result = Result(
+        task="games",
+        version=CLIP_FID_VERSION,
+        title="Games that clip-FID was played at",
+        caption=f"N = {Protocol().num_clips:,} clips, {REPLICATIONS} replications; descriptors of other takes.",
+        blocks=tuple(made),
+        provenance={**provenance(options.training), "tested": tested},
+    )
+    if options.results is not None:
+        write_result(result, options.results)
+    print(json.dumps(asdict(result)) if options.json else to_markdown(result))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""Games: sets of the same takes, of the strength that their names say, from one seed."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from eval.sets.games import NOISES, games
+from eval.sets.sets import SampleSet, sample_set
+
+FPS = Fraction(60)
+
+
+@pytest.fixture(scope="module")
+def real() -> SampleSet:
+    rng = np.random.default_rng(0)
+    takes = [np.cumsum(0.01 * rng.normal(size=(length, 22, 3)), axis=0).astype(np.float32) for length in (120, 90, 200)]
+    return sample_set("real", FPS, takes, ["a", "b", "c"])
+
+
+def test_every_kind_of_damage_is_played_with_every_noise(real: SampleSet) -> None:
+    made = list(games(real))
+    assert [each.parent for each in made] == ["upsampled from 20 fps", "low-passed at 8 Hz", "low-passed at 10 Hz"]
+    assert [len(each.cheats) for each in made] == [13, 13, 1]
+    for each in made:
+        assert all(cheat.sequence_ids == real.sequence_ids for cheat in each.cheats.values())
+        assert all(cheat.sequences.num_frames.tolist() == [120, 90, 200] for cheat in each.cheats.values())
+    assert [each.parent for each in games(real.with_positions("slow", Fraction(20), list(real.sequences)))] == [
+        "low-passed at 8 Hz",
+        "low-passed at 10 Hz",
+    ]
+
+
+def test_noise_is_as_strong_as_its_name_says(real: SampleSet) -> None:
+    upsampled = next(games(real))
+    for name in ("white noise", "pink noise"):
+        cheat = upsampled.cheats[f"upsampled from 20 fps + {name}, 0.3 mm"]
+        added = cheat.sequences.values.astype(float) - upsampled.honest.sequences.values
+        assert added.std() == pytest.approx(0.0003, rel=0.05)
+
+
+def test_pink_noise_is_slow_and_fast_joints_are_half_of_them(real: SampleSet) -> None:
+    rng, take = np.random.default_rng(1), real.sequences[2]
+    white, pink, fast, gated = (noise(take, real, rng) for noise in NOISES.values())
+    assert np.diff(pink, axis=0).std() < 0.8 * np.diff(white, axis=0).std()
+    assert np.count_nonzero(fast.any(axis=(0, 2))) == 11
+    speed = np.linalg.norm(np.gradient(take.astype(float), axis=0), axis=-1) * 60
+    np.testing.assert_array_equal(gated.any(axis=-1), speed >= 0.5)
+
+
+def test_a_borrowed_fast_part_is_another_take_s(real: SampleSet) -> None:
+    low = next(each for each in games(real) if each.parent == "low-passed at 10 Hz")
+    cheat = low.cheats["low-passed at 10 Hz + fast part of another take"]
+    for index, take in enumerate(cheat.sequences):
+        added = take.astype(float) - low.honest.sequences[index]
+        own = real.sequences[index].astype(float) - low.honest.sequences[index]
+        assert abs(np.corrcoef(added.ravel(), own.ravel())[0, 1]) < 0.2
+        assert added.std() == pytest.approx(own.std(), rel=0.3)
+
+
+def test_one_seed_gives_one_game(real: SampleSet) -> None:
+    first, second = (next(games(real, seed=4)) for _ in range(2))
+    for name, cheat in first.cheats.items():
+        np.testing.assert_array_equal(cheat.sequences.values, second.cheats[name].sequences.values)
