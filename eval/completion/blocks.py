@@ -1,5 +1,6 @@
 """Blocks of the completion tables: rows by the form of their answer, on every data set and on all of them together."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -7,6 +8,8 @@ from fractions import Fraction
 from eval.completion.encoders import Completer
 from eval.completion.scores import Scores, pooled
 from eval.metrics.metric import find_metric
+from eval.metrics.resampling import Difference, half_width, paired_difference
+from eval.report.differences import Differences, differences_block, pairs_of
 from eval.report.results import Block, Cell, Measure, Row, measure
 
 # Metrics that are shown in another unit than their own: how many of it make one of theirs, and its name.
@@ -49,7 +52,7 @@ def with_pools(scopes: Sequence[Scope], noun: str) -> list[Scope]:
 
 
 def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: Shown) -> list[Block]:
-    """Blocks of every scope; what the rows are is said in the first block of each form.
+    """Blocks of every scope, and which of their rows differ; what the rows are is said in the first block of each form.
 
     Trained rows whose answer is a pose as it is (form `plain`) stand in blocks of their own. Rows that need no training
     are in both.
@@ -73,6 +76,9 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
                         metrics=(shown_measure(metric),),
                     )
                 )
+                found = _differences(scope, of_form, metric, shown)
+                told = differences_block(blocks[-1].title, shown.columns, found, blocks[-1].metrics)
+                blocks += [] if told is None else [told]
             noted.add(form)
     return blocks
 
@@ -87,14 +93,40 @@ def _by_form(completers: Sequence[Completer]) -> dict[str, list[Completer]]:
 
 def _cells(scores: Scores, metric: str, shown: Shown) -> dict[str, Cell]:
     further = shown.details.get(metric, {})
-    return {
-        column: Cell(
-            value(scores, metric, column),
-            None,
-            {title: value(scores, name, column) for name, title in further.items()},
-        )
-        for column in shown.columns
-    }
+    factor, _ = UNITS.get(metric, (1.0, ""))
+    cells = {}
+    for column in shown.columns:
+        width = half_width(scores[metric][column].resampled)
+        details = {title: value(scores, name, column) for name, title in further.items()}
+        cells[column] = Cell(value(scores, metric, column), None if width is None else factor * width, details)
+    return cells
+
+
+def _differences(scope: Scope, completers: Sequence[Completer], metric: str, shown: Shown) -> Differences:
+    """Of trained rows with one another, and with the untrained row that is best in most columns."""
+    trained = [each.name for each in completers if each.trained]
+    untrained = [each.name for each in completers if not each.trained]
+    best = [_best_of(untrained, scope, metric, shown.columns)] if untrained else []
+    factor, _ = UNITS.get(metric, (1.0, ""))
+    found: dict[tuple[str, str], dict[str, Difference]] = {}
+    for pair in pairs_of(trained, best):
+        for column in shown.columns:
+            a, b = (scope.rows[name][metric][column] for name in pair)
+            less = paired_difference(a.mean, a.resampled, b.mean, b.resampled)
+            if less is not None:
+                scaled = Difference(factor * less.value, factor * less.ci95)
+                found.setdefault(pair, {})[column] = scaled
+    return found
+
+
+def _best_of(names: Sequence[str], scope: Scope, metric: str, columns: Sequence[str]) -> str:
+    """The row that is best in most columns."""
+    sign = -1.0 if find_metric(metric).higher_is_better else 1.0
+    places = [
+        min((sign * value(scope.rows[name], metric, column), place) for place, name in enumerate(names))[1]
+        for column in columns
+    ]
+    return names[Counter(places).most_common(1)[0][0]]
 
 
 def value(scores: Scores, metric: str, column: str) -> float:

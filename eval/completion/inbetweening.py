@@ -7,9 +7,8 @@ from jaxtyping import Float32
 
 from eval.completion.encoders import Completer
 from eval.completion.protocol import Question
-from eval.completion.scores import Scores, scores_of
+from eval.completion.scores import Scores, TakeStreams, scores_of
 from eval.completion.windows import FPS, PoseWindows, global_poses
-from eval.metrics.metric import MeanStream, find_metric
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.fields.completion import query_many
 from motionkit.fields.motion_field import Observation, Poses
@@ -29,7 +28,7 @@ def measure_windows(
     Only local rotations and the root's position are taken from its answer: bones are the windows' skeleton's, as for
     the truth. Raises `MotionkitError` or `ValueError` where the encoder cannot answer, or knows positions only.
     """
-    streams = {question.label: {name: MeanStream(find_metric(name)) for name in METRICS} for question in questions}
+    streams = {question.label: TakeStreams(METRICS) for question in questions}
     times = np.arange(windows.root_translation.shape[1], dtype=np.float64) / float(FPS)
     for first in range(0, windows.num_windows, WINDOWS_AT_ONCE):
         part = slice(first, first + WINDOWS_AT_ONCE)
@@ -49,14 +48,13 @@ def measure_windows(
             made_root, made_local = _taken(made, local, question)
             predicted, turned = global_poses(made_root, made_local, windows.skeleton)
             true, true_turned = positions[:, question.asked], rotations[:, question.asked]
-            of_question = streams[question.label]
-            of_question["l2p"].update(predicted, true, std=windows.position_std)
-            of_question["l2q"].update(turned, true_turned)
-            of_question["l2q_as_signed"].update(turned, true_turned)
-            of_question["npss"].update(*(q.reshape(*q.shape[:2], -1) for q in (turned, true_turned)))
-            of_question["mpjpe_global"].update(
-                predicted.reshape(-1, *true.shape[2:]), true.reshape(-1, *true.shape[2:])
-            )
+            for some, of_take in streams[question.label].by_take(windows.takes[part]):
+                places, places_true, turns, turns_true = (each[some] for each in (predicted, true, turned, true_turned))
+                of_take["l2p"].update(places, places_true, std=windows.position_std)
+                of_take["l2q"].update(turns, turns_true)
+                of_take["l2q_as_signed"].update(turns, turns_true)
+                of_take["npss"].update(*(q.reshape(*q.shape[:2], -1) for q in (turns, turns_true)))
+                of_take["mpjpe_global"].update(*(p.reshape(-1, *p.shape[2:]) for p in (places, places_true)))
         advance()
     return scores_of(streams, METRICS)
 

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64, Int64
 
 from eval.completion.encoders import Completer
 from eval.completion.protocol import InterpolationProtocol, scale_label
-from eval.completion.scores import ClipFrames, PoseScale, Scores, scores_of
+from eval.completion.scores import ClipFrames, PoseScale, Scores, TakeStreams, scores_of
 from eval.completion.takes import TrueClips, TruePoses, observations
-from eval.metrics.metric import MeanStream, all_metrics, find_metric
+from eval.metrics.metric import MeanStream, all_metrics
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.rotation_rows import rows_of_poses, two_columns
@@ -54,21 +54,21 @@ def measure_interpolation(
     """
     metrics = measured_metrics()
     streams = {
-        completer.name: {
-            scale_label(scale): {name: MeanStream(find_metric(name)) for name in metrics} for scale in scales
-        }
-        for completer in completers
+        completer.name: {scale_label(scale): TakeStreams(metrics) for scale in scales} for completer in completers
     }
     failed: dict[str, str] = {}
     for first in range(0, task.clips.num_clips, CLIPS_AT_ONCE):
-        truth = task.clips.read(slice(first, first + CLIPS_AT_ONCE))
+        part = slice(first, first + CLIPS_AT_ONCE)
+        truth, takes = task.clips.read(part), task.clips.takes[part]
         rotations = truth.local_rotations()
         for completer in completers:
             for scale in scales:
                 if completer.name in failed:
                     continue
                 try:
-                    _add(streams[completer.name][scale_label(scale)], task, scale, completer, truth, rotations)
+                    made = _answered(task, scale, completer, truth, rotations)
+                    for clips, of_take in streams[completer.name][scale_label(scale)].by_take(takes):
+                        _add(of_take, task.protocol, scale, made.of(clips))
                 except (MotionkitError, ValueError) as error:
                     failed[completer.name] = f"{scale_label(scale)}: {error}"
         advance()
@@ -85,14 +85,31 @@ def num_batches(clips: TrueClips) -> int:
     return -(-clips.num_clips // CLIPS_AT_ONCE)
 
 
-def _add(
-    streams: Mapping[str, MeanStream],
+@dataclass(frozen=True, eq=False)
+class _Answered:
+    """What was made of some clips beside the truth: numbers in the unit range, positions, local rotations."""
+
+    fps: float
+    predicted: Float64[np.ndarray, "clips frames numbers"]
+    target: Float64[np.ndarray, "clips frames numbers"]
+    positions: Float32[np.ndarray, "clips frames joints 3"]
+    true_positions: Float32[np.ndarray, "clips frames joints 3"]
+    turned: Float32[np.ndarray, "clips frames joints 4"]
+    true_turned: Float32[np.ndarray, "clips frames joints 4"]
+
+    def of(self, clips: Int64[np.ndarray, "chosen"]) -> "_Answered":
+        """Some of the clips."""
+        arrays = {name: each[clips] for name, each in vars(self).items() if name != "fps"}
+        return _Answered(self.fps, **arrays)
+
+
+def _answered(
     task: InterpolationTask,
     scale: Fraction,
     completer: Completer,
     whole: TruePoses,
     rotations: Float32[np.ndarray, "clips frames joints 4"],
-) -> None:
+) -> _Answered:
     protocol = task.protocol
     span = slice(0, protocol.span_frames(scale))
     truth, rotations = whole.frames(span), rotations[:, span]
@@ -103,13 +120,17 @@ def _add(
     vectors = np.concatenate((positions[:, :, 0], two_columns(turned)), axis=-1)
     own = ClipFrames.of(truth.vectors)
     predicted, target = (task.scale.unit_range(own.enter(rows)) for rows in (vectors, truth.vectors))
-    asked, fps = protocol.synthesised(scale), float(truth.fps)
-    streams["psnr"].update(predicted, target, synthesised=asked, ceiling_db=CEILING_DB)
-    streams["ssim"].update(predicted, target)
-    streams["mpjpe_global"].update(_frames(positions[:, asked]), _frames(truth.joint_positions[:, asked]))
-    streams["rotation_angle_error"].update(_frames(turned[:, asked]), _frames(rotations[:, asked]))
+    return _Answered(float(truth.fps), predicted, target, positions, truth.joint_positions, turned, rotations)
+
+
+def _add(streams: Mapping[str, MeanStream], protocol: InterpolationProtocol, scale: Fraction, made: _Answered) -> None:
+    asked = protocol.synthesised(scale)
+    streams["psnr"].update(made.predicted, made.target, synthesised=asked, ceiling_db=CEILING_DB)
+    streams["ssim"].update(made.predicted, made.target)
+    streams["mpjpe_global"].update(_frames(made.positions[:, asked]), _frames(made.true_positions[:, asked]))
+    streams["rotation_angle_error"].update(_frames(made.turned[:, asked]), _frames(made.true_turned[:, asked]))
     for name in timed_metrics():
-        streams[name].update(positions, truth.joint_positions, fps=fps)
+        streams[name].update(made.positions, made.true_positions, fps=made.fps)
 
 
 def _with_rotations(poses: Poses) -> Poses:

@@ -1,28 +1,79 @@
 """What a row scores: means by metric and by column, and the scale that they are measured in."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from eval.completion.takes import TrueClips
-from eval.metrics.metric import MeanStream, MeanSums
+from eval.metrics.metric import MeanStream, MeanSums, find_metric
+from eval.metrics.resampling import Resampled, Resampling
 from eval.metrics.signal import to_unit_range
 from motionkit.core.moments import stream
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import rotation_rows
 
-# By metric, then by what was asked (a scale, a length). All these metrics are means over clips, frames or true power,
-# so their sums over several data sets are those of all clips together.
-Scores = Mapping[str, Mapping[str, MeanSums]]
+
+@dataclass(frozen=True)
+class TakeMeans:
+    """A mean over clips, frames or true power as sums of every take, so that takes can be resampled and pooled."""
+
+    by_take: Mapping[str, MeanSums]
+
+    @property
+    def mean(self) -> float:
+        """The mean over everything that was measured."""
+        return reduce(MeanSums.merged, self.by_take.values()).mean
+
+    def merged(self, other: "TakeMeans") -> "TakeMeans":
+        """With the takes of another data set."""
+        found = dict(self.by_take)
+        for take, sums in other.by_take.items():
+            found[take] = found[take].merged(sums) if take in found else sums
+        return TakeMeans(found)
+
+    @cached_property
+    def resampled(self) -> Resampled:
+        """The mean with other takes; () for a single one."""
+        if len(self.by_take) < 2:
+            return ()
+        weights = Resampling().weights([f"take {take}" for take in self.by_take])
+        totals, sizes = (
+            weights @ [getattr(sums, name) for sums in self.by_take.values()] for name in ("total", "weight")
+        )
+        pairs = zip(totals.tolist(), sizes.tolist(), strict=True)
+        return tuple(total / size if size else None for total, size in pairs)
 
 
-def scores_of(streams: Mapping[str, Mapping[str, MeanStream]], metrics: Sequence[str]) -> Scores:
-    """What the streams have seen; they are by column, then by metric."""
-    return {name: {column: of_column[name].sums for column, of_column in streams.items()} for name in metrics}
+# By metric, then by what was asked (a scale, a length).
+Scores = Mapping[str, Mapping[str, TakeMeans]]
+
+
+class TakeStreams:
+    """Some metrics, measured take by take."""
+
+    def __init__(self, metrics: Sequence[str]) -> None:
+        self._metrics = metrics
+        self._of_take: dict[str, dict[str, MeanStream]] = {}
+
+    def by_take(self, takes: Sequence[str]) -> Iterator[tuple[Int64[np.ndarray, "_clips"], Mapping[str, MeanStream]]]:
+        """The clips of every take of a batch, and the streams by metric that they are for."""
+        for take in dict.fromkeys(takes):
+            if take not in self._of_take:
+                self._of_take[take] = {name: MeanStream(find_metric(name)) for name in self._metrics}
+            yield np.array([place for place, each in enumerate(takes) if each == take]), self._of_take[take]
+
+    def means(self, metric: str) -> TakeMeans:
+        """What a metric's streams have seen."""
+        return TakeMeans({take: streams[metric].sums for take, streams in self._of_take.items()})
+
+
+def scores_of(streams: Mapping[str, TakeStreams], metrics: Sequence[str]) -> Scores:
+    """What the streams have seen; they are by column."""
+    return {name: {column: of_column.means(name) for column, of_column in streams.items()} for name in metrics}
 
 
 def pooled(groups: Sequence[Mapping[str, Scores]]) -> dict[str, Scores]:

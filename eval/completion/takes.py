@@ -106,6 +106,11 @@ class TrueClips:
         """Number of takes that the clips come from."""
         return len(np.unique(self.sequence_index))
 
+    @property
+    def takes(self) -> tuple[str, ...]:
+        """The take of each clip, named by its place in the store."""
+        return tuple(map(str, self.sequence_index.tolist()))
+
     def read(self, clips: slice) -> "TruePoses":
         """The poses of some clips."""
         frames = np.arange(self.num_frames) * self.keep_every[clips, None] + self.first_row[clips, None]

@@ -40,6 +40,7 @@ class PoseWindows:
     skeleton: Skeleton
     root_translation: Float32[np.ndarray, "windows frames 3"]
     local_rotations: Float32[np.ndarray, "windows frames joints 4"]
+    takes: tuple[str, ...]
     position_std: Float64[np.ndarray, "joints 3"]
     num_training_windows: int
     remark: str
@@ -69,6 +70,7 @@ def lafan1_windows(store: "Store", advance: Callable[[], None] = lambda: None) -
         skeleton=skeleton,
         root_translation=roots,
         local_rotations=np.concatenate([windows.local_rotations for windows in found]),
+        takes=tuple(f"LaFAN1 {take}" for take, each in enumerate(found) for _ in each.root_translation),
         position_std=moments.std.reshape(-1, 3),
         num_training_windows=moments.count // lafan1.TRAIN_WINDOW_FRAMES,
         remark=f"subject 5, {len(roots):,} windows{expected}; statistics of subjects 1 to 4.",
@@ -176,6 +178,7 @@ def data_set_windows(store: "Store", data_set: DataSet, split: str, where: str |
         skeleton=replace(SMPL22, offsets=_bones(first_pose.joint_positions[0], first_pose.local_rotations()[0])),
         root_translation=rows[..., :3],
         local_rotations=_continuous(rotations),
+        takes=test.takes,
         position_std=moments.std.reshape(-1, 3),
         num_training_windows=moments.count // lafan1.TRAIN_WINDOW_FRAMES,
         remark=f"{test.num_clips:,} windows of {test.num_takes:,} takes; {remark}",

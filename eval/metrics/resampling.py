@@ -9,6 +9,7 @@ multinomial ones (Chamandy et al. 2012, "Estimating uncertainty for massive data
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -38,12 +39,14 @@ class Resampling:
 
     def weights(self, names: Sequence[str]) -> Weights:
         """How often each of the named takes appears in each resampling: the same numbers for a name wherever it is."""
-        columns = [self._stream(name).poisson(1.0, size=self.count) for name in names]
-        return np.stack(columns, axis=1).astype(np.float64) if columns else np.zeros((self.count, 0))
+        columns = [_appearances(name, self.count, self.seed) for name in names]
+        return np.stack(columns, axis=1) if columns else np.zeros((self.count, 0))
 
-    def _stream(self, name: str) -> np.random.Generator:
-        words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], dtype="<u4").tolist()
-        return np.random.default_rng((self.seed, *words))
+
+@lru_cache(maxsize=1 << 14)
+def _appearances(name: str, count: int, seed: int) -> Float64[np.ndarray, "resamplings"]:
+    words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], dtype="<u4").tolist()
+    return np.random.default_rng((seed, *words)).poisson(1.0, size=count).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)

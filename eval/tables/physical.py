@@ -22,12 +22,12 @@ from eval.metrics.resampling import (
     paired_difference,
     units_of,
 )
+from eval.report.differences import differences_block, pairs_of
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion
 from eval.sets.sets import SampleSet
-from eval.tables.differences import differences_block, pairs_of
 from eval.tables.models import check_names, generated_fields
 from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, ModelFields, framerate_label, samples_at
 from eval.tables.registry import Table, TableRequest

@@ -8,6 +8,7 @@ from eval.clip_fid.clips import ClipError, Protocol, check_lengths
 from eval.clip_fid.features import Comparison, FeatureSource
 from eval.clip_fid.score import ClipFid
 from eval.metrics.resampling import Difference
+from eval.report.differences import pairs_of
 from eval.report.results import Cell
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
@@ -16,7 +17,6 @@ from eval.sets.generated import Window, sample_fields
 from eval.sets.real import NoRealMotionError, RealMotion
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed, upsample_as_vectors, upsampled
-from eval.tables.differences import pairs_of
 from motionkit.core.progress import OnProgress, task
 from motionkit.fields.motion_field import MotionField
 

@@ -11,6 +11,7 @@ from eval.clip_fid.clips import num_features
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
 from eval.clip_fid.score import CLIP_FID, VERSION
 from eval.metrics.resampling import Difference
+from eval.report.differences import differences_block
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
@@ -18,7 +19,6 @@ from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
 from eval.sets.memorisation import set_remarks
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
-from eval.tables.differences import differences_block
 from eval.tables.models import check_names, generated_fields
 from eval.tables.nerm.clip_fid_column import (
     GENERATED_LOW,

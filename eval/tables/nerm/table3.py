@@ -15,12 +15,12 @@ from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
 from eval.metrics.replications import Score, Scores
 from eval.metrics.resampling import half_width
+from eval.report.differences import DRAWING, differences_block, score_differences
 from eval.report.results import Block, Cell, Origin, Result, Row, measure
 from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
 from eval.sets.real import RealMotion, has_training, real_motion
 from eval.sets.sets import SampleSet
-from eval.tables.differences import DRAWING, differences_block, score_differences
 from eval.tables.models import check_names, trained_models
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest

@@ -15,9 +15,9 @@ from eval.metrics.metric import find_metric
 from eval.metrics.r_precision import pool_distances, ranked_both_ways
 from eval.metrics.replications import Score, Scores, Tally
 from eval.metrics.resampling import half_width
+from eval.report.differences import DRAWING, differences_block, score_differences
 from eval.report.results import Block, Cell, Origin, Row, measure
 from eval.sets.found import Found, each_found
-from eval.tables.differences import DRAWING, differences_block, score_differences
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import TableRequest
 from eval.text_motion.evaluator import TextMotionEvaluator

@@ -36,6 +36,7 @@ def build_extrapolation(request: TableRequest) -> Result:
         blocks=found.blocks,
         definition={**definition(request), "given": "frames 0-29 of a window for what comes after, 30-59 for before"},
         notes=(
+            "± is half the 95 % interval over takes: all windows of a take are resampled together.",
             "The paper shows extrapolation in pictures alone and prints no figures.",
             "What people do next is not in what they did: an error that grows slowly says that a row does not drift, "
             "not that it foresees.",

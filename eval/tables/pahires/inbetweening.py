@@ -45,6 +45,7 @@ def build_inbetweening(request: TableRequest) -> Result:
         blocks=(*found.blocks, *_published(columns)),
         definition=definition(request),
         notes=(
+            "± is half the 95 % interval over takes: all windows of a take are resampled together.",
             "Figures of one data set do not compare with another's: they are divided by its own deviations.",
             "The benchmark's own figures of zero velocity and interpolation have signs of quaternions as they come; "
             "that L2Q stands under further metrics.",

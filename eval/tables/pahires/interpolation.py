@@ -77,6 +77,7 @@ TABLE_1 = Table("pahires", "1", "interpolation at integer scales", partial(build
 TABLE_2 = Table("pahires", "2", "interpolation at other scales", partial(build_interpolation, "2", OTHER_SCALES))
 
 NOTES = (
+    "± is half the 95 % interval over takes: all clips of a take are resampled together.",
     "The paper defines neither the pose vector nor PSNR and SSIM of motion: orders and gaps of methods may be compared "
     "with it, decibels may not (docs/metrics.md).",
     "Interpolators need no training and may win; then a trained row is not worth its training at that scale.",

@@ -10,7 +10,7 @@ from eval.completion.blocks import Scope
 from eval.completion.encoders import Completer
 from eval.completion.interpolation import InterpolationTask, measure_interpolation, measured_metrics, num_batches
 from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
-from eval.completion.scores import Scores, measure_scale, split_remark
+from eval.completion.scores import Scores, TakeMeans, measure_scale, split_remark
 from eval.completion.takes import DataSet, NoTakesError, TrueClips, open_clips, shared_reason
 from eval.metrics.metric import MeanSums
 from eval.report.results import Cell
@@ -30,27 +30,30 @@ def find_scores(
     if part is None:
         return None
     try:
-        return {metric: {column: _sums(part.rows[metric][column]) for column in columns} for metric in metrics}
+        return {metric: {column: _means(part.rows[f"{metric} {column}"]) for column in columns} for metric in metrics}
     except KeyError as error:
         warn(f"a kept part of {name} lacks {error}: computing it anew")
         return None
 
 
-def _sums(cell: Cell) -> MeanSums:
-    return MeanSums().added(cell.value, cell.details[WEIGHT])
+def _means(cells: Mapping[str, Cell]) -> TakeMeans:
+    return TakeMeans({take: MeanSums().added(cell.value, cell.details[WEIGHT]) for take, cell in cells.items()})
 
 
 def keep_scores(results: Path, name: str, terms: Mapping[str, Any], scores: Scores) -> None:
-    """Write scores for `find_scores`: means, and the weights by which those of other clips join them."""
+    """Write scores for `find_scores`: means of every take, and the weights by which those of others join them."""
     rows = {
-        metric: {column: Cell(sums.mean, None, {WEIGHT: sums.weight}) for column, sums in columns.items()}
+        f"{metric} {column}": {
+            take: Cell(sums.mean, None, {WEIGHT: sums.weight}) for take, sums in means.by_take.items()
+        }
         for metric, columns in scores.items()
+        for column, means in columns.items()
     }
     keep_part(results, _name(name), terms, Part(rows))
 
 
 def _name(table: str) -> str:
-    return f"{table}-means"
+    return f"{table}-means-by-take"
 
 
 if TYPE_CHECKING:

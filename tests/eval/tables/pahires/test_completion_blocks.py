@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from eval.completion.blocks import Scope, Shown, blocks_of, with_pools
 from eval.completion.encoders import HOLD, Completer
-from eval.completion.scores import Scores, pooled, scores_of
-from eval.metrics.metric import MeanStream, MeanSums, find_metric
+from eval.completion.scores import Scores, TakeMeans, TakeStreams, pooled, scores_of
+from eval.metrics.metric import MeanSums
 from eval.tables.pahires.measured import find_scores, keep_scores
 
 SHOWN = Shown(("×2",), {"psnr": "PSNR (dB)", "mpjpe_global": "MPJPE (cm)"}, {"psnr": {"mpjpe_global": "joints (cm)"}})
@@ -20,8 +20,8 @@ SHOWN = Shown(("×2",), {"psnr": "PSNR (dB)", "mpjpe_global": "MPJPE (cm)"}, {"p
 
 def scores(psnr: float, clips: float) -> Scores:
     return {
-        "psnr": {"×2": MeanSums().added(float(psnr), float(clips))},
-        "mpjpe_global": {"×2": MeanSums().added(0.02, 9.0 * clips)},
+        "psnr": {"×2": TakeMeans({f"{psnr}": MeanSums().added(float(psnr), float(clips))})},
+        "mpjpe_global": {"×2": TakeMeans({f"{psnr}": MeanSums().added(0.02, 9.0 * clips)})},
     }
 
 
@@ -30,16 +30,20 @@ def test_pooled_scores_are_those_of_all_clips_measured_at_once(sizes: list[int],
     """Of a mean over clips, one over frames and one over the truth's power."""
     rng = np.random.default_rng(seed)
     names = ("ssim", "l2q", "npss")
-    whole = {"15": {name: MeanStream(find_metric(name)) for name in names}}
+    whole = {"15": TakeStreams(names)}
     parts = []
     for size in sizes:
         true = rng.normal(size=(size, 12, 2, 4)) * rng.uniform(0.5, 3)
         made = true + rng.normal(size=true.shape)
-        of_part = {"15": {name: MeanStream(find_metric(name)) for name in names}}
-        for streams in (whole["15"], of_part["15"]):
-            streams["l2q"].update(*(each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (made, true)))
-            for name in ("ssim", "npss"):
-                streams[name].update(made.reshape(size, 12, 8), true.reshape(size, 12, 8))
+        of_part = {"15": TakeStreams(names)}
+        # All in one take at once; of each part the first clip is one take, the others another.
+        takes = [f"{len(parts)}"] + [f"{len(parts)} more"] * (size - 1)
+        for of_column, named in ((whole["15"], ["all"] * size), (of_part["15"], takes)):
+            for clips, streams in of_column.by_take(named):
+                a, b = made[clips], true[clips]
+                streams["l2q"].update(*(each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (a, b)))
+                for name in ("ssim", "npss"):
+                    streams[name].update(*(each.reshape(len(clips), 12, 8) for each in (a, b)))
         parts.append({"row": scores_of(of_part, names)})
     together, at_once = pooled(parts)["row"], scores_of(whole, names)
     for name in names:
@@ -91,3 +95,25 @@ def test_kept_scores_come_back_with_their_weights(tmp_path: Path) -> None:
     keep_scores(tmp_path, "interpolation", {"row": "a"}, kept)
     assert find_scores(tmp_path, "interpolation", {"row": "a"}, list(kept), list(kept["psnr"])) == kept
     assert find_scores(tmp_path, "interpolation", {"row": "b"}, list(kept), list(kept["psnr"])) is None
+
+
+def of_takes(values: list[float]) -> Scores:
+    sums = {f"take {place}": MeanSums().added(value, 2.0) for place, value in enumerate(values)}
+    return {"psnr": {"×2": TakeMeans(sums)}, "mpjpe_global": {"×2": TakeMeans(sums)}}
+
+
+def test_intervals_are_over_takes_and_trained_rows_are_compared_with_the_best_untrained_one() -> None:
+    hard = np.random.default_rng(0).normal(30, 6, size=60)
+    rows = {"low": hard - 9, "hold": hard, "ours": hard + 0.5, "theirs": hard + 0.5}
+    rows["theirs"] = rows["theirs"] + np.random.default_rng(1).normal(0, 2, size=60)
+    scope = Scope("all", Fraction(30), {name: of_takes(each.tolist()) for name, each in rows.items()})
+    trained = [replace(HOLD, name=name, trained=True, form="correction") for name in ("ours", "theirs")]
+    shown = Shown(("×2",), {"psnr": "PSNR (dB)"}, {})
+    scores_block, differences = blocks_of([scope], [replace(HOLD, name="low"), HOLD, *trained], shown)
+    cells = {row.name: row.cells["×2"] for row in scores_block.rows}
+    assert cells["hold"].ci95 == pytest.approx(1.96 * hard.std() / np.sqrt(60), rel=0.15)
+    assert {row.name: row.note for row in differences.rows} == {
+        "ours − theirs": "not told apart: ×2",
+        "ours − hold": "better: ×2",
+        "theirs − hold": "not told apart: ×2",
+    }

@@ -2,8 +2,8 @@
 
 from eval.metrics.replications import Score
 from eval.metrics.resampling import Difference
+from eval.report.differences import differences_block, pairs_of, said, score_differences
 from eval.report.results import measure
-from eval.tables.differences import differences_block, pairs_of, said, score_differences
 
 MEASURES = (measure("fid", column="FID"), measure("accuracy", column="Accuracy"), measure("diversity", column="D"))
 
