@@ -77,7 +77,8 @@ def test_every_published_layout_gets_its_row(motionkit, store, tmp_path):
     assert "1 of 7 motions left out (1 nan)" in rows["T2M-GPT"]["note"]
     assert "6 motions at 12.5 fps" in rows["KIT"]["note"]
     note = result["blocks"][0]["note"]
-    assert "'MDM' has 6 motions, no more than there are features (65)" in note
+    assert "At 20 fps these have no more motions than there are features (" in note
+    assert "MDM (6)" in note
     assert "quote KID, precision and recall" in note
     assert {"kid", "precision"} <= {key.lower() for key in rows["MDM"]["cells"]["20 fps"]["details"]}
     assert len(result["provenance"]["samples"]) == len(folders)
