@@ -4,7 +4,8 @@
 
 Descriptors are fitted on the training split of the first store. Takes of the others (of their test split where none is
 named, `all` for all) are upsampled or low-passed, and what that has cost is hidden by noise or by the fast part of
-another take: `games.json` holds the scores, and how both versions stand in the rest of their calibration.
+another take: `games.json` holds the scores, and how both versions stand in the rest of their calibration. The part of
+docs/results/games.md that holds figures is printed.
 """
 
 import argparse
@@ -20,7 +21,6 @@ from eval.clip_fid.clips import Protocol
 from eval.clip_fid.features import kinematic1_source, kinematic_source
 from eval.clip_fid.score import CLIP_FID
 from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
-from eval.report.render import to_markdown
 from eval.report.results import Block, Cell, Result, Row, measure, provenance, write_result
 from eval.sets.real import real_motion
 from eval.tables.nerm.clip_fid_column import framerate_label
@@ -88,6 +88,27 @@ def summary(of: Calibration) -> dict[str, float]:
     }
 
 
+def page(result: Result) -> str:
+    """Markdown of the shares that every game leaves, and of the scores of what it hides: version 1 → version 2."""
+    lines: list[str] = []
+    for block in result.blocks:
+        labels = list(dict.fromkeys(column.split(", ")[1] for column in block.columns))
+        lines += [f"## {block.title}", "", block.note, ""]
+        lines += [f"| | {' | '.join(labels)} |", "|---" * (len(labels) + 1) + "|"]
+        for row in block.rows:
+            pairs = [[row.cells[f"{version}, {label}"] for version in SOURCES] for label in labels]
+            shares = [" → ".join(f"{shown(cell):.2f}" for cell in pair) for pair in pairs]
+            name = row.name if any("share" in cell.details for cell in row.cells.values()) else f"**{row.name}**"
+            lines.append(f"| {name} | {' | '.join(shares)} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def shown(cell: Cell) -> float:
+    """A game's share of what it hides; a score where nothing is hidden."""
+    return cell.details.get("share", cell.value)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("training", type=Path, help="a store with a training split, captured fast enough")
@@ -113,7 +134,7 @@ def main() -> None:
     )
     if options.results is not None:
         write_result(result, options.results)
-    print(json.dumps(asdict(result)) if options.json else to_markdown(result))
+    print(json.dumps(asdict(result)) if options.json else page(result))
 
 
 if __name__ == "__main__":
