@@ -47,13 +47,24 @@ __all__ = [
 
 __path__ = extend_path(__path__, __name__)
 
-_MEANS = ("AccelerationError", "Accuracy", "DeclaredMean", "JerkError", "L2P", "L2Q", "MPJPE", "NPSS")
 give_names(
     __name__,
     {
         "clip_fid": "eval.clip_fid.motions",
         "ClipFID": "eval.torch_metrics.clips",
-        **dict.fromkeys((*_MEANS, "MotionMean", "SkatingSpeed"), "eval.torch_metrics.means"),
-        **dict.fromkeys(("Diversity", "FID", "MultiModality", "RPrecision"), "eval.torch_metrics.sets"),
+        "AccelerationError": "eval.torch_metrics.means",
+        "Accuracy": "eval.torch_metrics.means",
+        "DeclaredMean": "eval.torch_metrics.means",
+        "JerkError": "eval.torch_metrics.means",
+        "L2P": "eval.torch_metrics.means",
+        "L2Q": "eval.torch_metrics.means",
+        "MPJPE": "eval.torch_metrics.means",
+        "MotionMean": "eval.torch_metrics.means",
+        "NPSS": "eval.torch_metrics.means",
+        "SkatingSpeed": "eval.torch_metrics.means",
+        "Diversity": "eval.torch_metrics.sets",
+        "FID": "eval.torch_metrics.sets",
+        "MultiModality": "eval.torch_metrics.sets",
+        "RPrecision": "eval.torch_metrics.sets",
     },
 )

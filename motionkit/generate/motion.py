@@ -144,7 +144,7 @@ def load_model(run: str | Path, name: str | None = None) -> MotionModel:
     where none or several of the installed models are in it, `MotionkitError` for one that is damaged or not complete.
 
     >>> mk.load_model("runs/nano").name
-    'NeRM'
+    'NeRM, local latents (ours)'
     """
     path = Path(run)
     if not path.is_dir():

@@ -86,7 +86,7 @@ def test_table_2(store: Path, tmp_path: Path) -> None:
     assert "small-scale" in result["caption"]
     paper = {row["name"]: row["cells"] for row in result["blocks"][-1]["rows"]}
     assert paper["NeRM (paper)"]["120 fps"]["value"] == 1.315
-    assert json.loads((tmp_path / "nerm-table2.json").read_text())["version"] == "clip-fid/1"
+    assert json.loads((tmp_path / "nerm-table2.json").read_text())["version"] == "clip-fid/2"
 
     cell = format_cell(Cell(slerp["60 fps"]["value"], slerp["60 fps"]["ci95"]))
     assert f"| {cell} |" in (tmp_path / "nerm-table2.md").read_text()
@@ -120,7 +120,7 @@ def test_calibration(store: Path, tmp_path: Path) -> None:
     done = run("eval", "--calibrate", *arguments)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    ratios, spearman = result["blocks"]
+    ratios, spearman, games = result["blocks"]
     values = {row["name"]: row["cells"]["60 fps"]["value"] for row in ratios["rows"]}
     assert values["jitter 0.01 m"] > values["jitter 0.005 m"] > 1.0
     assert values["flat: yaw"] == pytest.approx(1.0, abs=0.05)
@@ -130,6 +130,9 @@ def test_calibration(store: Path, tmp_path: Path) -> None:
     jitter = next(row for row in spearman["rows"] if row["name"] == "jitter")
     assert "told from real motion of the same takes from 0.0005 m (60 fps)" in jitter["note"]
     assert "scores above other takes (P2) from " in jitter["note"]
+    shares = {row["name"]: row["cells"]["60 fps"]["value"] for row in games["rows"]}
+    assert shares["low-passed at 8 Hz, plain (absolute)"] > 0
+    assert len(shares) == 30
     assert result["notes"] == ["Real sets: 60 fps: 4 sequences, 20 s."]
     assert "](calibration.png)" in (tmp_path / "calibration.md").read_text()
     drawn = (tmp_path / "calibration.png").read_bytes()
@@ -156,7 +159,7 @@ def test_sets_that_mislead_are_named_under_the_table(store: Path, tmp_path: Path
     notes = "\n".join(result["notes"])
     assert "copy, 120 fps: 2 of 2 sequences are copies of sequences of real (test)" in notes
     assert "statues, 120 fps: nothing moves in any of the 2 sequences" in notes
-    assert "With 64 clips for 65 features every covariance is singular" in result["blocks"][0]["note"]
+    assert "With 64 clips for 67 features every covariance is singular" in result["blocks"][0]["note"]
     details = result["blocks"][0]["rows"][0]["cells"]["120 fps"]["details"]
     assert {"KID", "precision", "recall", "density", "coverage"} < set(details)
     # Too few clips for a line through covariances that are not singular.

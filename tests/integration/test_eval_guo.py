@@ -61,7 +61,8 @@ def narrow_and_quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def block(outcome: Any, title: str = "") -> dict[str, Any]:
-    found = [each for each in json.loads(outcome.stdout)["blocks"] if "guo" in each["title"] and title in each["title"]]
+    blocks = [each for each in json.loads(outcome.stdout)["blocks"] if "differences" not in each["title"]]
+    found = [each for each in blocks if "guo" in each["title"] and title in each["title"]]
     assert len(found) == 1
     return dict(found[0])
 
