@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from eval.report.results import provenance
 from eval.sets.copies import FPS, Nearest, nearest_training
 from eval.sets.corruptions import jitter, low_pass, upsample_slerp
 from eval.sets.memorisation import ACCUSED_SHARE, LIMITS, STILL_BONES, copied, moving, verdicts
@@ -31,7 +32,6 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.fields.resample import resample_positions
 from motionkit.store import Store
-from motionkit.training.run import commit
 
 SHORTEST_SECONDS, LONGEST_SECONDS = 2.5, 6.0
 TEMPI = ("0.8", "0.87", "0.9", "1.05", "1.1", "1.18", "1.25")
@@ -281,8 +281,10 @@ def main() -> None:
         "still_bones_metres": STILL_BONES,
         "accused_share": ACCUSED_SHARE,
         "takes": options.takes,
-        "commit": commit(),
-        "stores": {Path(each).name: Store.open(each).fingerprint for each in (path, *options.held_out)},
+        "provenance": {
+            **provenance(Path(path)),
+            "stores": {Path(each).name: Store.open(each).fingerprint for each in (path, *options.held_out)},
+        },
         "copies": {name: found["copies"][name] for name in names() if name in found["copies"]},
         "held_out": found["held_out"],
     }
