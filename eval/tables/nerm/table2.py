@@ -243,7 +243,8 @@ def _counted(cells: Mapping[str, Cell]) -> str:
     for label, cell in cells.items():
         motions, takes = (int(cell.details[name]) for name in (MOTIONS, TAKES))
         columns.setdefault(f"{motions:,} motions of {takes:,} takes", []).append(label.removesuffix(" fps"))
-    return ", ".join(f"{count} at {' and '.join(rates)} fps" for count, rates in columns.items())
+    listed = {count: " and ".join(filter(None, (", ".join(rates[:-1]), rates[-1]))) for count, rates in columns.items()}
+    return ", ".join(f"{count} at {rates} fps" for count, rates in listed.items())
 
 
 def _too_few(column: Column, comparison: Comparison) -> list[str]:
