@@ -59,6 +59,7 @@ class Comparison:
         subset_sizes: Mapping[str, int] | None = None,
     ) -> dict[str, ClipFid]:
         """clip-FID of every row; takes and raises what `score_rows` does."""
+        rows = {name: self._real if samples is self.real else samples for name, samples in rows.items()}
         return score_rows(self._real, rows, self.features, self.protocol, self.parts, on_replication, subset_sizes)
 
     def disjoint_halves(self, on_replication: Callable[[], None] = lambda: None) -> ClipFid:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from torch import Tensor
 
 from eval.native_evaluator.bank import ClipBank, DrawnClips
@@ -129,9 +129,15 @@ def matching_loss(
     """
     logits = -(torch.cdist(motions, sentences) ** 2) / (temperature * motions.shape[1])
     ids = torch.from_numpy(sentence_ids).to(logits.device)
-    same = (ids[:, None] == ids[None]) & ~torch.eye(len(ids), dtype=torch.bool, device=logits.device)
-    logits = logits.masked_fill(same, float("-inf"))
-    own = torch.arange(len(ids), device=logits.device)
+    return symmetric_cross_entropy(logits, ids[:, None] == ids[None])
+
+
+def symmetric_cross_entropy(
+    logits: Float[Tensor, "pairs pairs"], same: Bool[Tensor, "pairs pairs"]
+) -> Float[Tensor, ""]:
+    """Mean of both directions' cross-entropy of each pair with itself; other pairs that are the `same` do not count."""
+    own = torch.arange(len(logits), device=logits.device)
+    logits = logits.masked_fill(same & (own[:, None] != own), float("-inf"))
     cross_entropy = torch.nn.functional.cross_entropy
     return 0.5 * (cross_entropy(logits, own) + cross_entropy(logits.T, own))
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from eval.native_evaluator.bank import ClipBank
 from eval.native_evaluator.network import MIN_POSES, NativeNetwork, TextProjection, prepare, rich_input, standardised
-from eval.native_evaluator.training import Sentences
+from eval.native_evaluator.training import Sentences, symmetric_cross_entropy
 from eval.tmr.settings import TmrConfig
 from motionkit.training.config import rate_factor
 from motionkit.training.schedule import seeded_initialisation, set_rate
@@ -32,11 +32,7 @@ def retrieval_loss(
     normalize = torch.nn.functional.normalize
     logits = normalize(texts, dim=1) @ normalize(motions, dim=1).T / temperature
     unit = normalize(sentences, dim=1)
-    same = unit @ unit.T > 2.0 * same_above - 1.0
-    own = torch.arange(len(logits), device=logits.device)
-    logits = logits.masked_fill(same & (own[:, None] != own), float("-inf"))
-    cross_entropy = torch.nn.functional.cross_entropy
-    return 0.5 * (cross_entropy(logits, own) + cross_entropy(logits.T, own))
+    return symmetric_cross_entropy(logits, unit @ unit.T > 2.0 * same_above - 1.0)
 
 
 class TmrTraining:
