@@ -1,14 +1,17 @@
 """Are copies of training takes found under every disguise, and held-out takes let go?
 
-    python -m benchmarks.eval.memorisation STORE [--held-out STORE …] [--takes 30] [--json FILE]
+    python -m benchmarks.eval.memorisation STORE [STORE …] [--held-out STORE …] [--takes 30] [--json FILE]
 
-Stretches of 2.5 to 6 s of random training takes are disguised and looked for among all training takes; accused must be
-nearly all. Held-out takes, whole, must be let go: training takes each against the others (the limits were chosen on
-these), those of the splits val and test, and the test takes of other stores.
+Each store's limits are found as tables find them. Stretches of 2.5 to 6 s of random training takes are disguised and
+looked for among all training takes; accused must be nearly all. Held-out takes, whole, must be let go: those of the
+splits val (where there are enough, the limits come from these) and test, and, beside the first store, the test takes of
+others.
+The search of 60 test takes of each store is timed beside the matrix products that it cannot do without.
 """
 
 import argparse
 import json
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
@@ -19,11 +22,23 @@ from typing import Any
 import numpy as np
 
 from eval.report.results import provenance
-from eval.sets.copies import FPS, Nearest, nearest_training
+from eval.sets import copies as search
+from eval.sets.copies import Nearest, TrainingMotion, nearest_training
 from eval.sets.corruptions import jitter, low_pass, upsample_slerp
-from eval.sets.memorisation import ACCUSED_SHARE, LIMITS, STILL_BONES, copied, moving, verdicts
+from eval.sets.memorisation import (
+    ACCUSED_HELD_OUT,
+    ACCUSED_SHARE,
+    SHARES,
+    STILL_BONES,
+    Limits,
+    copied,
+    limits_of,
+    moving,
+    verdicts,
+)
 from eval.sets.real import RealMotion, real_motion
 from eval.sets.sets import sample_set
+from eval.sets.stretches import FPS
 from eval.sets.upsampled import upsampled_positions
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.mirror import mirror_positions
@@ -37,6 +52,7 @@ SHORTEST_SECONDS, LONGEST_SECONDS = 2.5, 6.0
 TEMPI = ("0.8", "0.87", "0.9", "1.05", "1.1", "1.18", "1.25")
 FRAMERATES = ("12.5", "24", "25", "30000/1001", "50", "60", "144")
 PARTS = 4
+TIMED = 60
 NOISE_MILLIMETRES = (0.3, 1.0, 3.0, 5.0)
 
 # Joint positions [frames, 22, 3] and their framerate.
@@ -187,9 +203,9 @@ def copies(store: Store, real: RealMotion, number: int) -> dict[str, list[np.nda
     return {name: motions for name, motions in made.items() if motions}
 
 
-def judged(found: Sequence[Nearest], first: int, number: int) -> dict[str, Any]:
+def judged(found: Sequence[Nearest], first: int, number: int, limits: Limits) -> dict[str, Any]:
     """What the table says of motions `first` to `first + number`."""
-    told = verdicts(found, int(max(each.motion.max() for each in found)) + 1)
+    told = verdicts(found, first + number, limits)
     some = slice(first, first + number)
     stretches = {}
     for nearest in found:
@@ -199,7 +215,7 @@ def judged(found: Sequence[Nearest], first: int, number: int) -> dict[str, Any]:
             share = np.quantile(nearest.distance[chosen] / nearest.movement[chosen], (0, 0.05, 0.5, 0.95))
             stretches[f"{nearest.seconds:g} s"] = {
                 "number": int(chosen.sum()),
-                "copied": float(copied(nearest)[chosen].mean()),
+                "copied": float(copied(nearest, limits)[chosen].mean()),
                 "millimetres": [round(1000 * float(each), 2) for each in metres],
                 "share_of_movement": [round(float(each), 4) for each in share],
             }
@@ -211,7 +227,11 @@ def judged(found: Sequence[Nearest], first: int, number: int) -> dict[str, Any]:
     }
 
 
-def judge_copies(path: str, number: int, part: int) -> dict[str, Any]:
+# What was found of motions laid end to end: how many each name has, and the search.
+Found = tuple[dict[str, int], tuple[Nearest, ...]]
+
+
+def find_copies(path: str, number: int, part: int) -> Found:
     """Every PARTS-th disguise from the `part`-th on, in one search."""
     store = Store.open(path)
     real = real_motion(store, "train")
@@ -219,31 +239,79 @@ def judge_copies(path: str, number: int, part: int) -> dict[str, Any]:
     made = {name: every[name] for name in list(every)[part::PARTS]}
     motions = [motion for each in made.values() for motion in each]
     samples = sample_set("copies", FPS, motions, [str(index) for index in range(len(motions))])
-    found = nearest_training(samples, real.at(FPS))
-    result, first = {}, 0
-    for name, each in made.items():
-        result[name] = judged(found, first, len(each))
-        first += len(each)
-    return result
+    numbers = {name: len(each) for name, each in made.items()}
+    return numbers, nearest_training(samples, TrainingMotion.of(real.at(FPS)))
 
 
-def judge_held_out(path: str, other: str, split: str) -> dict[str, Any]:
-    """Whole takes of a split of a store against the training takes of the first, never against themselves."""
-    training = real_motion(Store.open(path), "train").at(FPS)
+def find_held_out(path: str, other: str, split: str, name: str) -> Found:
+    """Whole takes of a split of a store against the training takes of the first."""
+    training = TrainingMotion.of(real_motion(Store.open(path), "train").at(FPS))
     samples = real_motion(Store.open(other), split).at(FPS)
-    own = split == "train"
-    apart = np.eye(training.num_sequences, dtype=bool) if own else None
-    name = f"{Path(other).name}, {split}" + (", each against the others" if own else "")
-    return {name: judged(nearest_training(samples, training, apart), 0, samples.num_sequences)}
+    return {f"{name}, {split}": samples.num_sequences}, nearest_training(samples, training)
+
+
+def find_limits(path: str) -> Limits:
+    """A store's own, as tables find them."""
+    store = Store.open(path)
+    training = real_motion(store, "train").at(FPS)
+    return limits_of(training, TrainingMotion.of(training), real_motion(store, "val").at(FPS))
+
+
+def timed(path: str) -> dict[str, float]:
+    """Processor seconds of a search of TIMED random test takes, and of its matrix products alone."""
+    store = Store.open(path)
+    training, test = (real_motion(store, split).at(FPS) for split in ("train", "test"))
+    samples = test.select(np.random.default_rng(0).permutation(test.num_sequences)[:TIMED])
+    start = time.process_time()
+    indexed = TrainingMotion.of(training)
+    laid = time.process_time()
+    found = nearest_training(samples, indexed)
+    searched = time.process_time()
+    for each in found:
+        queries = np.ones((len(each.motion), search.NUM_COMPONENTS), dtype=np.float32)
+        rows = np.ones((search.NUM_COMPONENTS, search.BLOCK_ROWS), dtype=np.float32)
+        for _ in range(
+            len(search.TEMPI) * len(search.WAYS) * (int(training.duration_seconds * 10) // search.BLOCK_ROWS)
+        ):
+            queries @ rows
+    return {
+        "motions": samples.num_sequences,
+        "training_minutes": round(training.duration_seconds / 60, 1),
+        "laying_out_seconds": round(laid - start, 2),
+        "search_seconds": round(searched - laid, 2),
+        "matrix_product_seconds": round(time.process_time() - searched, 2),
+    }
+
+
+def judge(found: Sequence[Found], limits: Limits) -> dict[str, Any]:
+    """What the table says of each of the names."""
+    result = {}
+    for numbers, nearest in found:
+        first = 0
+        for name, number in numbers.items():
+            result[name] = judged(nearest, first, number, limits)
+            first += number
+    return result
 
 
 HEAD = "| {} | motions | too still to tell | accused | copied stretches of 0.5, 1, 2 s | median distance, 1 s |"
 
 
-def page(result: Mapping[str, Any]) -> str:
+def page(stores: Mapping[str, Any]) -> str:
     """The tables of docs/results/memorisation.md."""
-    parts = {"copies": "disguise", "held_out": "held-out takes"}
-    return "\n".join("\n".join(rows(head, result[kind])) + "\n" for kind, head in parts.items())
+    lines = []
+    for name, result in stores.items():
+        limits = Limits(**result["limits"])
+        lines += [f"## {name}", "", f"Limits: {limits}.", ""]
+        for kind, head in {"held_out": "held-out takes", "copies": "disguise"}.items():
+            lines += [*rows(head, result[kind]), ""]
+        lines += [
+            "Processor seconds, one thread: {}.".format(
+                ", ".join(f"{key.replace('_', ' ')} {value:g}" for key, value in result["time"].items())
+            ),
+            "",
+        ]
+    return "\n".join(lines)
 
 
 def rows(head: str, judged_by_name: Mapping[str, Any]) -> Iterator[str]:
@@ -261,35 +329,50 @@ def rows(head: str, judged_by_name: Mapping[str, Any]) -> Iterator[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("store", help="a store with the splits train, val and test")
-    parser.add_argument("--held-out", nargs="*", default=[], help="stores whose test takes are compared too")
+    parser.add_argument("stores", nargs="+", metavar="[NAME=]STORE", help="stores with the splits train, val and test")
+    parser.add_argument("--held-out", nargs="*", default=[], help="stores whose test takes are beside the first too")
     parser.add_argument("--takes", type=int, default=30, help="pieces of training takes for each disguise")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", type=Path, help="where all figures are written")
     options = parser.parse_args()
-    path = options.store
-    held_out = [(path, "train"), (path, "val"), (path, "test"), *((other, "test") for other in options.held_out)]
+    stores = {each.rpartition("=")[0] or Path(each).name: each.rpartition("=")[2] for each in options.stores}
+    first = next(iter(stores))
     with ProcessPoolExecutor(options.workers) as pool:
-        caught = [pool.submit(judge_copies, path, options.takes, part) for part in range(PARTS)]
-        let_go = [pool.submit(judge_held_out, path, *each) for each in held_out]
-        found = {
-            "copies": {name: row for each in caught for name, row in each.result().items()},
-            "held_out": {name: row for each in let_go for name, row in each.result().items()},
+        limits = {name: pool.submit(find_limits, path) for name, path in stores.items()}
+        caught = {
+            name: [pool.submit(find_copies, path, options.takes, part) for part in range(PARTS)]
+            for name, path in stores.items()
         }
-    result = {
-        "limits": {f"{seconds:g} s": asdict(limit) for seconds, limit in LIMITS.items()},
+        takes = {name: [(path, "val", name), (path, "test", name)] for name, path in stores.items()}
+        takes[first] += [(other, "test", Path(other).name) for other in options.held_out]
+        held_out = {
+            name: [pool.submit(find_held_out, stores[name], *each) for each in every] for name, every in takes.items()
+        }
+        spent = {name: pool.submit(timed, path) for name, path in stores.items()}
+        result: dict[str, Any] = {name: {"limits": asdict(each.result())} for name, each in limits.items()}
+        for name in stores:
+            own = limits[name].result()
+            judged_copies = judge([each.result() for each in caught[name]], own)
+            result[name]["held_out"] = judge([each.result() for each in held_out[name]], own)
+            result[name]["copies"] = {each: judged_copies[each] for each in names() if each in judged_copies}
+            result[name]["time"] = spent[name].result()
+    everything = {
+        "shares_of_movement": {f"{seconds:g} s": share for seconds, share in SHARES.items()},
         "still_bones_metres": STILL_BONES,
         "accused_share": ACCUSED_SHARE,
+        "accused_held_out": ACCUSED_HELD_OUT,
         "takes": options.takes,
         "provenance": {
-            **provenance(Path(path)),
-            "stores": {Path(each).name: Store.open(each).fingerprint for each in (path, *options.held_out)},
+            **provenance(Path(stores[first])),
+            "stores": {
+                **{name: Store.open(path).fingerprint for name, path in stores.items()},
+                **{Path(each).name: Store.open(each).fingerprint for each in options.held_out},
+            },
         },
-        "copies": {name: found["copies"][name] for name in names() if name in found["copies"]},
-        "held_out": found["held_out"],
+        "stores": result,
     }
     if options.json:
-        options.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        options.json.write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
     print(page(result), end="")
 
 

@@ -1,8 +1,8 @@
 """Which motions are copies of training motion; remarks on sets that hold real motions, or that stand still.
 
-A stretch is copied where its nearest training stretch (`copies`) is nearer than held-out takes of the same performers
-doing the same come, by the thresholds below; a motion is accused where enough of its moving stretches are. Stretches
-that hardly move are near everything and say nothing.
+A stretch is copied where its nearest training stretch (`copies`) is nearer, for how much it moves, than held-out takes
+of the same store come; a motion is accused where enough of its moving stretches are. Stretches that hardly move are
+near everything and say nothing.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,25 +13,38 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64
 from threadpoolctl import threadpool_limits
 
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
-from eval.sets.copies import Nearest
+from eval.sets.copies import Nearest, TrainingMotion, nearest_training
 from eval.sets.sets import SampleSet
 
 STILL_BONES = 0.03
 """Metres that bones leave their means by in a stretch (root mean square); with less it says nothing."""
+# No training take of CMU is as near to another: docs/results/memorisation.md.
+SHARES = {0.5: 0.075, 1.0: 0.085, 2.0: 0.095}
+"""Of its own movement: a stretch of so many seconds that is farther from training motion is nowhere called copied."""
+ACCUSED_SHARE = 0.25
+"""Of the moving stretches of one length that a motion holds; more are copied in a motion that is accused."""
+ACCUSED_HELD_OUT = 0.01
+"""The share of held-out motions that a store's limits accuse."""
+LEAST_FACTOR = 0.5
+"""What is nearer than this part of the shares is copied in every store, held-out motion or not."""
+FEWEST_HELD_OUT, MOST_HELD_OUT = 50, 200
 
 
 @dataclass(frozen=True)
-class Limit:
-    """How near a copied stretch is: less than `metres`, or than `share` of its own movement."""
+class Limits:
+    """How near a copied stretch is: less than `factor` times the share of its movement that `SHARES` has.
 
-    metres: float
-    share: float
+    The factor was found from `num_motions` motions, which `found_from` names.
+    """
 
+    factor: float = 1.0
+    num_motions: int = 0
+    found_from: str = "no held-out motion"
 
-# Chosen on CMU's training takes, each against the others: docs/results/memorisation.md.
-LIMITS = {0.5: Limit(0.0055, 0.075), 1.0: Limit(0.007, 0.085), 2.0: Limit(0.008, 0.095)}
-ACCUSED_SHARE = 0.25
-"""Of the moving stretches of one length that a motion holds; more are copied in a motion that is accused."""
+    def __str__(self) -> str:
+        shares = ", ".join(f"{self.factor * share:.3f}" for share in SHARES.values())
+        lengths = ", ".join(f"{seconds:g}" for seconds in SHARES)
+        return f"{shares} of the movement ({lengths} s), found from {self.num_motions} {self.found_from}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,23 +65,67 @@ def moving(nearest: Nearest) -> Bool[np.ndarray, "stretches"]:
     return np.asarray(nearest.movement >= STILL_BONES)
 
 
-def copied(nearest: Nearest) -> Bool[np.ndarray, "stretches"]:
-    """Moving stretches that are nearer to training motion than held-out takes come."""
-    limit = LIMITS[nearest.seconds]
-    return moving(nearest) & (nearest.distance < np.maximum(limit.metres, limit.share * nearest.movement))
+def copied(nearest: Nearest, limits: Limits) -> Bool[np.ndarray, "stretches"]:
+    """Moving stretches that are nearer to training motion than the limits."""
+    return moving(nearest) & (nearest.distance < limits.factor * SHARES[nearest.seconds] * nearest.movement)
 
 
-def verdicts(found: Sequence[Nearest], num_motions: int) -> Verdicts:
+def verdicts(found: Sequence[Nearest], num_motions: int, limits: Limits) -> Verdicts:
     """What the stretches of 0.5, 1 and 2 s say of each motion: `copies.nearest_training` gives them."""
     numbers, shares = {}, {}
     for nearest in found:
         number = np.bincount(nearest.motion[moving(nearest)], minlength=num_motions)
-        hits = np.bincount(nearest.motion[copied(nearest)], minlength=num_motions)
+        hits = np.bincount(nearest.motion[copied(nearest, limits)], minlength=num_motions)
         numbers[nearest.seconds] = number
         shares[nearest.seconds] = hits / np.maximum(number, 1)
     told = np.any([number > 0 for number in numbers.values()] or np.zeros((1, num_motions), bool), axis=0)
     accused = np.any([share > ACCUSED_SHARE for share in shares.values()] or np.zeros((1, num_motions), bool), axis=0)
     return Verdicts(numbers, shares, told, accused)
+
+
+def least_factors(found: Sequence[Nearest], num_motions: int) -> Float64[np.ndarray, "motions"]:
+    """The factor up to which limits let each motion go; infinite where nothing can be said of it."""
+    least = np.full(num_motions, np.inf)
+    for nearest in found:
+        some = moving(nearest)
+        factors = nearest.distance[some] / (SHARES[nearest.seconds] * nearest.movement[some])
+        order = np.lexsort((factors, nearest.motion[some]))
+        numbers = np.bincount(nearest.motion[some], minlength=num_motions)
+        held = np.flatnonzero(numbers)
+        place = (np.cumsum(numbers) - numbers + np.floor(ACCUSED_SHARE * numbers).astype(np.int64))[held]
+        least[held] = np.minimum(least[held], factors[order][place])
+    return least
+
+
+def limits_from(found: Sequence[Nearest], num_motions: int, found_from: str) -> Limits:
+    """The widest limits that accuse 1 % of held-out motions at most, never beyond `SHARES` or under half of them.
+
+    The first cap keeps "copied" what it says where held-out motion is far from all training motion; the second where
+    it holds training motion itself.
+    """
+    least = np.sort(least_factors(found, num_motions))
+    least = least[np.isfinite(least)]
+    if not len(least):
+        return Limits()
+    factor = least[int(ACCUSED_HELD_OUT * len(least))]
+    return Limits(float(np.clip(factor, LEAST_FACTOR, 1.0)), len(least), found_from)
+
+
+def limits_of(training: SampleSet, indexed: TrainingMotion, validation: SampleSet | None) -> Limits:
+    """A store's own limits, from validation motion, or from training motions each beside all others where that is less.
+
+    Of either at most 200 random motions are looked at; fewer than 50 validation motions are too few where there are
+    more for training.
+    """
+    rng = np.random.default_rng(0)
+    if validation is not None and validation.num_sequences >= min(FEWEST_HELD_OUT, training.num_sequences):
+        chosen = np.sort(rng.permutation(validation.num_sequences)[:MOST_HELD_OUT])
+        found = nearest_training(validation.select(chosen), indexed)
+        return limits_from(found, len(chosen), "validation motions")
+    chosen = np.sort(rng.permutation(training.num_sequences)[:MOST_HELD_OUT])
+    apart = chosen[:, None] == np.arange(training.num_sequences)
+    found = nearest_training(training.select(chosen), indexed, apart)
+    return limits_from(found, len(chosen), "training motions, each beside all others")
 
 
 CHOICES = 10

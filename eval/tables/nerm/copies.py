@@ -1,12 +1,22 @@
 """The block of a table that tells whether motions are copies of training motion."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 
 import numpy as np
 
 from eval.report.results import Block, Cell, Origin, Row
-from eval.sets.copies import STRETCH_SECONDS, nearest_training
-from eval.sets.memorisation import ACCUSED_SHARE, STILL_BONES, copied, moving, verdicts
+from eval.sets.copies import STRETCH_SECONDS, TrainingMotion, nearest_training
+from eval.sets.memorisation import (
+    ACCUSED_HELD_OUT,
+    ACCUSED_SHARE,
+    STILL_BONES,
+    Limits,
+    copied,
+    limits_of,
+    moving,
+    verdicts,
+)
 from eval.sets.sets import SampleSet
 
 TITLE = "Copies of training motion"
@@ -18,8 +28,9 @@ DISTANCE_SECONDS = 1.0
 MOST_MOTIONS = 60
 NOTE = (
     "The nearest training stretch to every stretch of 0.5, 1 and 2 s, whatever body, tempo (0.8 to 1.25), side and "
-    "direction it has. Copied are the stretches that are nearer than held-out takes of the same performers doing the "
-    f"same come; accused are the motions with more than {ACCUSED_SHARE:.0%} of their stretches of one length copied. "
+    "direction it has. Copied are the stretches that are nearer, for how much they move, than held-out motion of this "
+    f"store comes; accused are the motions with more than {ACCUSED_SHARE:.0%} of their stretches of one length copied, "
+    f"{ACCUSED_HELD_OUT:.0%} of held-out motions at the most. "
     f"Stretches that move less than {1000 * STILL_BONES:g} mm say nothing and are left out. The last columns hold the "
     f"distance within which that share of the stretches of {DISTANCE_SECONDS:g} s has training motion: a copy that a "
     "model makes is as far from its original as the model reconstructs (Table 4), so where that is more than about "
@@ -29,25 +40,38 @@ NOTE = (
 
 
 def copies_block(
-    held_out: SampleSet, training: SampleSet, others: Mapping[str, SampleSet], notes: Mapping[str, str]
+    held_out: SampleSet,
+    training: SampleSet,
+    validation: SampleSet | None,
+    others: Mapping[str, SampleSet],
+    notes: Mapping[str, str],
 ) -> Block:
     """Shares of motions and stretches that are copies, and quantiles of the distance to training motion.
 
-    Sets without a motion of half a second have no row; of large ones, 60 random motions are looked at. Raises
-    `ValueError` where the training motion is too short.
+    Limits are the store's own, from its validation motion where there is enough. Sets without a motion of half a second
+    have no row; of large ones, 60 random motions are looked at. Raises `ValueError` where the training motion is too
+    short.
     """
+    indexed = TrainingMotion.of(training)
+    limits = limits_of(training, indexed, validation)
     rows = []
     for name, samples in {HELD_OUT: held_out, **others}.items():
         origin: Origin = "reference" if name == HELD_OUT else "ours"
         chosen = np.random.default_rng(0).permutation(samples.num_sequences)[:MOST_MOTIONS]
-        rows.append(_row(name, origin, samples.select(np.sort(chosen)), training, notes.get(name, "")))
+        rows.append(_row(name, origin, samples.select(np.sort(chosen)), indexed, limits, notes.get(name, "")))
     columns = (ACCUSED, *COPIED.values(), *SHARES)
-    return Block(TITLE, columns, tuple(row for row in rows if row.cells), note=NOTE)
+    return Block(
+        TITLE,
+        columns,
+        tuple(row for row in rows if row.cells),
+        note=f"{NOTE} The limits are {limits}.",
+        provenance={"limits": asdict(limits)},
+    )
 
 
-def _row(name: str, origin: Origin, samples: SampleSet, training: SampleSet, note: str) -> Row:
+def _row(name: str, origin: Origin, samples: SampleSet, training: TrainingMotion, limits: Limits, note: str) -> Row:
     found = nearest_training(samples, training)
-    told = verdicts(found, samples.num_sequences)
+    told = verdicts(found, samples.num_sequences, limits)
     number = int(told.told.sum())
     still = f"{samples.num_sequences - number} motions too still or short to tell"
     remarks = "; ".join(filter(None, (f"{number} motions", still if number < samples.num_sequences else "", note)))
@@ -58,7 +82,7 @@ def _row(name: str, origin: Origin, samples: SampleSet, training: SampleSet, not
         chosen = moving(nearest)
         if not chosen.any():
             continue
-        cells[COPIED[nearest.seconds]] = Cell(100.0 * float(copied(nearest)[chosen].mean()))
+        cells[COPIED[nearest.seconds]] = Cell(100.0 * float(copied(nearest, limits)[chosen].mean()))
         if nearest.seconds == DISTANCE_SECONDS:
             metres = nearest.distance[chosen]
             cells |= {label: Cell(1000.0 * float(np.quantile(metres, share))) for label, share in SHARES.items()}

@@ -19,6 +19,7 @@ from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
 from eval.sets.memorisation import set_remarks
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
+from eval.sets.sets import SampleSet
 from eval.tables.models import check_names, generated_fields
 from eval.tables.nerm.clip_fid_column import (
     GENERATED_LOW,
@@ -42,9 +43,10 @@ from eval.tables.nerm.clip_fid_column import (
 from eval.tables.nerm.copies import copies_block
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
-from motionkit.core.errors import MotionkitError
+from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import require_no_link
 from motionkit.core.progress import task
+from motionkit.store import Store
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
 ROW_NOTES = {
@@ -123,7 +125,7 @@ def build_table2(request: TableRequest) -> Result:
     by_source = zip(sources.value, sheets, strict=True)
     blocks = [block for source, sheet in by_source for block in _blocks(source, sheet, sizes, notes, request)]
     with task(request.on_progress, "copies of training motion"):
-        copies = _copies(real, train, fields, folders, notes)
+        copies = _copies(real, train, _validation(store, request.real.split), fields, folders, notes)
     missing = (*rates.missing, *generated.missing, *slow, *sources.missing, *chain(*absent), *copies.missing)
     return Result(
         task="nerm-table2",
@@ -159,9 +161,20 @@ def _model_notes(models: Iterable[str]) -> dict[str, str]:
     return notes
 
 
+def _validation(store: Store, compared: str) -> SampleSet | None:
+    """Motion that is neither trained on nor compared here; None where the store has none."""
+    if compared in ("val", "all"):
+        return None
+    try:
+        return real_motion(store, "val").at(LOW_FPS)
+    except (UsageError, NoRealMotionError):
+        return None
+
+
 def _copies(
     real: RealMotion,
     train: RealMotion,
+    validation: SampleSet | None,
     fields: ModelFields,
     folders: Sequence[SampleFolder],
     notes: Mapping[str, str],
@@ -174,7 +187,7 @@ def _copies(
         generated = {name: sample_fields(own, held_out.sequence_ids, LOW_FPS, name) for name, own in fields.items()}
         others = {name: samples for name, samples in generated.items() if samples is not None}
         others |= {folder.name: folder.at(LOW_FPS) for folder in folders}
-        return Found((copies_block(held_out, training, others, notes),))
+        return Found((copies_block(held_out, training, validation, others, notes),))
     except (NoRealMotionError, ValueError) as error:
         return Found((), (f"copies of training motion: {error}",))
 

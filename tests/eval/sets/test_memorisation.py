@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 
 from eval.sets import copies
-from eval.sets.copies import Track, nearest_training
+from eval.sets.copies import Nearest, TrainingMotion, nearest_training
 from eval.sets.corruptions import jitter, low_pass, upsample_slerp
-from eval.sets.memorisation import Verdicts, copied, moving, verdicts
+from eval.sets.memorisation import (
+    Limits,
+    Verdicts,
+    copied,
+    moving,
+    verdicts,
+)
 from eval.sets.sets import SampleSet, sample_set
+from eval.sets.stretches import BONE_LENGTHS, Track
 from eval.tables.nerm.copies import ACCUSED, COPIED, HELD_OUT, copies_block
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
@@ -84,8 +91,12 @@ DISGUISES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
+def near(samples: SampleSet, training: SampleSet, apart: np.ndarray | None = None) -> tuple[Nearest, ...]:
+    return nearest_training(samples, TrainingMotion.of(training), apart)
+
+
 def told_of(samples: SampleSet, training: SampleSet = TRAINING) -> Verdicts:
-    return verdicts(nearest_training(samples, training), samples.num_sequences)
+    return verdicts(near(samples, training), samples.num_sequences, Limits())
 
 
 @pytest.mark.parametrize("name", list(DISGUISES))
@@ -106,10 +117,10 @@ def test_copies_are_found_at_any_framerate(fps: str) -> None:
 
 
 def test_what_was_done_to_a_copy_is_said() -> None:
-    for nearest in nearest_training(as_set(mirrored(played(TAKE, "1.25"))[::-1]), TRAINING):
+    for nearest in near(as_set(mirrored(played(TAKE, "1.25"))[::-1]), TRAINING):
         assert (nearest.sequence == 2).all() and nearest.mirrored.all() and nearest.backwards.all()
         np.testing.assert_allclose(nearest.tempo, 1.25)
-        assert copied(nearest).all()
+        assert copied(nearest, Limits()).all()
 
 
 def test_the_distance_of_a_bone_that_points_elsewhere() -> None:
@@ -120,9 +131,9 @@ def test_the_distance_of_a_bone_that_points_elsewhere() -> None:
     bone = other[:, 20] - other[:, 18]
     length = np.linalg.norm(bone, axis=-1)
     other[:, 20] = other[:, 18] + length[:, None] * np.array([0.0, 1.0, 0.0])
-    between = np.linalg.norm(bone[0] / length[0] - np.array([0, 1, 0])) * copies.BONE_LENGTHS[19, 0]
+    between = np.linalg.norm(bone[0] / length[0] - np.array([0, 1, 0])) * BONE_LENGTHS[19, 0]
     # The training set holds this take alone, so that there is nothing else to be near to.
-    for nearest in nearest_training(as_set(other), as_set(still)):
+    for nearest in near(as_set(other), as_set(still)):
         np.testing.assert_allclose(nearest.distance, between / np.sqrt(21), rtol=0.02)
         np.testing.assert_allclose(nearest.movement, 0, atol=1e-6)
 
@@ -130,35 +141,35 @@ def test_the_distance_of_a_bone_that_points_elsewhere() -> None:
 def test_stretches_that_stand_still_say_nothing() -> None:
     still = np.repeat(TAKE[:1], 200, axis=0)
     samples = as_set(still, TAKE)
-    found = nearest_training(samples, as_set(np.repeat(TAKE[:1], 400, axis=0), TAKE))
+    found = near(samples, as_set(np.repeat(TAKE[:1], 400, axis=0), TAKE))
     assert all(nearest.distance.max() < 1e-3 for nearest in found)
     assert [moving(nearest)[nearest.motion == 0].any() for nearest in found] == [False] * 3
-    told = verdicts(found, 2)
+    told = verdicts(found, 2, Limits())
     assert told.told.tolist() == [False, True] and told.accused.tolist() == [False, True]
 
 
 def test_motions_apart_from_a_take_are_not_compared_with_it() -> None:
     samples = as_set(TAKE)
-    own, others = (nearest_training(samples, TRAINING, np.arange(4)[None] == number) for number in (1, 2))
+    own, others = (near(samples, TRAINING, np.arange(4)[None] == number) for number in (1, 2))
     assert all((nearest.sequence == 2).all() for nearest in own)
-    assert not any((nearest.sequence == 2).any() or copied(nearest).any() for nearest in others)
+    assert not any((nearest.sequence == 2).any() or copied(nearest, Limits()).any() for nearest in others)
 
 
 def test_short_motions_have_the_stretches_that_they_hold() -> None:
-    found = nearest_training(as_set(swinging(9, 0.3), swinging(9, 0.7), swinging(9, 1.2)), TRAINING)
+    found = near(as_set(swinging(9, 0.3), swinging(9, 0.7), swinging(9, 1.2)), TRAINING)
     assert [nearest.seconds for nearest in found] == [0.5, 1.0]
     assert [nearest.motion.tolist() for nearest in found] == [[1, 2, 2], [2]]
-    assert not nearest_training(as_set(swinging(9, 0.3)), TRAINING)
+    assert not near(as_set(swinging(9, 0.3)), TRAINING)
     with pytest.raises(ValueError, match="no training sequence holds a stretch"):
-        nearest_training(as_set(swinging(9, 3.0)), as_set(swinging(1, 0.3)))
+        near(as_set(swinging(9, 3.0)), as_set(swinging(1, 0.3)))
 
 
 def test_blocks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = as_set(TAKE, swinging(20, 3.0))
-    whole = nearest_training(samples, TRAINING)
-    monkeypatch.setattr(copies, "BLOCK_FRAMES", 50)
+    whole = near(samples, TRAINING)
+    monkeypatch.setattr(copies, "BLOCK_STRETCHES", 20)
     monkeypatch.setattr(copies, "BLOCK_QUERIES", 7)
-    for one, other in zip(whole, nearest_training(samples, TRAINING), strict=True):
+    for one, other in zip(whole, near(samples, TRAINING), strict=True):
         np.testing.assert_allclose(one.distance, other.distance, rtol=1e-4, atol=1e-5)
 
 
@@ -169,7 +180,7 @@ def test_bodies_places_and_headings_do_not_count(seed: int, yaw: float, height: 
     sine, cosine = np.sin(yaw), np.cos(yaw)
     turn = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
     changed = (height * take @ turn.T + np.array([1.0, 2.0, 3.0])).astype(np.float32)
-    one, other = (nearest_training(as_set(each), LITTLE)[1] for each in (take, changed))
+    one, other = (near(as_set(each), LITTLE)[1] for each in (take, changed))
     # The search looks at the nearest of candidates, which rounding may change.
     np.testing.assert_allclose(one.distance, other.distance, rtol=0.05)
     np.testing.assert_allclose(one.movement, other.movement, rtol=1e-3)
@@ -178,7 +189,7 @@ def test_bodies_places_and_headings_do_not_count(seed: int, yaw: float, height: 
 def test_distances_are_those_of_a_search_over_all_stretches() -> None:
     """Every training stretch at every tempo, each way, by the definition: the search is as near, or nearer between."""
     samples = as_set(swinging(50, 2.0), swinging(2, 9.0)[37:200])
-    [_, found, _] = nearest_training(samples, TRAINING)
+    [_, found, _] = near(samples, TRAINING)
     for place in range(len(found.motion)):
         sequence = samples.sequences[found.motion[place]]
         first = round(20 * found.start_seconds[place])
@@ -215,7 +226,7 @@ def test_the_block_tells_a_model_that_copies_from_one_that_does_not() -> None:
     copying = as_set(*(elsewhere(mirrored(swinging(2, 9.0)[start : start + 180])) for start in (0, 150, 300)))
     held_out = as_set(*(swinging(seed, 4.0) for seed in range(30, 34)))
     sets = {"copying": copying, "too short": as_set(swinging(0, 0.3))}
-    block = copies_block(held_out, TRAINING, sets, {"copying": "says so"})
+    block = copies_block(held_out, TRAINING, None, sets, {"copying": "says so"})
     rows = {row.name: row for row in block.rows}
     assert set(rows) == {HELD_OUT, "copying"}
     assert {rows["copying"].cells[each].value for each in (ACCUSED, *COPIED.values())} == {100.0}
