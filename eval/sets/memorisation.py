@@ -67,7 +67,12 @@ def moving(nearest: Nearest) -> Bool[np.ndarray, "stretches"]:
 
 def copied(nearest: Nearest, limits: Limits) -> Bool[np.ndarray, "stretches"]:
     """Moving stretches that are nearer to training motion than the limits."""
-    return moving(nearest) & (nearest.distance < limits.factor * SHARES[nearest.seconds] * nearest.movement)
+    return moving(nearest) & (_factors(nearest) < limits.factor)
+
+
+def _factors(nearest: Nearest) -> Float64[np.ndarray, "stretches"]:
+    """The distance over the share of the movement; of still stretches, of the least movement that counts."""
+    return np.asarray(nearest.distance / (SHARES[nearest.seconds] * np.maximum(nearest.movement, STILL_BONES)))
 
 
 def verdicts(found: Sequence[Nearest], num_motions: int, limits: Limits) -> Verdicts:
@@ -88,7 +93,7 @@ def least_factors(found: Sequence[Nearest], num_motions: int) -> Float64[np.ndar
     least = np.full(num_motions, np.inf)
     for nearest in found:
         some = moving(nearest)
-        factors = nearest.distance[some] / (SHARES[nearest.seconds] * nearest.movement[some])
+        factors = _factors(nearest)[some]
         order = np.lexsort((factors, nearest.motion[some]))
         numbers = np.bincount(nearest.motion[some], minlength=num_motions)
         held = np.flatnonzero(numbers)
