@@ -66,8 +66,8 @@ LEAST_POSE_SPREAD = 0.02
 RIDGE = 0.003
 PREDICTION_FLOOR = 0.05
 """Added to a set's squared prediction, as a share of that of training motion: a set that stands still has no timing."""
-LEAST_FOLLOWING = 0.1
-"""Where real motion follows by less, as at framerates that hold nothing above 12 Hz, nothing can be lost."""
+LEAST_FOLLOWING = 0.25
+"""Where real motion follows by less, the share that is lost is of this: nothing where nothing lies above 12 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
