@@ -187,8 +187,7 @@ def test_what_a_killed_compaction_left_is_deleted_by_whoever_writes_next(small_s
     for name, finish in FINISHING.items():
         store = shutil.copytree(small_store, small_store.with_name(name))
         finish(store)
-        assert leftovers(store) == [], name
-        assert list(faults(store)) == [], name
+        assert (leftovers(store), list(faults(store))) == ([], []), name
         assert not compact(store), name
 
 
