@@ -3,17 +3,29 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check clean
+# The tests start hundreds of processes: each would compile all modules anew.
+export PYTHONDONTWRITEBYTECODE :=
+
+.PHONY: demo test suite check lint types clean
 
 demo: $(VENV)/.installed
 	$(BIN)/motionkit demo $(ARGS)
 
-test: $(VENV)/.installed check
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+# mypy has one core for a minute, so the tests run beside it.
+test: lint
+	$(MAKE) --jobs 2 types suite
 
-check: $(VENV)/.installed
+# Each worker has half of the folders, so that what the tests of a module share is made once.
+suite: $(VENV)/.installed
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+
+check: lint types
+
+lint: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(VENV)/.installed
 	$(BIN)/mypy
 
 $(VENV)/.installed: pyproject.toml constraints.txt

@@ -12,7 +12,7 @@ Version 1, which compares amounts, is `eval.clip_fid.kinematic1`.
 import hashlib
 import io
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -40,14 +40,24 @@ from motionkit.core.files import whole_file
 
 VERSION = "kinematic/2"
 NUM_POSE_COMPONENTS = 10
-NUM_TIMING = 4
-"""Means over a clip of the product of power and prediction, and of the squared prediction, for both predictors."""
+NUM_SLOW = 2
+"""Bands whose power counts above the smallest floor; those above them have that of the middle band."""
+NUM_TIMING = 2
+"""Means over a clip of the product of log power and its prediction, and of the squared prediction."""
 
 # Weights were chosen on training takes alone (docs/metrics.md): every block's total variance on real training clips.
-POSE_WEIGHT, SPREAD_WEIGHT, SPEED_WEIGHT, SLIP_WEIGHT = 1.0, 1.0, 1.0, 1.4
-SLOW_WEIGHT, UPPER_SLOW_WEIGHT, MIDDLE_WEIGHT, HIGH_WEIGHT = 5.0, 0.45, 0.03, 0.02
-STEADY_WEIGHT, SUDDEN_WEIGHT = 0.1, 0.75
-"""What a set whose fast motion does not follow its slow motion at all scores for each predictor."""
+WEIGHTS: Mapping[str, float] = {
+    "pose": 1.0,
+    "spread": 1.0,
+    "slow": 5.5,
+    "upper slow": 0.45,
+    "middle": 0.01,
+    "high": 0.01,
+    "speed": 1.0,
+    "slip": 1.3,
+}
+TIMING_WEIGHT = 0.25
+"""What a set whose fast motion does not follow its slow motion at all scores."""
 
 SPREAD_FLOOR_METRES = 0.005
 LEAST_LOG_SPREAD = 0.25
@@ -56,41 +66,24 @@ LEAST_POSE_SPREAD = 0.02
 RIDGE = 0.003
 PREDICTION_FLOOR = 0.05
 """Added to a set's squared prediction, as a share of that of training motion: a set that stands still has no timing."""
-
-
-@dataclass(frozen=True, eq=False)
-class Predictors:
-    """Linear predictors of log power above 12 Hz, all deviations from the mean over a second.
-
-    The first reads `steady` channels; the second what `sudden` channels have beside them, which `overlap` takes away.
-    """
-
-    steady: Float64[np.ndarray, "steady timing"]
-    sudden: Float64[np.ndarray, "sudden timing"]
-    overlap: Float64[np.ndarray, "steady timing"]
-
-    def products(self, motion: Channels) -> Float64[np.ndarray, "frames 4"]:
-        """Of every pose: power times prediction, and the prediction squared, of both predictors."""
-        first = motion.steady @ self.steady
-        second = motion.sudden @ self.sudden - motion.steady @ self.overlap
-        pairs = [(motion.timing * each, np.square(each)) for each in (first, second)]
-        return np.stack([product.sum(axis=1) for pair in pairs for product in pair], axis=1)
+LEAST_FOLLOWING = 0.25
+"""Where real motion follows by less, the share that is lost is of this: nothing where nothing lies above 12 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
 class KinematicDescriptor:
     """The descriptor fitted at one framerate.
 
-    `pose_mean` [63] and `pose_components` [10, 63] span poses relative to root and heading; `predictors` give the
-    timing, of which `least_prediction` [2] is the least squared one; `centre` and `scale` standardise the features that
-    are compared by their distribution, and weigh them.
+    `pose_mean` [63] and `pose_components` [10, 63] span poses relative to root and heading; `predictor` gives log power
+    from slow motion, and `least_prediction` is added to its mean square; `centre` and `scale` standardise the features
+    that are compared by their distribution, and weigh them.
     """
 
     fps: Fraction
     pose_mean: Float64[np.ndarray, "coordinates"]
     pose_components: Float64[np.ndarray, "components coordinates"]
-    predictors: Predictors
-    least_prediction: Float64[np.ndarray, "2"]
+    predictor: Float64[np.ndarray, "channels timing"]
+    least_prediction: Float64[np.ndarray, "1"]
     centre: Float64[np.ndarray, "features"]
     scale: Float64[np.ndarray, "features"]
 
@@ -141,21 +134,20 @@ class KinematicDescriptor:
         return raw
 
     def score(self, real: Gaussian, other: Gaussian) -> float:
-        """Fréchet distance of the features, and the square of how much less fast motion follows slow motion.
+        """Fréchet distance of the features, and the squared share by which fast motion follows slow motion less.
 
         Following it more closely than real motion does counts for nothing: what kinks and filters win there, noise
         would take away.
         """
         features = slice(0, self.num_distance)
-        lost = np.maximum(self.following(real) - self.following(other), 0.0)
-        weights = np.array([STEADY_WEIGHT, SUDDEN_WEIGHT])
-        return frechet_distance(real.part(features), other.part(features)) + float(weights @ np.square(lost))
+        follows = max(self.following(real), LEAST_FOLLOWING)
+        lost = max(0.0, self.following(real) - self.following(other)) / follows
+        return frechet_distance(real.part(features), other.part(features)) + TIMING_WEIGHT * lost**2
 
-    def following(self, of: Gaussian) -> Float64[np.ndarray, "2"]:
-        """By how much log power rises where each predictor says it rises by 1; about 1 for real motion, 0 for noise."""
-        timing = of.mean[self.num_distance :].reshape(2, 2)
-        slope: Float64[np.ndarray, 2] = timing[:, 0] / np.maximum(timing[:, 1] + self.least_prediction, 1e-12)
-        return slope
+    def following(self, of: Gaussian) -> float:
+        """By how much log power rises where the predictor says it rises by 1: near 1 for real motion, 0 for noise."""
+        product, square = of.mean[self.num_distance :]
+        return float(product / max(square + self.least_prediction[0], 1e-12))
 
     def save(self, path: Path) -> None:
         """Write the fitted numbers as .npz, readable without pickle."""
@@ -167,22 +159,14 @@ class KinematicDescriptor:
     def _rows(self, motion: Channels) -> Float64[np.ndarray, "frames numbers"]:
         scores = (motion.pose - self.pose_mean) @ self.pose_components.T
         power = motion.power.reshape(len(scores), -1)
-        products = self.predictors.products(motion)
+        prediction = _inputs(motion) @ self.predictor
+        timing = np.stack([(motion.timing * prediction).sum(axis=1), np.square(prediction).sum(axis=1)], axis=1)
         return np.concatenate(
-            (scores, np.square(scores), power, motion.log_speed, motion.log_foot_speed, products), axis=1
+            (scores, np.square(scores), power, motion.log_speed, motion.log_foot_speed, timing), axis=1
         )
 
     def _arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        own = ("pose_mean", "pose_components", "least_prediction", "centre", "scale")
-        predictors = {f"predict_{each.name}": getattr(self.predictors, each.name) for each in fields(self.predictors)}
-        return {name: getattr(self, name) for name in own} | predictors
-
-    @classmethod
-    def of_arrays(cls, fps: Fraction, arrays: Mapping[str, npt.NDArray[np.float64]]) -> "KinematicDescriptor":
-        """The descriptor of what `save` wrote; raises `KeyError` or `TypeError` for other names."""
-        own = {name: array for name, array in arrays.items() if not name.startswith("predict_")}
-        predictors = Predictors(**{each.name: arrays[f"predict_{each.name}"] for each in fields(Predictors)})
-        return cls(fps, predictors=predictors, **own)
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "fps"}
 
 
 def load_kinematic(path: Path) -> KinematicDescriptor:
@@ -195,7 +179,7 @@ def load_kinematic(path: Path) -> KinematicDescriptor:
             arrays = dict(file)
         version, fps = str(arrays.pop("version")), Fraction(str(arrays.pop("fps")))
         written = str(arrays.pop("fingerprint"))
-        descriptor = KinematicDescriptor.of_arrays(fps, arrays) if version == VERSION else None
+        descriptor = KinematicDescriptor(fps, **arrays) if version == VERSION else None
     except (ArithmeticError, BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
         raise DamagedFileError(path, str(error), "fit it again") from None
     if descriptor is None:
@@ -219,15 +203,15 @@ def fit_kinematic(motions: Iterable[Float[np.ndarray, "_frames joints 3"]], fps:
     _, eigenvectors = np.linalg.eigh((poses - pose_mean).T @ (poses - pose_mean) / len(poses))
     components = eigenvectors.T[::-1][:NUM_POSE_COMPONENTS]
     largest = np.take_along_axis(components, np.abs(components).argmax(axis=1)[:, None], axis=1)
-    predictors = _fit_predictors(made)
-    squares = np.concatenate([predictors.products(motion)[:, 1::2] for motion in made]).mean(axis=0)
+    predictor = _fit_predictor(made)
+    squares = np.concatenate([np.square(_inputs(motion) @ predictor).sum(axis=1) for motion in made])
     num_features = max(block.stop for block in _blocks(Bands.at(fps)).values())
     return KinematicDescriptor(
         fps,
         pose_mean,
         np.ascontiguousarray(components * np.sign(largest)),
-        predictors,
-        PREDICTION_FLOOR * squares,
+        predictor,
+        PREDICTION_FLOOR * squares.mean(keepdims=True),
         np.zeros(num_features),
         np.ones(num_features),
     )
@@ -241,27 +225,13 @@ def standardised(fitted: KinematicDescriptor, described: Float64[np.ndarray, "cl
     scale = 1.0 / np.maximum(raw.std(axis=0), least)
     for name, block in fitted.blocks.items():
         scale[block] *= np.sqrt(WEIGHTS[name] / max(1, block.stop - block.start))
-    parts = (fitted.pose_mean, fitted.pose_components, fitted.predictors, fitted.least_prediction)
-    return KinematicDescriptor(fitted.fps, *parts, raw.mean(axis=0), scale)
-
-
-WEIGHTS: Mapping[str, float] = {
-    "pose": POSE_WEIGHT,
-    "spread": SPREAD_WEIGHT,
-    "slow": SLOW_WEIGHT,
-    "upper slow": UPPER_SLOW_WEIGHT,
-    "middle": MIDDLE_WEIGHT,
-    "high": HIGH_WEIGHT,
-    "speed": SPEED_WEIGHT,
-    "slip": SLIP_WEIGHT,
-}
+    return replace(fitted, centre=raw.mean(axis=0), scale=scale)
 
 
 def _blocks(bands: Bands) -> dict[str, slice]:
-    num_slow = min(2, len(bands.low))
     bands_of = {
-        "slow": num_slow,
-        "upper slow": len(bands.low) - num_slow,
+        "slow": len(bands.low[:NUM_SLOW]),
+        "upper slow": len(bands.low[NUM_SLOW:]),
         "middle": len(bands.middle),
         "high": len(bands.high),
     }
@@ -280,8 +250,8 @@ def _raw_features(
     spread = 0.5 * np.log(np.maximum(squares - np.square(pose), 0.0) + SPREAD_FLOOR_METRES**2)
     floors = np.concatenate(
         (
-            noise_power(bands.low, LOW_NOISE_METRES),
-            noise_power(bands.middle, MIDDLE_NOISE_METRES),
+            noise_power(bands.low[:NUM_SLOW], LOW_NOISE_METRES),
+            noise_power((*bands.low[NUM_SLOW:], *bands.middle), MIDDLE_NOISE_METRES),
             noise_power(bands.high, HIGH_NOISE_METRES),
         )
     )
@@ -290,21 +260,23 @@ def _raw_features(
     return np.concatenate((pose, spread, log_power, others), axis=1)
 
 
-def _fit_predictors(motions: list[Channels]) -> Predictors:
-    """Ridge regressions on standardised channels; the second of what the first channels leave of the second ones."""
+def _inputs(motion: Channels) -> Float64[np.ndarray, "frames channels"]:
+    return np.concatenate((motion.steady, motion.sudden), axis=1)
+
+
+def _fit_predictor(motions: list[Channels]) -> Float64[np.ndarray, "channels timing"]:
+    """Ridge regression of log power on what the sudden channels have beside the steady ones.
+
+    Speed alone would do as a predictor, and noise that is added where joints are fast follows speed.
+    """
     steady, sudden, timing = (
         np.concatenate([getattr(motion, name) for motion in motions]) for name in ("steady", "sudden", "timing")
     )
     steady_scale, sudden_scale = (1.0 / (values.std(axis=0) + 1e-9) for values in (steady, sudden))
     steady, sudden = steady * steady_scale, sudden * sudden_scale
     shared = _ridge(steady, sudden)
-    own = sudden - steady @ shared
-    weights = _ridge(own, timing)
-    return Predictors(
-        steady=steady_scale[:, None] * _ridge(steady, timing),
-        sudden=sudden_scale[:, None] * weights,
-        overlap=steady_scale[:, None] * (shared @ weights),
-    )
+    weights = _ridge(sudden - steady @ shared, timing)
+    return np.concatenate((-steady_scale[:, None] * (shared @ weights), sudden_scale[:, None] * weights))
 
 
 def _ridge(

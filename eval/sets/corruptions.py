@@ -157,11 +157,7 @@ def low_pass(
     continued by point reflection, so that constant motion and constant velocity pass unchanged.
     """
     flat, cutoff = _flatten(positions, cutoff_hz)
-
-    def gain(frequencies: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        return 1.0 / (1.0 + (frequencies * fps / cutoff[:, None]) ** (2 * order))
-
-    return _restore(_filter(flat, gain), positions)
+    return _restore(_filter(flat, lambda f: 1.0 / (1.0 + (f * fps / cutoff[:, None]) ** (2 * order))), positions)
 
 
 def turn(

@@ -18,6 +18,7 @@ LOW_PASS_HZ = 8.0
 TEXTURE_HZ = 10.0
 NOISE_METRES = (0.0001, 0.0003, 0.001)
 FAST_METRES_PER_SECOND = 0.5
+NUM_LENDERS = 4
 Take = npt.NDArray[np.float32]
 Noise = npt.NDArray[np.float64]
 
@@ -95,14 +96,20 @@ def _speed(take: Take, like: SampleSet) -> Noise:
 
 
 def _borrowed(honest: SampleSet, real: SampleSet, seed: int) -> SampleSet:
-    """What another, random take of the real ones has above 10 Hz, added; it is repeated where it is shorter."""
+    """What other, random takes of the real ones have above 10 Hz, added; it is repeated where it is shorter.
+
+    Every take is there `NUM_LENDERS` times, each time with another take's. By chance the fast part of one take fits the
+    motion of another: which one is drawn must not decide the game.
+    """
     rng, takes = np.random.default_rng((seed, 9)), list(real.sequences)
+    fast = [take - low_pass(take[None], float(real.fps), TEXTURE_HZ)[0] for take in takes]
+    others = max(1, len(takes) - 1)
     made = []
     for index, take in enumerate(honest.sequences):
-        other = takes[(index + int(rng.integers(1, max(2, len(takes))))) % len(takes)].astype(np.float64)
-        fast = other - low_pass(other[None], float(real.fps), TEXTURE_HZ)[0]
-        made.append(take + np.resize(fast, take.shape))
-    return _with(honest, made)
+        steps = 1 + rng.permutation(others)[np.arange(NUM_LENDERS) % others]
+        made += [take + np.resize(fast[(index + step) % len(takes)], take.shape) for step in steps]
+    each = honest.select(np.repeat(np.arange(honest.num_sequences), NUM_LENDERS))
+    return _with(each, made)
 
 
 def _with(samples: SampleSet, takes: Sequence[npt.NDArray[np.floating]]) -> SampleSet:

@@ -1,7 +1,7 @@
 """Smooth functions of time: ramps, pulses, glides and band-limited noise. All are defined at every instant."""
 
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 
 import numpy as np
 from jaxtyping import Float64
@@ -24,25 +24,25 @@ def glide(u: Float64[np.ndarray, "*shape"], ramp: float = 0.35) -> Float64[np.nd
 
     Its highest speed is 1 / (1 − ramp), where `smoothstep` has 1.875: a swinging foot moves like this.
     """
-
-    def eased(x: Float64[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
-        y = np.clip(x / ramp, 0.0, 1.0)
-        travelled: Float64[np.ndarray, "*shape"] = ramp * (y**3 - y**4 / 2.0) + np.maximum(x - ramp, 0.0)
-        return travelled
-
     x = np.clip(u, 0.0, 1.0)
-    return np.asarray(np.where(x < 0.5, eased(x), (1.0 - ramp) - eased(1.0 - x)) / (1.0 - ramp))
+    return np.asarray(np.where(x < 0.5, _eased(x, ramp), (1.0 - ramp) - _eased(1.0 - x, ramp)) / (1.0 - ramp))
+
+
+def _eased(x: Float64[np.ndarray, "*shape"], ramp: float) -> Float64[np.ndarray, "*shape"]:
+    y = np.clip(x / ramp, 0.0, 1.0)
+    travelled: Float64[np.ndarray, "*shape"] = ramp * (y**3 - y**4 / 2.0) + np.maximum(x - ramp, 0.0)
+    return travelled
 
 
 def pulse(start: float, rise: float, hold: float, fall: float, height: float = 1.0) -> Curve:
     """Rises from 0 at `start` for `rise` seconds, holds `height` for `hold`, falls to 0 within `fall`."""
+    return partial(_pulse_at, start=start, rise=rise, end=start + rise + hold, fall=fall, height=height)
 
-    def value(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
-        up = smoothstep((t - start) / rise)
-        down = smoothstep((t - (start + rise + hold)) / fall)
-        return np.asarray(height * (up - down))
 
-    return value
+def _pulse_at(
+    t: Float64[np.ndarray, " times"], start: float, rise: float, end: float, fall: float, height: float
+) -> Float64[np.ndarray, " times"]:
+    return np.asarray(height * (smoothstep((t - start) / rise) - smoothstep((t - end) / fall)))
 
 
 def constant(value: float) -> Curve:
@@ -77,13 +77,15 @@ def scaled(factor: float, curve: Curve) -> Curve:
 
 def shock(start: float, height: float, frequency_hertz: float = 17.0) -> Curve:
     """A damped oscillation that begins at `start`: what a heel strike sends up the body."""
+    return partial(_shock_at, start=start, height=height, frequency_hertz=frequency_hertz)
 
-    def value(t: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, " times"]:
-        since = np.maximum(t - start, 0.0)
-        fading = smoothstep(since * frequency_hertz) * np.exp(-since / SHOCK_DECAY_SECONDS)
-        return np.asarray(height * fading * np.sin(2.0 * np.pi * frequency_hertz * since))
 
-    return value
+def _shock_at(
+    t: Float64[np.ndarray, " times"], start: float, height: float, frequency_hertz: float
+) -> Float64[np.ndarray, " times"]:
+    since = np.maximum(t - start, 0.0)
+    fading = smoothstep(since * frequency_hertz) * np.exp(-since / SHOCK_DECAY_SECONDS)
+    return np.asarray(height * fading * np.sin(2.0 * np.pi * frequency_hertz * since))
 
 
 def band_noise(rng: np.random.Generator, standard_deviation: float, lowest_hertz: float, highest_hertz: float) -> Curve:

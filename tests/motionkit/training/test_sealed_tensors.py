@@ -3,6 +3,7 @@ import os
 import resource
 import stat
 from collections.abc import Iterator
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -33,11 +34,10 @@ def test_every_flipped_byte_is_noticed(tmp_path: Path) -> None:
     # Zeros where the checksum is not, and its key where it is not one.
     save_tensors(path, TENSORS | {"sha256": torch.zeros(2)}, {"sha256": "0" * 64, "step": 3})
     whole = path.read_bytes()
-    for place in range(len(whole)):
-        for flip in (0x01, 0x20, 0x80, 0xFF):
-            path.write_bytes(whole[:place] + bytes([whole[place] ^ flip]) + whole[place + 1 :])
-            with pytest.raises(DamagedFileError, match=r"model\.safetensors is damaged .*--overwrite"):
-                load_tensors(path)
+    for place, flip in zip(range(len(whole)), cycle((0x01, 0x20, 0x80, 0xFF))):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ flip]) + whole[place + 1 :])
+        with pytest.raises(DamagedFileError, match=r"model\.safetensors is damaged .*--overwrite"):
+            load_tensors(path)
 
 
 @pytest.mark.parametrize("length", [0, 3, 8, 40, -1])

@@ -9,9 +9,9 @@ import pytest
 
 from eval.clip_fid import features
 from eval.clip_fid.clips import PoseRange, Protocol
-from eval.report.results import Result
+from eval.report.results import Block, Result
 from eval.sample_folder import SampleOptions
-from eval.tables.nerm import clip_fid_column, table2
+from eval.tables.nerm import clip_fid_column, copies, table2
 from eval.tables.registry import find_table, installed_tables
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
@@ -67,8 +67,18 @@ def few_clips_in_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(features, "FIT_CLIPS", 1000)
 
 
+@pytest.fixture
+def without_copies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search for copies, half the seconds of a small table, finds nothing to compare with."""
+
+    def none(*arguments: object) -> Block:
+        raise ValueError("left out")
+
+    monkeypatch.setattr(table2, "copies_block", none)
+
+
 def build(store: Path, folder: Path, **changes: object) -> Result:
-    protocol = Protocol(num_clips=400, replications=2, detailed_replications=1)
+    protocol = Protocol(num_clips=400, replications=2, detailed_replications=1, resamplings=50)
     values: dict[str, object] = {"fps": FPS, "protocol": protocol, "features": ("kinematic",)} | changes
     return table2.build_table2(table_request(store, folder, **values))
 
@@ -81,6 +91,7 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     install_models(monkeypatch, lambda run: ScriptedModel(truth))
+    monkeypatch.setattr(copies, "MOST_MOTIONS", 3)
     result = build(store, tmp_path, run=trained_run(tmp_path / "run"))
     rows = rows_of(result)
     floor = rows[clip_fid_column.P1]
@@ -89,12 +100,15 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
     assert rows[NERM_SLERP]["60 fps"] > 10 * floor["60 fps"]
     assert rows[NERM_SLERP]["60 fps"] == pytest.approx(rows[clip_fid_column.SLERP]["60 fps"], rel=0.3)
     assert not result.missing
+    copied = next(block for block in result.blocks if block.title == copies.TITLE)
+    assert [row.name for row in copied.rows] == [copies.HELD_OUT, NERM]
     assert result.definition["generated_motions"] == {"20 fps": {"NeRM": 12}, "60 fps": {"NeRM": 12}}
     assert result.provenance["run"] == "run"
     hashes = result.blocks[0].provenance["fingerprints"].values()
     assert {path.name for path in (tmp_path / "features").iterdir()} == {f"kinematic-{each}.npz" for each in hashes}
 
 
+@pytest.mark.usefixtures("without_copies")
 def test_generations_of_a_model_count_as_its_motions_and_rows_are_compared(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -112,6 +126,7 @@ def test_generations_of_a_model_count_as_its_motions_and_rows_are_compared(
     assert training.cells["60 fps"].details["takes"] == 12
 
 
+@pytest.mark.usefixtures("without_copies")
 def test_samples_enter_the_columns_of_their_takes(store: Path, tmp_path: Path) -> None:
     folder = tmp_path / "samples"
     folder.mkdir()
@@ -125,12 +140,14 @@ def test_samples_enter_the_columns_of_their_takes(store: Path, tmp_path: Path) -
     assert any("theirs: 1 of 7 motions are for none of the compared takes" in note for note in result.notes)
 
 
+@pytest.mark.usefixtures("without_copies")
 def test_a_missing_run_leaves_its_rows_out(store: Path, tmp_path: Path) -> None:
     result = build(store, tmp_path, run=tmp_path / "nowhere")
     assert NERM not in rows_of(result)
     assert any("there is no run" in line for line in result.missing)
 
 
+@pytest.mark.usefixtures("without_copies")
 def test_smoothing_every_set_hides_what_upsampling_loses(store: Path, tmp_path: Path) -> None:
     plain = rows_of(build(store, tmp_path, fps=FPS[1:]))
     result = build(store, tmp_path, fps=FPS[1:], low_pass_hz=4.0)
@@ -139,6 +156,7 @@ def test_smoothing_every_set_hides_what_upsampling_loses(store: Path, tmp_path: 
     assert "low-passed at 4 Hz" in result.caption
 
 
+@pytest.mark.usefixtures("without_copies")
 def test_clips_that_fit_nowhere_leave_the_column_out(store: Path, tmp_path: Path) -> None:
     protocol = Protocol(sizes=PoseRange(16, 200), num_clips=100, replications=1)
     result = build(store, tmp_path, protocol=protocol)
