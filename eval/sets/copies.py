@@ -173,7 +173,7 @@ class _Wanted:
 
     def held(self, some: Int64[np.ndarray, "some"], tempo: int) -> Bool[np.ndarray, "some"]:
         """Whether the motion, played so that training motion at a tempo fits it, is long enough."""
-        return self.played[tempo].last_starts(self.num_poses)[self.motion[some]] >= 0
+        return np.asarray(self.played[tempo].last_starts(self.num_poses)[self.motion[some]] >= 0)
 
     def variant(self, some: Int64[np.ndarray, "some"], tempo: int, way: int) -> Stretches:
         """Some of them, of motions that hold them, as training motion at a tempo fits them, in one of the four ways."""
