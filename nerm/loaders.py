@@ -11,7 +11,7 @@ MODEL = ModelLoader(
     "NeRM", ("field", "denoiser"), lazily("nerm.model:load"), order=30, fixed_fps_setting="field.clips.fixed_fps"
 )
 ENCODER = EncoderLoader(
-    "NeRM (latents by optimisation)",
+    "NeRM",
     ("field",),
     lazily("nerm.field.motion_encoder:load"),
     order=90,

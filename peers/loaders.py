@@ -10,7 +10,7 @@ from peers.recipes import PEERS, Peer
 
 def _loader(peer: Peer) -> EncoderLoader:
     def load(run: Path) -> MotionEncoder:
-        return load_encoder(run, peer.name, peer.config_type, peer.make_network)
+        return load_encoder(run, peer.name, peer.config_type, peer.make_network, peer.title)
 
     return EncoderLoader(peer.title, (peer.name,), load, order=peer.order, tasks=(peer.task,))
 

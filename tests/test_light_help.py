@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-HEAVY = ("torch", "pandas", "scipy", "matplotlib", "pyarrow", "duckdb", "sklearn", "transformers")
+HEAVY = ("torch", "pandas", "scipy", "matplotlib", "pyarrow", "duckdb", "sklearn", "transformers", "rich.progress")
 HELP = """
 import sys
 from motionkit.cli.app import build_app

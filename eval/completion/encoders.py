@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -133,14 +133,13 @@ def trained_completers(task: Task, run: Path | None, more: Sequence[tuple[str, P
     What is missing in `run` is named with the runs that have it. Raises `UsageError` for a name that no installed
     package has, `DamagedFileError`, and what loading an encoder that was asked for raises.
     """
-    known = installed_encoders()
     found: list[Completer] = []
     missing: list[str] = []
     asked = {name for name, _ in more}
     for name, loader in installed_encoders(task).items():
         if run is not None and loader.complete_in(run):
             try:
-                found.append(completer_of(name, run, loader.title))
+                found.append(completer_of(name, run))
             except DamagedFileError:
                 raise
             except MotionkitError as error:
@@ -148,15 +147,16 @@ def trained_completers(task: Task, run: Path | None, more: Sequence[tuple[str, P
         elif name not in asked:
             missing.append(_untrained_reason(name, loader, run))
     for name, folder in more:
-        if name not in known:
+        if name not in trained_encoder_names():
             names = ", ".join(trained_encoder_names()) or "none"
             raise UsageError(f"--encoder {name}={folder.name}: trained encoders are {names}")
-        found.append(completer_of(name, folder, f"{known[name].title} ({folder.name})"))
+        row = completer_of(name, folder)
+        found.append(replace(row, name=f"{row.name} ({folder.name})"))
     return Found(found, tuple(missing))
 
 
-def completer_of(name: str, run: Path, title: str) -> Completer:
-    """The row of a run's trained encoder; raises what loading it raises."""
+def completer_of(name: str, run: Path) -> Completer:
+    """The row of a run's trained encoder, by the encoder's own name; raises what loading it raises."""
     loader = encoder_loader(name)
     encoder = loader.load(run)
     stage = RunFolder(run).stage(loader.stages[-1])
@@ -164,7 +164,7 @@ def completer_of(name: str, run: Path, title: str) -> Completer:
     begun = stage.read_config() if stage.config_path.is_file() else {}  # other packages' runs may be anything
     training = recorded_settings(RunFolder(run), loader.stages[-1]).get("training", {}) if begun else {}
     return Completer(
-        title,
+        encoder.name,
         encoder,
         _described_training(run, training),
         # What a network answers depends on the code that asks it: another commit's figures are not this one's.

@@ -8,22 +8,10 @@ from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    ProgressColumn,
-    Task,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.progress import Progress as Display
-from rich.text import Text
 
 from motionkit.core.errors import MotionkitWarning
 from motionkit.core.plain_text import UNSAFE_LETTERS, printable, shortened
-from motionkit.core.progress import OnProgress, Progress, ignore
+from motionkit.core.progress import OnProgress, ignore
 
 # Messages quote what files say, which may have any length.
 LONGEST_MESSAGE = 3000
@@ -46,13 +34,6 @@ class LineConsole(Console):
     def _line(self, text: str) -> str:
         line = printable(text)
         return line if self._longest is None else shortened(line, self._longest)
-
-
-class _NameColumn(TextColumn):
-    """A column of a progress display that shows a task's text, a file's name perhaps."""
-
-    def render(self, task: Task) -> Text:
-        return Text(printable(super().render(task).plain))
 
 
 stdout = LineConsole()
@@ -100,50 +81,10 @@ def progress() -> Iterator[OnProgress]:
     if not stderr.is_terminal:
         yield ignore
         return
-    bars = _Bars()
+    from motionkit.cli.bars import Bars
+
+    bars = Bars(stderr)
     try:
         yield bars
     finally:
         bars.stop()
-
-
-class _Bars:
-    """One bar for each task that is under way; without any, nothing is drawn."""
-
-    def __init__(self) -> None:
-        self._display: Display | None = None
-        self._tasks: dict[str, TaskID] = {}
-
-    def __call__(self, progress: Progress) -> None:
-        """Draw a task's new state; remove the bar of a finished one."""
-        if progress.finished:
-            if self._display is not None and progress.name in self._tasks:
-                self._display.remove_task(self._tasks.pop(progress.name))
-            if not self._tasks:
-                self.stop()
-            return
-        if self._display is None:
-            self._display = Display(*_columns(), console=stderr, transient=True)
-            self._display.start()
-        facts: dict[str, Any] = {"completed": progress.done, "total": progress.total, "note": progress.note}
-        if progress.name in self._tasks:
-            self._display.update(self._tasks[progress.name], **facts)
-        else:
-            self._tasks[progress.name] = self._display.add_task(progress.name, **facts)
-
-    def stop(self) -> None:
-        """Remove all bars."""
-        if self._display is not None:
-            self._display.stop()
-        self._display, self._tasks = None, {}
-
-
-def _columns() -> tuple[ProgressColumn, ...]:
-    return (
-        _NameColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        _NameColumn("{task.fields[note]}", markup=False),
-    )

@@ -132,10 +132,11 @@ def ingest(
     another file is refused. The store is the same whatever the engine and the number of workers.
     """
     from motionkit.engines import LOCAL
-    from motionkit.engines.process_engine import start_server
     from motionkit.store.ingest import PRELOADED
 
     if engine == LOCAL and workers is not None and workers > 1:
+        from motionkit.engines.process_engine import start_server
+
         start_server(PRELOADED)
 
     from motionkit.formats.scan.framerate_rules import read_rules

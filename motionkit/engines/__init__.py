@@ -3,9 +3,7 @@
 from collections.abc import Sequence
 
 from motionkit.core.errors import UsageError
-from motionkit.engines.parallel import Engine
-from motionkit.engines.process_engine import Processes, ThisProcess
-from motionkit.engines.ray_engine import RayEngine
+from motionkit.engines.parallel import Engine, ThisProcess
 
 LOCAL, RAY, RAY_ADDRESS = "local", "ray", "ray://"
 
@@ -24,5 +22,12 @@ def make_engine(name: str, num_workers: int | None, preload: Sequence[str] = ())
     """
     check_engine(name)
     if name != LOCAL:
+        from motionkit.engines.ray_engine import RayEngine
+
         return RayEngine(None if name == RAY else name, num_workers)
-    return ThisProcess() if num_workers in (None, 1) else Processes(num_workers, preload)
+    if num_workers is None or num_workers == 1:
+        return ThisProcess()
+
+    from motionkit.engines.process_engine import Processes
+
+    return Processes(num_workers, preload)

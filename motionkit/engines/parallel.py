@@ -1,5 +1,6 @@
 """A map over many inputs by workers: results in order, and the input that a worker dies of is named."""
 
+import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
@@ -8,6 +9,7 @@ from motionkit.core.errors import MotionkitError
 
 Input = TypeVar("Input")
 Output = TypeVar("Output")
+Function = Callable[[Sequence[Any]], Any]
 
 BATCHES_IN_FLIGHT_PER_WORKER = 3
 # So many workers in a row that end before one has done anything: it is not the inputs that they die of.
@@ -39,6 +41,32 @@ class Engine(Protocol):
     def result(self, ticket: Any) -> Any:
         """What the function returned for a batch; raises what it raised."""
         ...
+
+
+def usable_cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class ThisProcess:
+    """One worker, this process: a batch is computed when its result is asked for."""
+
+    num_workers = 1
+
+    def __enter__(self) -> "ThisProcess":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        pass
+
+    def submit(self, function: Function, batch: Sequence[Any]) -> tuple[Function, Sequence[Any]]:
+        """Remember what to compute."""
+        return function, batch
+
+    def result(self, ticket: tuple[Function, Sequence[Any]]) -> Any:
+        """Compute it."""
+        function, batch = ticket
+        return function(batch)
 
 
 def map_in_order(

@@ -1,11 +1,11 @@
-"""Workers of this machine: this process itself, or others that it starts."""
+"""Workers of this machine: processes that this one starts."""
 
 import multiprocessing
 import os
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -16,14 +16,7 @@ from typing import Any
 
 from motionkit.core.errors import MotionkitError
 from motionkit.core.interrupts import held_back
-from motionkit.engines.parallel import WorkerDied
-
-Function = Callable[[Sequence[Any]], Any]
-
-
-def usable_cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+from motionkit.engines.parallel import Function, WorkerDied
 
 
 def start_server(preload: Sequence[str] = ()) -> BaseContext:
@@ -52,27 +45,6 @@ def start_server(preload: Sequence[str] = ()) -> BaseContext:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return context
-
-
-class ThisProcess:
-    """One worker, this process: a batch is computed when its result is asked for."""
-
-    num_workers = 1
-
-    def __enter__(self) -> "ThisProcess":
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        pass
-
-    def submit(self, function: Function, batch: Sequence[Any]) -> tuple[Function, Sequence[Any]]:
-        """Remember what to compute."""
-        return function, batch
-
-    def result(self, ticket: tuple[Function, Sequence[Any]]) -> Any:
-        """Compute it."""
-        function, batch = ticket
-        return function(batch)
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,7 @@ from typing import Any
 
 from motionkit.core import __version__
 from motionkit.core.errors import MissingExtraError, MotionkitError
-from motionkit.engines.parallel import WorkerDied, map_in_order
-from motionkit.engines.process_engine import usable_cores
-
-Function = Callable[[Sequence[Any]], Any]
+from motionkit.engines.parallel import Function, WorkerDied, map_in_order, usable_cores
 
 
 class RayEngine:

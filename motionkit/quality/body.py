@@ -9,7 +9,7 @@ from jaxtyping import Float32
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
-from motionkit.quality.steps import BINS_PER_SECOND, bin_means
+from motionkit.quality.steps import BINS_PER_SECOND, bin_means, middle
 
 # Lengths change slowly: 20 poses a second are enough. Shorter bones than this are points that lie on each other.
 POSES_PER_SECOND = 20.0
@@ -79,7 +79,7 @@ def foot_skate(motion: Motion) -> FootSkate | None:
     grounded = steadiest[np.isfinite(steadiest)]
     if len(grounded) < MIN_GROUNDED:
         return None
-    return FootSkate(float(np.median(grounded)), float(np.mean(grounded > SLIDING_SPEED)))
+    return FootSkate(middle(grounded), float(np.mean(grounded > SLIDING_SPEED)))
 
 
 def _weighted(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Bool, Float, Float32, Int64
 
 # No capture system sees a body stand still to a micrometre; held frames are equal to the last bit, and those of a
 # format that stores differences nearly so.
@@ -145,3 +145,10 @@ def jitter(positions: Float32[np.ndarray, "frames joints 3"], fps: float) -> flo
     jerk_squared = squared_differences(bins, 3).ravel()
     quarter = len(jerk_squared) // 4
     return float(np.sqrt(np.partition(jerk_squared, quarter)[quarter]) * BINS_PER_SECOND**3)
+
+
+def middle(values: Float[np.ndarray, "values"]) -> float:
+    """`np.median` of finite values, which would load all of `numpy.ma` to look for masks."""
+    lower, upper = (len(values) - 1) // 2, len(values) // 2
+    parted = np.partition(values, (lower, upper))
+    return float((parted[lower] + parted[upper]) / 2)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.framerate import COMMON_FPS
+from motionkit.quality.steps import middle
 
 Kernel = Callable[[Float64[np.ndarray, "*shape"]], Float64[np.ndarray, "*shape"]]
 
@@ -180,7 +181,7 @@ def without_trend(values: Float64[np.ndarray, "rows"], fps: float) -> Float64[np
 def _pulses(size: Float64[np.ndarray, "rows"], order: int, fps: float) -> list[tuple[float, float]]:
     # (share of the size that knots at the rate explain, rate) of the rates that stand out of the spectrum.
     rates, frequencies = _pulsing_rates(fps)
-    spread = 1.5 * float(np.median(np.abs(size))) + 1e-9
+    spread = 1.5 * middle(np.abs(size)) + 1e-9
     size = np.minimum(np.maximum(size, -4.0 * spread), 4.0 * spread)
     power = np.abs(np.fft.rfft(size * _window(len(size)))) ** 2
     chosen = np.flatnonzero(_prominence(power, frequencies * len(size)) > MIN_PROMINENCE)

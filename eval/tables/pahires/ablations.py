@@ -6,6 +6,7 @@ trained has no number, and a note says which command trains it.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from statistics import fmean
@@ -44,7 +45,7 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
     store.select(request.real.condition)  # raises at once for SQL that is wrong
     all_runs = list({run.path: run for runs in trained.values() for run in runs.values()}.values())
     rates = {Fraction(recorded_settings(run, STAGE)["training"]["fps"]) for run in all_runs}
-    completers = [completer_of(PAHIRES.paper, run.path, run.path.name) for run in all_runs]
+    completers = [replace(completer_of(PAHIRES.paper, run.path), name=run.path.name) for run in all_runs]
     data_sets = [each for each in data_sets_of(store) if each.fps in rates]
     if not data_sets:
         named = ", ".join(f"{float(rate):g}" for rate in rates)

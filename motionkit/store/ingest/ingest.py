@@ -15,8 +15,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
 from motionkit.engines import LOCAL, check_engine, make_engine
-from motionkit.engines.parallel import Engine, WorkerDied, map_in_order
-from motionkit.engines.process_engine import usable_cores
+from motionkit.engines.parallel import Engine, WorkerDied, map_in_order, usable_cores
 from motionkit.formats.scan.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem, Spare
 from motionkit.formats.scan.scanner import scan

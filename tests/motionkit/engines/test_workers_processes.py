@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import MotionkitError
-from motionkit.engines.parallel import BATCHES_IN_FLIGHT_PER_WORKER, WorkerDied, map_in_order
-from motionkit.engines.process_engine import Processes, ThisProcess
+from motionkit.engines.parallel import BATCHES_IN_FLIGHT_PER_WORKER, ThisProcess, WorkerDied, map_in_order
+from motionkit.engines.process_engine import Processes
 
 
 def ten_times(numbers: Sequence[int]) -> list[int]:

@@ -1,0 +1,198 @@
+"""What lets feet stand, as a function of time: offsets of the body and of both feet, found in blocks."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float64
+
+from motionkit.fields.contact.detection import Contacts, Ground, find_contacts, ground_of
+from motionkit.fields.contact.legs import Legs
+from motionkit.fields.contact.offsets import Costs, Wishes, solve_offsets
+
+Path = Literal["near", "free"]
+"""Whether a body comes back to the path it had, or may end elsewhere, for its feet didn't carry it there."""
+
+LEVEL_COSTS = {
+    "near": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=0.02, body_sudden=3e-3),
+    "free": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=1e-6, body_sudden=3e-3),
+}
+HEIGHT_COSTS = Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=0.3, body_sudden=3e-3)
+KEPT_SHARE = 0.02
+"""Of its velocity a sliding foot keeps so much: none stands quite still."""
+FLOATING, SUNK, STEADY_HEIGHT = 100.0, 1000.0, 0.05
+"""What metres² above and below the ground cost, and (m/s)² of an offset's change in height."""
+ABOVE_METRES, BELOW_METRES = (0.03, 0.003), 0.003
+"""How far feet may be above the ground, in a motion that stands and in one that slides; and below it."""
+
+BLOCK_SECONDS, MARGIN_SECONDS, FADE_SECONDS = 60.0, 12.0, 1.0
+BLOCKS_KEPT = 3
+LEVEL_STRETCHES, LEVEL_STRETCH_SECONDS = 24, 10.0
+FEWEST_INSTANTS = 4
+HELD = 1e9
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A stretch of a grid from instant `first` on: where its feet are, when they are down, and what moves them."""
+
+    first: int
+    paths: Float64[np.ndarray, "instants feet ends 3"]
+    contacts: Contacts
+    offsets: Float64[np.ndarray, "instants 3 3"]
+
+    def at(self, place: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
+        """The offsets at places of the grid, on cubics whose slopes are continuous."""
+        values = self.offsets
+        place = np.clip(place - self.first, 0.0, len(values) - 1.0)
+        row = np.minimum(place.astype(np.int64), len(values) - 2)
+        u = (place - row)[:, None, None]
+        before, after = np.maximum(row - 1, 0), np.minimum(row + 2, len(values) - 1)
+        start, stop = values[row], values[row + 1]
+        # Slopes of both neighbours; at the ends of the motion those inside.
+        rise, later = (stop - values[before]) / (row + 1 - before)[:, None, None], values[after] - start
+        later /= (after - row)[:, None, None]
+        step = stop - start
+        return np.asarray(
+            start + u * (rise + u * ((3.0 * step - 2.0 * rise - later) + u * (rise + later - 2.0 * step)))
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Offsets of body, left and right foot at any instant of a motion, metres.
+
+    `positions(start, stop)` are the joints at instants [start, stop) of a grid of `count`, `fps` a second from
+    `start_seconds` on. Blocks of a minute are worked out when they are asked for, from 12 s on both sides too, and go
+    over into one another; so memory doesn't grow with the motion.
+    """
+
+    legs: Legs
+    positions: Callable[[int, int], Float64[np.ndarray, "instants joints 3"]]
+    start_seconds: float
+    fps: float
+    count: int
+    path: Path
+
+    def at(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
+        """The offsets at any times; before the first instant and after the last one they stay as they are there."""
+        place = (times_seconds - self.start_seconds) * self.fps
+        found = np.zeros((len(place), 3, 3))
+        if self.count < FEWEST_INSTANTS:
+            return found
+        number = np.clip(np.floor(place / self._block_length), 0, self.num_blocks - 1).astype(np.int64)
+        for each in np.unique(number).tolist():
+            rows = np.flatnonzero(number == each)
+            found[rows] = self._in_block(each, place[rows])
+        return found
+
+    @property
+    def num_blocks(self) -> int:
+        """Number of blocks; a motion of less than two is one."""
+        return max(1, self.count // self._block_length)
+
+    @cached_property
+    def block(self) -> Callable[[int], Block]:
+        """A block by number, its offsets such that the body goes on from the block before."""
+        return lru_cache(BLOCKS_KEPT)(self._block)
+
+    @cached_property
+    def _alone(self) -> Callable[[int], Block]:
+        return lru_cache(BLOCKS_KEPT)(self._raw)
+
+    @cached_property
+    def ground(self) -> Ground:
+        """Where the ground is, by some minutes of the motion, spread all over it."""
+        length = min(self.count, round(LEVEL_STRETCHES * LEVEL_STRETCH_SECONDS * self.fps))
+        if length == self.count:
+            return ground_of(self._paths(0, self.count), self.fps)
+        stretch = round(LEVEL_STRETCH_SECONDS * self.fps)
+        starts = np.linspace(0, self.count - stretch, LEVEL_STRETCHES).astype(np.int64)
+        each = [ground_of(self._paths(start, start + stretch), self.fps) for start in starts.tolist()]
+        return Ground(np.median([one.level for one in each], axis=0), np.median([one.floor for one in each], axis=0))
+
+    @property
+    def _block_length(self) -> int:
+        return round(BLOCK_SECONDS * self.fps)
+
+    def _paths(self, start: int, stop: int) -> Float64[np.ndarray, "instants feet ends 3"]:
+        return self.legs.foot_paths(self.positions(start, stop)).astype(np.float64)
+
+    def _in_block(self, number: int, place: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
+        found = self.block(number).at(place)
+        u = (place - number * self._block_length) / (FADE_SECONDS * self.fps)
+        fades = np.flatnonzero((u < 1.0) & (number > 0))
+        if len(fades):
+            u = u[fades, None, None]
+            before = self.block(number - 1).at(place[fades])
+            found[fades] = before + u**3 * (10.0 - 15.0 * u + 6.0 * u * u) * (found[fades] - before)
+        return found
+
+    def _block(self, number: int) -> Block:
+        start = self._start(number)
+        alone = self._alone(number)
+        return replace(alone, offsets=alone.offsets + start * np.array([[1.0], [0.0], [0.0]]))
+
+    @cached_property
+    def _starts(self) -> list[Float64[np.ndarray, "3"]]:
+        return [np.zeros(3)]
+
+    def _start(self, number: int) -> Float64[np.ndarray, "3"]:
+        """Where the body of a block begins, so that it goes on from the block before; blocks before it come first."""
+        while self.path == "free" and len(self._starts) <= number:
+            after = len(self._starts)
+            middle = np.array([after * self._block_length + FADE_SECONDS * self.fps / 2])
+            step = self._alone(after - 1).at(middle)[0, 0] - self._alone(after).at(middle)[0, 0]
+            self._starts.append(self._starts[-1] + step * (1.0, 0.0, 1.0))
+        return self._starts[number] if self.path == "free" else self._starts[0]
+
+    def _raw(self, number: int) -> Block:
+        margin = round(MARGIN_SECONDS * self.fps)
+        first = max(0, number * self._block_length - margin)
+        last = number == self.num_blocks - 1
+        stop = self.count if last else min(self.count, (number + 1) * self._block_length + margin)
+        paths = self._paths(first, stop)
+        contacts = find_contacts(paths, self.fps, self.ground)
+        return Block(first, paths, contacts, offsets_of(paths, contacts, self.ground, self.fps, self.path))
+
+
+def offsets_of(
+    paths: Float64[np.ndarray, "instants feet ends 3"], contacts: Contacts, ground: Ground, fps: float, path: Path
+) -> Float64[np.ndarray, "instants 3 3"]:
+    """The offsets of body, left and right foot at every instant of a grid, metres."""
+    hold, lead = contacts.hold, contacts.lead
+    both = np.minimum(hold[1:], hold[:-1])
+    slid = contacts.velocity[..., [0, 2]] * ((1.0 - KEPT_SHARE) * contacts.sliding)[..., None]
+    nowhere = np.zeros((len(paths), 2))
+    level = Wishes(-0.5 * (slid[1:] + slid[:-1]), both, nowhere[..., None].repeat(2, axis=-1), nowhere)
+    height, weight = _heights(paths[..., 1], contacts, ground)
+    still = np.zeros((len(paths) - 1, 2, 1))
+    upright = Wishes(still, STEADY_HEIGHT * both, height[..., None], weight)
+    found = np.empty((len(paths), 3, 3))
+    costs = LEVEL_COSTS[path]
+    found[..., [0, 2]] = solve_offsets(level, hold, fps, costs)
+    # Feet once more, the body where it is now: legs take what the body was not to have of feet that come and go.
+    step = np.diff(found[:, :1, [0, 2]], axis=0) * fps
+    rest = replace(level, velocity=level.velocity - step, velocity_weight=np.minimum(lead[1:], lead[:-1]))
+    found[:, 1:, [0, 2]] = solve_offsets(rest, lead, fps, replace(costs, body=HELD))[:, 1:]
+    found[..., [1]] = solve_offsets(upright, hold, fps, HEIGHT_COSTS)
+    return found
+
+
+def _heights(
+    height: Float64[np.ndarray, "instants feet ends"], contacts: Contacts, ground: Ground
+) -> tuple[Float64[np.ndarray, "instants feet"], Float64[np.ndarray, "instants feet"]]:
+    """By how much each foot is to rise, and how much that matters: the lower end of a foot that stands, any below.
+
+    A foot of a motion that slides is to be at its level, and none lower, a real one where real feet are.
+    """
+    sliding = contacts.sliding[..., None]
+    above = ABOVE_METRES[0] + (ABOVE_METRES[1] - ABOVE_METRES[0]) * sliding
+    lowest = ground.floor - BELOW_METRES
+    lowest = lowest + (np.maximum(ground.level - BELOW_METRES, lowest) - lowest) * sliding
+    floats = np.where(contacts.down, np.maximum(height - ground.level - above, 0.0), np.inf).min(axis=-1)
+    floats = np.where(np.isfinite(floats), floats, 0.0)
+    sunk = np.maximum(lowest - height, 0.0).max(axis=-1)
+    return np.where(sunk > 0, sunk, -floats), np.where(sunk > 0, SUNK, FLOATING * contacts.hold)

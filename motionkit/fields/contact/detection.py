@@ -1,0 +1,233 @@
+"""When feet are on the ground, and whether they slide there, from where ankles and toes are on a fine grid of time.
+
+Heights are relative to each joint's own level, which is found from the motion; speeds are per second, so nothing
+depends on the framerate. Limits of sliding are those of real feet: on CMU's training takes feet in contact roll, pivot
+and creep, yet within 0.6 s each comes nearly to rest (docs/plant.md).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64, Int64
+
+LEVEL_QUANTILE, LEVEL_METRES = 0.05, 0.06
+MOST_BETWEEN_FEET_METRES = 0.04
+GROUND_METRES, GROUND_SECONDS = 0.12, 1.0
+"""The ground under a body may lie so far from the level, by the lowest that its feet come for a second around."""
+
+SPEED_SECONDS = 0.05
+ENTER_METRES, LEAVE_METRES = 0.05, 0.08
+ENTER_SPEED, LEAVE_SPEED = (0.45, 0.7), (0.7, 1.0)
+"""Of feet that stand, and of a motion whose feet slide."""
+SHORTEST_SECONDS, GAP_SECONDS = 0.08, 0.05
+
+REST_SECONDS, REST_WITHIN_SECONDS = 0.1, 0.6
+CREEP_SPEED, CREEP_AT_ONE_SECOND, CREEP_POWER = 0.015, 0.02, 1.3
+"""Real feet come below 0.015 + 0.02 · seconds^−1.3 m/s in a contact of so many seconds: most of CMU's train split."""
+MOST_TIMES = 4.0
+AROUND_SECONDS = 10.0
+SLIDES_AROUND = (1.15, 1.45)
+SLIDES_HERE = (2.5, 3.5)
+STEADY_SPEED = 0.05
+REST_SPEED, REST_TIMES, LEAD_TIMES = 0.12, 1.6, 4.0
+_FEWEST = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Of every instant of a grid: which of ankle and toe of both feet are down, and how far each foot slides.
+
+    `sliding` is 0 where a foot goes no faster than real feet creep, 1 where it surely slides. `velocity` is that of a
+    foot's steadier end that is down, m/s, 0 where none is. `hold` says how much a foot is to stand: 1 while it goes
+    about as fast as it does at its slowest, less while it comes or goes, 0 in the air; `lead` the same more loosely.
+    """
+
+    down: Bool[np.ndarray, "instants feet ends"]
+    sliding: Float64[np.ndarray, "instants feet"]
+    velocity: Float64[np.ndarray, "instants feet 3"]
+    hold: Float64[np.ndarray, "instants feet"]
+    lead: Float64[np.ndarray, "instants feet"]
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Heights of every foot joint on the ground, metres: `level` where it mostly is, `floor` the lowest that it comes.
+
+    The lowest but for 5 % of the time.
+    """
+
+    level: Float64[np.ndarray, "feet ends"]
+    floor: Float64[np.ndarray, "feet ends"]
+
+
+def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> Ground:
+    """The ground by where foot joints go slowly: the lowest 6 cm of that.
+
+    A foot that never comes down has the other's level, and up to 4 cm.
+    """
+    speed = _lengths(_velocity(paths.astype(np.float64), fps))
+    level, floor = np.empty((2, 2)), np.empty((2, 2))
+    for foot, end in np.ndindex(2, 2):
+        height = paths[:, foot, end, 1].astype(np.float64)
+        slow = height[speed[:, foot, end] < ENTER_SPEED[0]]
+        slow = slow if len(slow) >= _FEWEST else height
+        floor[foot, end] = np.quantile(slow, LEVEL_QUANTILE)
+        level[foot, end] = np.median(slow[slow <= floor[foot, end] + LEVEL_METRES])
+    return Ground(*(np.minimum(each, each.min(axis=0) + MOST_BETWEEN_FEET_METRES) for each in (level, floor)))
+
+
+def find_contacts(paths: Float64[np.ndarray, "instants feet ends 3"], fps: float, ground: Ground) -> Contacts:
+    """The contacts of foot joints whose places are known at `fps`."""
+    velocity = _velocity(paths, fps)
+    speed = _lengths(velocity)
+    height = _above_ground(paths[..., 1] - ground.level, fps)
+    level_speed = np.hypot(velocity[..., 0], velocity[..., 2])
+    down = _down(height, speed, fps, 0)
+    rests = _Rests.of(down, level_speed, fps)
+    here, around = rests.sliding(fps)
+    if (around > 0.5).any():
+        down = np.where((around > 0.5)[:, None, None], _down(height, speed, fps, 1), down)
+        rests = _Rests.of(down, level_speed, fps)
+    steadiest = _steadiest(down, velocity, level_speed)
+    faster = np.hypot(steadiest[..., 0], steadiest[..., 2]) / (REST_SPEED + REST_TIMES * rests.speed)
+    hold, lead = (rests.on_ground / (1.0 + (faster / times) ** 4) for times in (1.0, LEAD_TIMES))
+    return Contacts(down, np.maximum(here, around[:, None]), steadiest, hold, lead)
+
+
+def runs(mask: Bool[np.ndarray, "instants"]) -> tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"]]:
+    """First and past-the-last index of every stretch in which a mask holds."""
+    changes = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return changes[::2], changes[1::2]
+
+
+def _velocity(
+    paths: Float64[np.ndarray, "instants feet ends 3"], fps: float
+) -> Float64[np.ndarray, "instants feet ends 3"]:
+    """Differences over about 0.05 s around each instant; at both ends the nearest such difference."""
+    reach = max(1, round(SPEED_SECONDS * fps / 2))
+    count = len(paths)
+    if count <= 2 * reach:
+        return np.gradient(paths, 1.0 / fps, axis=0) if count > 1 else np.zeros_like(paths)
+    found = np.empty_like(paths)
+    np.subtract(paths[2 * reach :], paths[: -2 * reach], out=found[reach:-reach])
+    found[reach:-reach] *= fps / (2 * reach)
+    found[:reach], found[-reach:] = found[reach], found[-reach - 1]
+    return found
+
+
+def _lengths(vectors: Float64[np.ndarray, "*shape 3"]) -> Float64[np.ndarray, "*shape"]:
+    return np.asarray(np.sqrt(np.einsum("...x,...x->...", vectors, vectors)))
+
+
+def _above_ground(
+    height: Float64[np.ndarray, "instants feet ends"], fps: float
+) -> Float64[np.ndarray, "instants feet ends"]:
+    """Heights above the lowest that the feet come within a second, where that is not far from their level."""
+    from scipy.ndimage import minimum_filter1d, uniform_filter1d
+
+    window = 2 * round(GROUND_SECONDS * fps / 2) + 1
+    lowest = minimum_filter1d(height.min(axis=(1, 2)), window, mode="nearest")
+    ground = np.clip(uniform_filter1d(lowest, window, mode="nearest"), -GROUND_METRES, GROUND_METRES)
+    return np.asarray(height - ground[:, None, None])
+
+
+def _down(
+    height: Float64[np.ndarray, "instants feet ends"],
+    speed: Float64[np.ndarray, "instants feet ends"],
+    fps: float,
+    kind: int,
+) -> Bool[np.ndarray, "instants feet ends"]:
+    """Which joints are on the ground, by the limits of feet that stand (0) or slide (1)."""
+    enters = (height < ENTER_METRES) & (speed < ENTER_SPEED[kind])
+    stays = (height < LEAVE_METRES) & (speed < LEAVE_SPEED[kind])
+    down = np.empty_like(stays)
+    for foot, end in np.ndindex(2, 2):
+        found = _held(enters[:, foot, end], stays[:, foot, end])
+        down[:, foot, end] = _without_short(_without_gaps(found, fps), fps)
+    return down
+
+
+def _held(enters: Bool[np.ndarray, "instants"], stays: Bool[np.ndarray, "instants"]) -> Bool[np.ndarray, "instants"]:
+    """The stretches of `stays` in which it once enters."""
+    starts, stops = runs(stays)
+    total = np.concatenate(([0], np.cumsum(enters)))
+    return _mask(starts, stops, total[stops] > total[starts], len(stays))
+
+
+def _without_gaps(mask: Bool[np.ndarray, "instants"], fps: float) -> Bool[np.ndarray, "instants"]:
+    starts, stops = runs(~mask)
+    inner = (starts > 0) & (stops < len(mask))
+    return np.asarray(mask | _mask(starts, stops, inner & (stops - starts <= GAP_SECONDS * fps + 1e-9), len(mask)))
+
+
+def _without_short(mask: Bool[np.ndarray, "instants"], fps: float) -> Bool[np.ndarray, "instants"]:
+    starts, stops = runs(mask)
+    return _mask(starts, stops, stops - starts >= SHORTEST_SECONDS * fps - 1e-9, len(mask))
+
+
+def _mask(
+    starts: Int64[np.ndarray, "runs"], stops: Int64[np.ndarray, "runs"], chosen: Bool[np.ndarray, "runs"], count: int
+) -> Bool[np.ndarray, "instants"]:
+    steps = np.zeros(count + 1, np.int64)
+    np.add.at(steps, starts[chosen], 1)
+    np.add.at(steps, stops[chosen], -1)
+    return np.cumsum(steps[:-1]) > 0
+
+
+def _steadiest(
+    down: Bool[np.ndarray, "instants feet ends"],
+    velocity: Float64[np.ndarray, "instants feet ends 3"],
+    speed: Float64[np.ndarray, "instants feet ends"],
+) -> Float64[np.ndarray, "instants feet 3"]:
+    """The mean of both ends' velocities, the steadier counting more: over a resting toe the heel may rise."""
+    weight = down / np.square(np.square(speed) + STEADY_SPEED**2)
+    total = weight.sum(axis=-1, keepdims=True)
+    weight /= np.where(total > 0, total, 1.0)
+    return np.asarray(np.einsum("tfe,tfex->tfx", weight, velocity))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rests:
+    """Of every foot on the ground: its slowest 0.1 s within 0.6 s, m/s, and how slow real feet are there."""
+
+    on_ground: Bool[np.ndarray, "instants feet"]
+    speed: Float64[np.ndarray, "instants feet"]
+    limit: Float64[np.ndarray, "instants feet"]
+
+    @classmethod
+    def of(
+        cls, down: Bool[np.ndarray, "instants feet ends"], speed: Float64[np.ndarray, "instants feet ends"], fps: float
+    ) -> "_Rests":
+        """The rests of feet whose joints go at these horizontal speeds."""
+        from scipy.ndimage import minimum_filter1d, uniform_filter1d
+
+        on_ground = np.asarray(down.any(axis=-1))
+        slowest = np.where(down, speed, LEAVE_SPEED[1]).min(axis=-1)
+        smooth = uniform_filter1d(slowest, max(1, round(REST_SECONDS * fps)), axis=0, mode="nearest")
+        window = 2 * round(REST_WITHIN_SECONDS * fps / 2) + 1
+        rests, limit = np.zeros(on_ground.shape), np.ones(on_ground.shape)
+        for foot in range(2):
+            for start, stop in zip(*runs(on_ground[:, foot]), strict=True):
+                here = slice(start, stop)
+                rests[here, foot] = minimum_filter1d(smooth[here, foot], min(window, stop - start), mode="nearest")
+                limit[here, foot] = CREEP_SPEED + CREEP_AT_ONE_SECOND / ((stop - start) / fps) ** CREEP_POWER
+        return cls(on_ground, rests, limit)
+
+    def sliding(self, fps: float) -> tuple[Float64[np.ndarray, "instants feet"], Float64[np.ndarray, "instants"]]:
+        """How far every foot slides by itself, and how far feet slide for 10 s around."""
+        from scipy.ndimage import uniform_filter1d
+
+        times = np.minimum(self.speed / self.limit, MOST_TIMES)
+        window = 2 * round(AROUND_SECONDS * fps / 2) + 1
+        total, count = (
+            uniform_filter1d(each.sum(axis=1).astype(np.float64), window, mode="constant")
+            for each in (times, self.on_ground)
+        )
+        around = total / np.maximum(count, 1e-9)
+        return np.where(self.on_ground, _smoothstep(times, *SLIDES_HERE), 0.0), _smoothstep(around, *SLIDES_AROUND)
+
+
+def _smoothstep(values: Float64[np.ndarray, "*shape"], start: float, stop: float) -> Float64[np.ndarray, "*shape"]:
+    """0 up to `start`, 1 from `stop` on, with no kink between."""
+    u = np.clip((values - start) / (stop - start), 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)

@@ -1,0 +1,186 @@
+"""Motion whose feet stand: a motion field on a motion field, and the same for a motion's own frames."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from motionkit.core.kinematics import global_rotations, quaternion_conjugate, quaternion_multiply, quaternion_rotate
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.contact.bones import Bones
+from motionkit.fields.contact.correction import Correction, Path
+from motionkit.fields.contact.legs import Leg, Legs, legs_of
+from motionkit.fields.contact.two_bone import BentLeg, bend, turns
+from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times
+
+GRID_FPS = 120
+BONE_SAMPLES = 1000
+TIMES_AT_ONCE = 4096
+_UP = np.array([0.0, 1.0, 0.0])
+_SMALL_METRES = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class PlantedField:
+    """A `MotionField` on another one: its poses with feet that stand, on bones of one length.
+
+    What is changed is found once, on a grid of 120 instants a second of the field below, and is a function of time with
+    continuous velocity: so any instants can be asked for, in any order, and every second frame of 60 fps is a frame of
+    30. Memory doesn't grow with the motion.
+    """
+
+    field: MotionField
+    legs: Legs
+    bones: Bones | None
+    correction: Correction
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The field's."""
+        return self.field.skeleton
+
+    @property
+    def start_seconds(self) -> float:
+        """The field's."""
+        return self.field.start_seconds
+
+    @property
+    def end_seconds(self) -> float:
+        """The field's."""
+        return self.field.end_seconds
+
+    def at_fps(self, fps: Fraction) -> MotionField:
+        """The field for this framerate, planted anew where that is another field."""
+        field = at_fps(self.field, fps)
+        return self if field is self.field else planted(field, self.correction.path)
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        check_times(self, times_seconds)
+        result: Poses | None = None
+        for start in range(0, max(1, len(times_seconds)), TIMES_AT_ONCE):
+            times = times_seconds[start : start + TIMES_AT_ONCE]
+            poses = on_bones(self.field.query(times), self.bones)
+            poses = with_offsets(poses, self.correction.at(times), self.legs, self.skeleton)
+            if len(times_seconds) <= TIMES_AT_ONCE:
+                return poses
+            result = result or poses.room_for(len(times_seconds))
+            result.put(slice(start, start + TIMES_AT_ONCE), poses)
+        assert result is not None
+        return result
+
+
+def planted(field: MotionField, path: Path = "near") -> PlantedField:
+    """A field with feet that stand; positions without rotations are brought onto bones of one length first.
+
+    With a `free` path the body goes where feet that stand carry it, and may end elsewhere: for generated motion. Raises
+    `SkeletonMapError` for a skeleton whose legs aren't known.
+    """
+    legs, span = legs_of(field.skeleton), field.end_seconds - field.start_seconds
+    count = int(np.ceil(span * GRID_FPS - 1e-6)) + 1
+    fps = (count - 1) / span if count > 1 else float(GRID_FPS)
+
+    def poses(rows: np.ndarray) -> Poses:
+        return field.query(np.minimum(field.start_seconds + rows / fps, field.end_seconds))
+
+    bones = bones_of(poses, count, field.skeleton)
+
+    def positions(start: int, stop: int) -> Float32[np.ndarray, "instants joints 3"]:
+        return on_bones(poses(np.arange(start, stop)), bones).joint_positions
+
+    return PlantedField(field, legs, bones, Correction(legs, positions, field.start_seconds, fps, count, path))
+
+
+def bones_of(poses: Callable[[np.ndarray], Poses], count: int, skeleton: Skeleton) -> Bones | None:
+    """The bones of a motion of positions, by some of its poses; None where it has rotations."""
+    some = poses(np.unique(np.linspace(0, count - 1, min(count, BONE_SAMPLES)).astype(np.int64)))
+    return None if some.local_rotations is not None else Bones.lacking(some.joint_positions, skeleton)
+
+
+def on_bones(poses: Poses, bones: Bones | None) -> Poses:
+    """Poses of positions with these bones; as they are where there are none."""
+    return poses if bones is None else Poses(bones.applied(poses.joint_positions), None, poses.root_translation)
+
+
+def with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: Legs, skeleton: Skeleton) -> Poses:
+    """Poses whose body and feet are moved, legs bent to it; poses that nothing moves stay as they are."""
+    rows = np.flatnonzero(np.abs(offsets).max(axis=(1, 2)) > _SMALL_METRES)
+    if not len(rows):
+        return poses
+    some = poses.rows(rows)
+    moved = _moved(some, offsets[rows], legs, skeleton)
+    if len(rows) == len(offsets):
+        return moved
+    result = poses.joined(())
+    result.put(rows, moved)
+    return result
+
+
+def _moved(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: Legs, skeleton: Skeleton) -> Poses:
+    positions = poses.joint_positions + offsets[:, :1].astype(np.float32)
+    ends = {joint: positions[:, joint].astype(np.float64) for leg in (legs.left, legs.right) for joint in _chain(leg)}
+    forward = np.cross(ends[legs.left.hip] - ends[legs.right.hip], _UP)
+    forward /= np.maximum(np.linalg.norm(forward, axis=-1, keepdims=True), 1e-9)
+    rotations = poses.local_rotations
+    turned: dict[int, Float64[np.ndarray, "times 4"]] = {}
+    for foot, leg in enumerate((legs.left, legs.right)):
+        hip, knee, ankle = (ends[joint] for joint in _chain(leg))
+        bent = bend(hip, knee, ankle, ankle + offsets[:, 1 + foot], forward)
+        step = (bent.ankle - ankle).astype(np.float32)
+        for joint in (leg.ankle, *leg.foot):
+            positions[:, joint] += step
+        inner = [joint for joint in (*leg.thigh, *leg.shank) if joint not in (leg.knee, leg.ankle)]
+        if rotations is not None or inner:
+            thigh, shank = turns(bent, hip, knee, ankle)
+            _carry(positions, leg, bent, (hip, knee), (thigh, shank))
+            turned |= dict.fromkeys((leg.hip, *(set(leg.thigh) - {leg.knee})), thigh)
+            turned |= dict.fromkeys((leg.knee, *(set(leg.shank) - {leg.ankle})), shank)
+        positions[:, leg.knee] = bent.knee
+    translation = poses.root_translation
+    if translation is not None:
+        translation = translation + offsets[:, 0].astype(np.float32)
+    if rotations is not None:
+        rotations = _turned(rotations, turned, skeleton)
+    return Poses(positions, rotations, translation)
+
+
+def _chain(leg: Leg) -> tuple[int, int, int]:
+    return leg.hip, leg.knee, leg.ankle
+
+
+def _carry(
+    positions: Float32[np.ndarray, "times joints 3"],
+    leg: Leg,
+    bent: BentLeg,
+    old: tuple[Float64[np.ndarray, "times 3"], Float64[np.ndarray, "times 3"]],
+    turned: tuple[Float64[np.ndarray, "times 4"], Float64[np.ndarray, "times 4"]],
+) -> None:
+    """Joints that lie still in thigh and shank go along with them: twist joints, pads, ends of bones."""
+    hip, knee = old
+    for joints, start, new, turn in ((leg.thigh, hip, hip, turned[0]), (leg.shank, knee, bent.knee, turned[1])):
+        for joint in joints:
+            if joint not in (leg.knee, leg.ankle):
+                positions[:, joint] = new + quaternion_rotate(turn, positions[:, joint] - start)
+
+
+def _turned(
+    rotations: Float32[np.ndarray, "times joints 4"],
+    turned: dict[int, Float64[np.ndarray, "times 4"]],
+    skeleton: Skeleton,
+) -> Float32[np.ndarray, "times joints 4"]:
+    """Local rotations of joints that have turned in the world, and of those that haven't below them."""
+    result = rotations.copy()
+    old = global_rotations(rotations.astype(np.float64), skeleton)
+    for joint, parent in enumerate(skeleton.parents):
+        if parent < 0 or (joint not in turned and parent not in turned):
+            continue
+        above, here = old[:, parent], old[:, joint]
+        if parent in turned:
+            above = quaternion_multiply(turned[parent], above)
+        if joint in turned:
+            here = quaternion_multiply(turned[joint], here)
+        local = quaternion_multiply(quaternion_conjugate(above), here)
+        result[:, joint] = local / np.linalg.norm(local, axis=-1, keepdims=True)
+    return result

@@ -1,0 +1,90 @@
+"""Two-bone inverse kinematics: an ankle brought elsewhere, the hip where it is, thigh and shank as long as they are.
+
+The knee stays in the leg's own plane, turned as little as the ankle's new direction asks; a straight leg, whose plane
+nobody sees, bends forward. A leg is never pulled straight: the last of its reach is approached, not met.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from motionkit.core.kinematics import quaternion_between, quaternion_multiply, quaternion_rotate
+
+Vectors = Float64[np.ndarray, "frames 3"]
+
+LONGEST_SHARE = 0.9995
+LEAST_ROOM_METRES = 1e-4
+BEND_METRES = 0.005
+TINY = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class BentLeg:
+    """Where knee and ankle have come to."""
+
+    knee: Vectors
+    ankle: Vectors
+
+
+def bend(hip: Vectors, knee: Vectors, ankle: Vectors, target: Vectors, forward: Vectors) -> BentLeg:
+    """The leg whose ankle is at `target`, or as near as it reaches; the same leg where that is where the ankle is.
+
+    `forward` is the horizontal direction that the body faces.
+    """
+    thigh, old, wanted = knee - hip, ankle - hip, target - hip
+    upper, lower = _length(thigh), _length(ankle - knee)
+    old_reach, reach = _length(old), _length(wanted)
+    along, new_along = old / np.maximum(old_reach, TINY), wanted / np.maximum(reach, TINY)
+    reach = _reachable(old_reach, reach, upper, lower)
+    side = thigh - along * _dot(thigh, along)
+    # How far the ankle moves decides how much a straight leg knows of forward: not at all where it doesn't move.
+    moved = np.square(_length(target - ankle))
+    hint = BEND_METRES * moved / (moved + BEND_METRES**2)
+    pole = side + hint * (forward - along * _dot(forward, along))
+    pole = _turned(pole, along, new_along)
+    pole /= np.maximum(_length(pole), TINY)
+    share = (np.square(upper) - np.square(lower) + np.square(reach)) / (2.0 * np.maximum(reach, TINY))
+    share = np.clip(share, -upper, upper)
+    out = np.sqrt(np.maximum(np.square(upper) - np.square(share), 0.0))
+    return BentLeg(hip + new_along * share + pole * out, hip + new_along * reach)
+
+
+def turns(leg: BentLeg, hip: Vectors, knee: Vectors, ankle: Vectors) -> tuple[Float64[np.ndarray, "frames 4"], ...]:
+    """By how much thigh and shank have turned in the world, with no other twist than their plane's."""
+    swing = quaternion_between(ankle - hip, leg.ankle - hip)
+    found = []
+    for old, new in ((knee - hip, leg.knee - hip), (ankle - knee, leg.ankle - leg.knee)):
+        found.append(quaternion_multiply(quaternion_between(quaternion_rotate(swing, old), new), swing))
+    return tuple(found)
+
+
+def _reachable(
+    old: Float64[np.ndarray, "frames 1"],
+    wanted: Float64[np.ndarray, "frames 1"],
+    upper: Float64[np.ndarray, "frames 1"],
+    lower: Float64[np.ndarray, "frames 1"],
+) -> Float64[np.ndarray, "frames 1"]:
+    """The distance from hip to ankle: what is wanted, but for the last of the leg's reach, which is approached."""
+    room = np.maximum(LONGEST_SHARE * (upper + lower) - old, LEAST_ROOM_METRES)
+    farther = np.maximum(wanted - old, 0.0) / room
+    farther = room * farther / np.sqrt(np.sqrt(1.0 + np.square(np.square(farther))))
+    nearest = np.abs(upper - lower) + LEAST_ROOM_METRES
+    return np.asarray(np.maximum(np.minimum(wanted, old) + farther, np.minimum(nearest, old)))
+
+
+def _turned(vectors: Vectors, start: Vectors, stop: Vectors) -> Vectors:
+    """Vectors turned by the shortest rotation from one direction to another (Rodrigues, without angles)."""
+    axis = np.cross(start, stop)
+    cosine = _dot(start, stop)
+    return np.asarray(
+        vectors * cosine + np.cross(axis, vectors) + axis * (_dot(axis, vectors) / np.maximum(1.0 + cosine, TINY))
+    )
+
+
+def _dot(a: Vectors, b: Vectors) -> Float64[np.ndarray, "frames 1"]:
+    return np.asarray(np.einsum("ni,ni->n", a, b)[:, None])
+
+
+def _length(vectors: Vectors) -> Float64[np.ndarray, "frames 1"]:
+    return np.asarray(np.sqrt(_dot(vectors, vectors)))

@@ -1,0 +1,204 @@
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motionkit.core.kinematics import forward_kinematics
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeletons.mapping import SkeletonMapError
+from motionkit.fields.contact.planted import PlantedField, planted
+from motionkit.fields.interpolation.interpolators import interpolate
+from motionkit.fields.motion_field import joint_velocities, to_motion
+from tests.helpers.synthetic_capture import capture
+
+FPS = Fraction(60)
+FEET = (7, 10, 8, 11)
+
+
+def slid(motion: Motion, metres_a_second: float) -> Motion:
+    """The same body on a moving floor: everything slides along X."""
+    times = motion.timegrid.seconds() - motion.timegrid.start_seconds
+    step = np.zeros((motion.num_frames, 3), np.float32)
+    step[:, 0] = metres_a_second * times
+    translation = None if motion.root_translation is None else motion.root_translation + step
+    return replace(motion, joint_positions=motion.joint_positions + step[:, None], root_translation=translation)
+
+
+def field_of(motion: Motion, path: str = "free") -> PlantedField:
+    method = "cubic" if motion.local_rotations is None else "slerp"
+    return planted(interpolate(motion, method), path)
+
+
+def bare(motion: Motion) -> Motion:
+    return replace(motion, local_rotations=None, root_translation=None)
+
+
+def steadiest_speed(positions: np.ndarray, still: np.ndarray, fps: Fraction) -> np.ndarray:
+    """Horizontal speed of each foot's steadier joint while the true foot is planted."""
+    feet = positions[:, FEET][..., ::2].reshape(len(positions), 2, 2, 2)
+    speed = np.linalg.norm(np.diff(feet, axis=0), axis=-1).min(axis=-1) * float(fps)
+    return speed[still]
+
+
+def true_rests(motion: Motion) -> np.ndarray:
+    """Where one joint of a foot of the capture doesn't move between two frames, nor within 0.1 s."""
+    feet = motion.joint_positions[:, FEET].reshape(motion.num_frames, 2, 2, 3)
+    rests = (np.linalg.norm(np.diff(feet, axis=0), axis=-1) * float(motion.fps) < 0.01).any(axis=-1)
+    margin = int(float(motion.fps) / 10)
+    kept = rests.copy()
+    for shift in range(1, margin + 1):
+        kept[shift:] &= rests[:-shift]
+        kept[:-shift] &= rests[shift:]
+    return kept
+
+
+@pytest.mark.parametrize("rotations", [True, False])
+def test_feet_that_slide_stand(rotations: bool) -> None:
+    motion = capture(FPS, "walk", seconds=6.0)
+    still = true_rests(motion)
+    given_motion = slid(motion if rotations else bare(motion), 0.2)
+    after = to_motion(field_of(given_motion), FPS)
+    before = steadiest_speed(given_motion.joint_positions, still, FPS)
+    now = steadiest_speed(after.joint_positions, still, FPS)
+    assert before.mean() > 0.19
+    assert now.mean() < 0.02
+    assert np.quantile(now, 0.95) < 0.05
+    # The path that feet carry the body along is the capture's own.
+    off = after.joint_positions[:, 0] - motion.joint_positions[:, 0]
+    assert np.abs(off - off[0])[:, ::2].max() < 0.25
+
+
+@pytest.mark.parametrize("action", ["walk", "jog", "turn_left", "squat", "wave_left"])
+def test_feet_that_stand_are_left_alone(action: str) -> None:
+    motion = capture(FPS, action)
+    after = to_motion(field_of(bare(motion), "near"), FPS)
+    change = np.linalg.norm(after.joint_positions - motion.joint_positions, axis=-1)
+    assert change.max() < 0.01
+    assert change.mean() < 0.001
+
+
+def test_standing_still_is_unchanged_to_the_last_bit() -> None:
+    walk = capture(FPS, "walk")
+    pose = np.repeat(walk.joint_positions[:1], 120, axis=0)
+    still = Motion.from_joints(pose, FPS)
+    after = to_motion(field_of(still), FPS)
+    # Cubics through equal numbers round.
+    np.testing.assert_allclose(after.joint_positions, pose, atol=1e-6)
+
+
+def test_a_heel_that_rises_over_a_sliding_toe_still_rises() -> None:
+    motion = capture(FPS, "walk")
+    feet = motion.joint_positions[:, FEET].reshape(-1, 2, 2, 3)
+    rolling = np.linalg.norm(feet[..., 0, :] - feet[..., 1, :], axis=-1)
+    after = to_motion(field_of(slid(bare(motion), 0.2)), FPS).joint_positions[:, FEET].reshape(-1, 2, 2, 3)
+    np.testing.assert_allclose(np.linalg.norm(after[..., 0, :] - after[..., 1, :], axis=-1), rolling, atol=1e-4)
+    direction = (feet[..., 0, :] - feet[..., 1, :]) / rolling[..., None]
+    turned = (after[..., 0, :] - after[..., 1, :]) / rolling[..., None]
+    assert np.degrees(np.arccos(np.clip(np.sum(direction * turned, axis=-1), -1, 1))).max() < 1.0
+
+
+def test_feet_below_the_floor_come_up() -> None:
+    motion = bare(capture(FPS, "walk", seconds=12.0))
+    sunk = motion.joint_positions.copy()
+    floor = np.quantile(sunk[:, FEET, 1].min(axis=1), 0.05)
+    sunk[150:162, ..., 1] -= 0.04 * np.sin(np.linspace(0, np.pi, 12))[:, None]
+    after = to_motion(field_of(replace(motion, joint_positions=sunk)), FPS).joint_positions
+    assert floor - sunk[..., 1].min() > 0.03
+    assert floor - after[..., 1].min() < 0.005
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from(["walk", "jog", "squat", "turn_left"]), st.booleans())
+def test_it_is_one_function_of_time(seed: int, action: str, rotations: bool) -> None:
+    motion = capture(Fraction(30), action, seconds=3.0, seed=seed)
+    field = field_of(slid(motion if rotations else bare(motion), 0.15))
+    fast, slow = to_motion(field, Fraction(60)), to_motion(field, Fraction(30))
+    np.testing.assert_array_equal(fast.joint_positions[::2], slow.joint_positions)
+    rng = np.random.default_rng(seed)
+    times = rng.permutation(slow.timegrid.seconds())
+    order = np.argsort(times)
+    np.testing.assert_array_equal(field.query(times).joint_positions[order], slow.joint_positions)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from(["walk", "jog", "squat"]))
+def test_velocity_is_continuous(seed: int, action: str) -> None:
+    motion = bare(capture(Fraction(120), action, seconds=3.0, seed=seed))
+    field = field_of(slid(motion, 0.15))
+    times = np.linspace(field.start_seconds + 0.05, field.end_seconds - 0.05, 4000)
+    below = interpolate(slid(motion, 0.15), "cubic")
+    own = joint_velocities(field, times) - joint_velocities(below, times)
+    # Where accelerations are bounded, velocity moves little within 0.7 ms.
+    assert np.linalg.norm(np.diff(own, axis=0), axis=-1).max() < 0.25
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from(["walk", "jog", "squat", "jump"]))
+def test_bones_keep_their_length(seed: int, action: str) -> None:
+    motion = bare(capture(Fraction(60), action, seconds=3.0, seed=seed, noise=0.003))
+    after = to_motion(field_of(slid(motion, 0.15)), FPS).joint_positions.astype(np.float64)
+    lengths = np.linalg.norm(after[:, 1:] - after[:, list(SMPL22.parents[1:])], axis=-1)
+    assert np.ptp(lengths, axis=0).max() < 5e-6
+
+
+def test_planting_twice_is_planting_once() -> None:
+    motion = slid(bare(capture(FPS, "walk")), 0.2)
+    once = to_motion(field_of(motion), FPS)
+    twice = to_motion(field_of(once), FPS)
+    change = np.linalg.norm(once.joint_positions - motion.joint_positions, axis=-1)
+    again = np.linalg.norm(twice.joint_positions - once.joint_positions, axis=-1)
+    assert again.mean() < 0.01 * change.mean()
+    assert again.max() < 0.02
+
+
+def test_rotations_agree_with_positions() -> None:
+    motion = slid(capture(FPS, "walk"), 0.2)
+    assert motion.local_rotations is not None
+    assert motion.root_translation is not None
+    after = to_motion(field_of(motion), FPS)
+    assert after.local_rotations is not None
+    assert after.root_translation is not None
+    again = forward_kinematics(after.local_rotations, after.root_translation, motion.skeleton)
+    before = forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
+    missed = np.abs(before - motion.joint_positions).max()
+    np.testing.assert_allclose(again, after.joint_positions, atol=missed + 2e-5)
+
+
+def test_a_long_motion_is_the_same_in_parts() -> None:
+    walk = slid(bare(capture(Fraction(30), "walk", seconds=9.0)), 0.2)
+    count = 30 * 200
+    rows = np.arange(count) % walk.num_frames
+    rows = np.where((np.arange(count) // walk.num_frames) % 2, walk.num_frames - 1 - rows, rows)
+    long = Motion.from_joints(walk.joint_positions[rows], 30)
+    field = field_of(long, "near")
+    assert field.correction.num_blocks == 3
+    whole = field.query(long.timegrid.seconds()).joint_positions
+    parts = [
+        field_of(long, "near").query(long.timegrid.seconds()[part]).joint_positions
+        for part in (slice(3000, 4500), slice(1700, 1900))
+    ]
+    np.testing.assert_array_equal(parts[0], whole[3000:4500])
+    np.testing.assert_array_equal(parts[1], whole[1700:1900])
+    # Nothing jumps where blocks meet.
+    moved = (whole - long.joint_positions)[:, FEET]
+    steps = np.linalg.norm(np.diff(moved, axis=0), axis=-1)
+    assert steps[1795:1835].max() <= np.quantile(steps, 0.999) + 1e-3
+
+
+def test_short_motions_are_planted_too() -> None:
+    walk = bare(capture(FPS, "walk"))
+    for count in (1, 2, 3, 5):
+        some = walk.frames(0, count)
+        after = field_of(some).query(some.timegrid.seconds())
+        np.testing.assert_allclose(after.joint_positions, some.joint_positions, atol=2e-2)
+
+
+def test_a_body_without_known_legs_is_refused() -> None:
+    skeleton = Skeleton("snake", ("head", "tail"), (-1, 0), np.array([[0, 0, 0], [0, 1, 0]], np.float32))
+    motion = Motion.from_joints(np.zeros((10, 2, 3)), 30, skeleton)
+    with pytest.raises(SkeletonMapError):
+        field_of(motion)
