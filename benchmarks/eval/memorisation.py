@@ -205,7 +205,7 @@ def copies(store: Store, real: RealMotion, number: int) -> dict[str, list[np.nda
 
 def judged(found: Sequence[Nearest], first: int, number: int, limits: Limits) -> dict[str, Any]:
     """What the table says of motions `first` to `first + number`."""
-    told = verdicts(found, first + number, limits)
+    told = verdicts(found, int(max(each.motion.max() for each in found)) + 1, limits)
     some = slice(first, first + number)
     stretches = {}
     for nearest in found:
