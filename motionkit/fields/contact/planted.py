@@ -1,7 +1,7 @@
 """Motion whose feet stand: a motion field on a motion field, and the same for a motion's own frames."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -9,13 +9,15 @@ from jaxtyping import Float32, Float64
 
 from motionkit.core.kinematics import global_rotations, quaternion_conjugate, quaternion_multiply, quaternion_rotate
 from motionkit.core.skeleton import Skeleton
+from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.correction import Correction, Path
 from motionkit.fields.contact.legs import Leg, Legs, legs_of
 from motionkit.fields.contact.two_bone import BentLeg, bend, turns
-from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.motion_field import MotionField, Observed, Poses, at_fps, check_times
 
-GRID_FPS = 120
+GRID_FPS = 120.0
 BONE_SAMPLES = 1000
 TIMES_AT_ONCE = 4096
 _UP = np.array([0.0, 1.0, 0.0])
@@ -51,10 +53,9 @@ class PlantedField:
         """The field's."""
         return self.field.end_seconds
 
-    def at_fps(self, fps: Fraction) -> MotionField:
-        """The field for this framerate, planted anew where that is another field."""
-        field = at_fps(self.field, fps)
-        return self if field is self.field else planted(field, self.correction.path)
+    def at_fps(self, fps: Fraction) -> "PlantedField":
+        """The field for this framerate with the same correction: one motion has the same contacts at all of them."""
+        return replace(self, field=at_fps(self.field, fps))
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
@@ -72,15 +73,16 @@ class PlantedField:
         return result
 
 
-def planted(field: MotionField, path: Path = "near") -> PlantedField:
+def planted(field: MotionField, path: Path = "near", grid: TimeGrid | None = None) -> PlantedField:
     """A field with feet that stand; positions without rotations are brought onto bones of one length first.
 
-    With a `free` path the body goes where feet that stand carry it, and may end elsewhere: for generated motion. Raises
-    `SkeletonMapError` for a skeleton whose legs aren't known.
+    With a `free` path the body goes where feet that stand carry it, and may end elsewhere: for generated motion.
+    Contacts are looked for on a grid that begins with the field, by default of 120 instants a second, or a little more,
+    so that the last one is the field's end. Raises `SkeletonMapError` for a skeleton whose legs aren't known.
     """
     legs, span = legs_of(field.skeleton), field.end_seconds - field.start_seconds
-    count = int(np.ceil(span * GRID_FPS - 1e-6)) + 1
-    fps = (count - 1) / span if count > 1 else float(GRID_FPS)
+    count = int(np.ceil(span * GRID_FPS - 1e-6)) + 1 if grid is None else grid.num_frames
+    fps = float(grid.fps) if grid is not None else (count - 1) / span if count > 1 else GRID_FPS
 
     def poses(rows: np.ndarray) -> Poses:
         return field.query(np.minimum(field.start_seconds + rows / fps, field.end_seconds))
@@ -91,6 +93,16 @@ def planted(field: MotionField, path: Path = "near") -> PlantedField:
         return on_bones(poses(np.arange(start, stop)), bones).joint_positions
 
     return PlantedField(field, legs, bones, Correction(legs, positions, field.start_seconds, fps, count, path))
+
+
+def planted_frames(observation: Observed, frames: TimeGrid, path: Path = "near") -> PlantedField:
+    """A motion's frames with feet that stand, to be asked for at their own times: nothing is made between them.
+
+    At very high framerates every second frame, or third, is looked at.
+    """
+    step = max(1, round(float(frames.fps) / GRID_FPS))
+    looked_at = TimeGrid(frames.fps / step, (frames.num_frames - 1) // step + 1, frames.start_seconds)
+    return planted(INTERPOLATORS["hold"].encode(observation), path, looked_at)
 
 
 def bones_of(poses: Callable[[np.ndarray], Poses], count: int, skeleton: Skeleton) -> Bones | None:
