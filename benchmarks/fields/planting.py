@@ -31,7 +31,7 @@ from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.contact.detection import MOST_TIMES, Rests, find_contacts, ground_of
+from motionkit.fields.contact.detection import MOST_TIMES, Rests, find_contacts, ground_of, velocities
 from motionkit.fields.contact.legs import legs_of
 from motionkit.fields.contact.planted import planted_frames
 from motionkit.fields.long_observation import LongObservation
@@ -127,7 +127,7 @@ def rests(store: Path) -> dict[str, float]:
         if len(paths) < fps:
             continue
         contacts = find_contacts(paths, float(fps), ground_of(paths, float(fps)))
-        speed = np.linalg.norm(np.gradient(paths, float(1 / fps), axis=0)[..., ::2], axis=-1)
+        speed = np.linalg.norm(velocities(paths, float(fps))[..., ::2], axis=-1)
         seen = Rests.of(contacts.down, speed, float(fps))
         times = np.minimum(seen.speed / seen.limit, MOST_TIMES)[seen.on_ground]
         if len(times):

@@ -24,8 +24,8 @@ KEPT_SHARE = 0.02
 """Of its velocity a sliding foot keeps so much: none stands quite still."""
 FLOATING, SUNK, STEADY_HEIGHT = 100.0, 1000.0, 0.05
 """What metres² above and below the ground cost, and (m/s)² of an offset's change in height."""
-ABOVE_METRES, BELOW_METRES = (0.03, 0.003), 0.003
-"""How far feet may be above the ground, in a motion that stands and in one that slides; and below it."""
+ABOVE_METRES, BELOW_METRES, HIGHEST_METRES = (0.03, 0.003), 0.003, (0.05, 0.08)
+"""How far feet may be above the ground, in a motion that stands and in one that slides; below it; what is let be."""
 
 BLOCK_SECONDS, MARGIN_SECONDS, FADE_SECONDS = 180.0, 12.0, 1.0
 BLOCKS_KEPT = 3
@@ -214,6 +214,8 @@ def _heights(
     lowest = ground.floor - BELOW_METRES
     lowest = lowest + (np.maximum(ground.level - BELOW_METRES, lowest) - lowest) * sliding
     floats = np.where(contacts.down, np.maximum(height - ground.level - above, 0.0), np.inf).min(axis=-1)
-    floats = np.where(np.isfinite(floats), floats, 0.0)
+    # What is held or stands higher is on a step, on tiptoe, or in the air.
+    floats = np.where(floats < HIGHEST_METRES[1], floats, 0.0)
+    floats *= np.clip((HIGHEST_METRES[1] - floats) / (HIGHEST_METRES[1] - HIGHEST_METRES[0]), 0.0, 1.0)
     sunk = np.maximum(lowest - height, 0.0).max(axis=-1)
     return np.where(sunk > 0, sunk, -floats), np.where(sunk > 0, SUNK, FLOATING * contacts.hold)

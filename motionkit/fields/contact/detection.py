@@ -65,7 +65,7 @@ def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> G
 
     A foot that never comes down has the other's level, and up to 4 cm.
     """
-    speed = _lengths(_velocity(paths.astype(np.float64), fps))
+    speed = _lengths(velocities(paths.astype(np.float64), fps))
     level, floor = np.empty((2, 2)), np.empty((2, 2))
     for foot, end in np.ndindex(2, 2):
         height = paths[:, foot, end, 1].astype(np.float64)
@@ -78,7 +78,7 @@ def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> G
 
 def find_contacts(paths: Float64[np.ndarray, "instants feet ends 3"], fps: float, ground: Ground) -> Contacts:
     """The contacts of foot joints whose places are known at `fps`."""
-    velocity = _velocity(paths, fps)
+    velocity = velocities(paths, fps)
     speed = _lengths(velocity)
     height = _above_ground(paths[..., 1] - ground.level, fps)
     level_speed = np.hypot(velocity[..., 0], velocity[..., 2])
@@ -100,7 +100,7 @@ def runs(mask: Bool[np.ndarray, "instants"]) -> tuple[Int64[np.ndarray, "runs"],
     return changes[::2], changes[1::2]
 
 
-def _velocity(
+def velocities(
     paths: Float64[np.ndarray, "instants feet ends 3"], fps: float
 ) -> Float64[np.ndarray, "instants feet ends 3"]:
     """Differences over about 0.05 s around each instant; at both ends the nearest such difference."""
