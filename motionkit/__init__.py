@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from motionkit.formats.catalogue import write
     from motionkit.generate.models import SamplingOptions
     from motionkit.generate.motion import MotionModel, generate, load_model
+    from motionkit.plant.motion import plant
     from motionkit.store.named_motions.reading import read, read_all
     from motionkit.store.reader import Store
     from motionkit.store.writer import StoreWriter
@@ -47,6 +48,7 @@ __all__ = [
     "complete",
     "generate",
     "load_model",
+    "plant",
     "read",
     "read_all",
     "resample",
@@ -73,6 +75,7 @@ give_names(
         "complete": "motionkit.complete.motion",
         "generate": "motionkit.generate.motion",
         "load_model": "motionkit.generate.motion",
+        "plant": "motionkit.plant.motion",
         "read": "motionkit.store.named_motions.reading",
         "read_all": "motionkit.store.named_motions.reading",
         "resample": "motionkit.fields.resample",

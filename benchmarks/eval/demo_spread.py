@@ -1,6 +1,6 @@
 """Within what the demo's figures differ: `motionkit demo` with several numbers of threads and seeds, cell by cell.
 
-    python benchmarks/eval/demo_spread.py --threads 1,2 --seeds 0,1
+    python benchmarks/eval/demo_spread.py --threads 1,2 --seeds 0        # the smallest demo; --full: the whole one
 
 Prints the lowest and the highest clip-FID of each row and framerate over all of them, and over those of one seed, which
 differ by the order of sums alone. Other processors differ as other threads do, and by their precision (`auto`).
@@ -39,11 +39,11 @@ def spread(tables: list[Cells]) -> dict[str, tuple[float, float]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--threads", default="1,2")
-    parser.add_argument("--seeds", default="0,1")
-    parser.add_argument("--smallest", action="store_true")
+    parser.add_argument("--seeds", default="0")
+    parser.add_argument("--full", action="store_true", help="the whole demo, minutes each")
     arguments = parser.parse_args()
     threads, seeds = (list(map(int, text.split(","))) for text in (arguments.threads, arguments.seeds))
-    options = ["--smallest"] if arguments.smallest else []
+    options = [] if arguments.full else ["--smallest"]
     with tempfile.TemporaryDirectory() as folder:
         tables = {
             seed: [demo(Path(folder) / f"{seed}-{count}", count, seed, options) for count in threads] for seed in seeds

@@ -168,7 +168,8 @@ def native_source(run: Path | None) -> FeatureSource:
         note=(
             f"Features of the run's evaluator, a network trained on this store; at most {NATIVE_REPLICATIONS} "
             "replications, for it costs several times the descriptor. Its numbers are its own: they compare with no "
-            "other evaluator's."
+            "other evaluator's. Noise and borrowed texture win it (docs/results/calibration.md), so a low score is no "
+            "proof of detail."
         ),
         max_replications=NATIVE_REPLICATIONS,
         remark_at=evaluator.remark_at,

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eval.clip_fid.calibration import DISJOINT, FLAT, MAX_FLAT_RATIO, level_name
+from eval.report.differences import SUFFIX
 from eval.report.figures import BLUE, CURVE_COLOURS, FRAMERATE_LABEL, GREY, MARKERS, Curve, Panel
 from eval.report.results import Block, Cell, Result, ResultError, Row
 from eval.sets.corruptions import Family, families
@@ -87,9 +88,10 @@ def panels_of(result: Result, y_label: str = "lower is better") -> tuple[Panel, 
     """One panel per block, for numbers of different blocks can't be compared; ours first, the paper's after them.
 
     `y_label` is that of the blocks in which lower is better; others have none. Blocks whose columns are not all values
-    of one quantity ("120 fps", "×4", "30 frames", "λ = 0.5") are left out.
+    of one quantity ("120 fps", "×4", "30 frames", "λ = 0.5") are left out, and so are differences between rows.
     """
-    ordered = sorted(filter(_quantity, result.blocks), key=_is_from_paper)
+    scores = [block for block in result.blocks if not block.title.endswith(SUFFIX)]
+    ordered = sorted(filter(_quantity, scores), key=_is_from_paper)
     panels = (
         Panel(
             block.title,

@@ -13,6 +13,8 @@ NOTE = (
     "many pairs there are."
 )
 DRAWING = "± over replications alone"
+SUFFIX = ": differences between rows"
+"""What stands behind a block's title in that of its rows' differences."""
 # Differences of two rows (the first less the second) by column.
 Differences = Mapping[tuple[str, str], Mapping[str, Difference]]
 
@@ -51,7 +53,7 @@ def differences_block(
     )
     if not rows:
         return None
-    return Block(f"{title}: differences between rows", columns, rows, note=NOTE, metrics=metrics)
+    return Block(title + SUFFIX, columns, rows, note=NOTE, metrics=metrics)
 
 
 def said(found: Mapping[str, Difference], metrics: tuple[Measure, ...]) -> str:

@@ -22,8 +22,8 @@ LABEL_WIDTH = 40
 BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#5F5F5F",
 )  # fmt: skip
-CURVE_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
-MARKERS = ("o", "s", "^", "D", "v", "P")
+CURVE_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SIDE_COLOURS = {"left": BLUE, "right": VERMILLION, "middle": "#303030"}
 # The camera stands to the front right of the first pose, so that a walk goes to the right of the picture.
 CAMERA_YAW = np.deg2rad(118.0)

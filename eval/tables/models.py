@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, windows_of
+from eval.sets.planted import PLANTED, planted_fields
 from eval.sets.sets import SampleSet
 from motionkit.clips.reconstruction import ReconstructsWindows
 from motionkit.complete.encoders import installed_encoders
@@ -93,7 +94,10 @@ def require_models(run: Path) -> dict[str, TrainedModel]:
 def generated_fields(
     run: Path | None, real: SampleSet, seed: int, max_motions: int, draws: int = 1
 ) -> Found[dict[str, dict[Window, MotionField]]]:
-    """What each model of a run generates for the captions and durations of a real set, by the names of their rows."""
+    """What each model of a run generates for the captions and durations of a real set, by the names of their rows.
+
+    As the model gives it, and planted.
+    """
     models = trained_models(run)
 
     def generated(name: str) -> dict[Window, MotionField]:
@@ -101,7 +105,10 @@ def generated_fields(
         return generate_fields(model, windows_of(real, model.max_duration_seconds), seed, max_motions, draws=draws)
 
     found = each_found(models.value, generated)
-    return Found(found.value, (*models.missing, *found.missing))
+    rows: dict[str, dict[Window, MotionField]] = {}
+    for name, fields in found.value.items():
+        rows |= {name: fields, PLANTED.format(name): planted_fields(fields)}
+    return Found(rows, (*models.missing, *found.missing))
 
 
 def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:

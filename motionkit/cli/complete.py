@@ -53,6 +53,7 @@ OutPlace = Annotated[
 FormatChoice = Annotated[
     ClipFormat | None, typer.Option("--format", help="Write bvh or npz instead of the clip's own format.")
 ]
+Plant = Annotated[bool, typer.Option("--plant", help="Let feet stand that slide, in what is made.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 ComparedNames = Annotated[
     str | None,
@@ -78,6 +79,7 @@ def complete(
     fps: TargetFps = None,
     keep: KeptFrames = None,
     extend: Extension = None,
+    plant: Plant = False,
     model: EncoderName = None,
     run: RunName = None,
     runs: RunsFolder = None,
@@ -99,6 +101,7 @@ def complete(
         keep=parse_keep(keep) if keep else (),
         before=before,
         after=after,
+        plant=plant,
     )
     from motionkit.complete.clips import find_clips
     from motionkit.complete.encoders import choose_encoder

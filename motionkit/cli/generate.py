@@ -39,6 +39,7 @@ Sampler = Annotated[str | None, typer.Option(help="ddim or ddpm (else the recipe
 SamplingSteps = Annotated[
     int | None, typer.Option(min=1, help="Diffusion steps visited (else the recipe's; ddpm likes more).")
 ]
+Plant = Annotated[bool, typer.Option("--plant/--no-plant", help="Let feet stand that slide, on bones of one length.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with a call that was stopped.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a former call's files.")]
@@ -69,6 +70,7 @@ def generate(
     guidance: Guidance = None,
     sampler: Sampler = None,
     sampling_steps: SamplingSteps = None,
+    plant: Plant = True,
     seed: Seed = 0,
     resume: Resume = False,
     overwrite: Overwrite = False,
@@ -97,7 +99,7 @@ def generate(
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)
-    job = Job(request, loaded, place, output, seed, SamplingOptions(guidance, sampler, sampling_steps))
+    job = Job(request, loaded, place, output, seed, SamplingOptions(guidance, sampler, sampling_steps), plant)
     warn_above_training(loaded, job.fps)
     _say_joined(job)
     opening = resume_folder if resume else replace_folder if overwrite else begin_folder

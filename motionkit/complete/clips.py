@@ -32,7 +32,8 @@ from motionkit.store.named_motions.holes import ReadClip, read_vectors, read_wit
 from motionkit.store.named_motions.reading import Found, Readers, find_motions
 
 FRAMES_AT_ONCE = 2048
-MADE, MADE_FOLDER = ".completed", re.compile(r"completed-[\d.-]+fps")
+COMPLETED, PLANTED = "completed", "planted"
+MADE_FOLDER = re.compile(rf"({COMPLETED}|{PLANTED})-[\d.-]+fps")
 
 Progress = Callable[[int], None]
 
@@ -68,7 +69,7 @@ ClipSource = Found[Clip]
 
 
 def find_clips(names: Sequence[str], options: ReadOptions, store: Path) -> tuple[list[ClipSource], list[FormatError]]:
-    """The clips of these names, but for those in folders that `complete` has made, and what is wrong with some.
+    """The clips of these names, but for those that `complete` and `plant` have made, and what is wrong with some.
 
     Raises `UsageError` for a name that says nothing.
     """
@@ -78,15 +79,15 @@ def find_clips(names: Sequence[str], options: ReadOptions, store: Path) -> tuple
     return [clip for clip in found if clip.name in names or not _is_made(clip.beside, named)], problems
 
 
-def folder_of_made(fps: str) -> str:
-    """The name of the folder for completed arrays of a framerate, beside those that they were made of."""
-    return f"completed-{fps.replace('/', '-')}fps"
+def folder_of_made(fps: str, made: str = COMPLETED) -> str:
+    """The name of the folder for completed or planted arrays of a framerate, beside those that they were made of."""
+    return f"{made}-{fps.replace('/', '-')}fps"
 
 
 def _is_made(path: Path, named: Set[Path]) -> bool:
     # Whoever names a folder of completed clips means them.
     in_made = path.parent not in named and MADE_FOLDER.fullmatch(path.parent.name) is not None
-    return in_made or path.name.endswith(MADE)
+    return in_made or path.name.endswith((f".{COMPLETED}", f".{PLANTED}"))
 
 
 def _read(item: SourceItem, options: ReadOptions) -> Clip:
@@ -192,6 +193,8 @@ def _writing(
 
 def completed_line(completion: Completion, source: TimeGrid) -> str:
     """The operation log's line of a motion that was completed from frames on the grid `source`."""
+    if completion.line:
+        return completion.line
     grid, made = completion.grid, completion.grid.num_frames - len(completion.given_rows)
     return f"complete {source.num_frames} frames at {source.fps} fps -> {grid.num_frames} at {grid.fps}, {made} made"
 

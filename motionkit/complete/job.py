@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from motionkit.complete.clips import Clip, ClipSource, Progress, as_format, folder_of_made
+from motionkit.complete.clips import COMPLETED, Clip, ClipSource, Progress, as_format, folder_of_made
 from motionkit.complete.encoders import ChosenEncoder
 from motionkit.complete.request import ClipRequest, CompletionRequest
 from motionkit.core.errors import MotionkitError
@@ -17,7 +17,9 @@ from motionkit.core.framerate import format_fps
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.export.player.page import write_page
 from motionkit.export.player.takes import Take, packed_bytes, take_of
+from motionkit.fields.anchoring import anchored
 from motionkit.fields.completion import Completion, begin_observed, begin_uneven
+from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionEncoder
 
 # Beyond this no constant velocity is a motion.
@@ -118,6 +120,8 @@ def begin_clip(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> tuple[
         made = _encoded(clip, wanted, encoder)
     except ValueError as error:
         raise MotionkitError(f"{chosen.name} cannot complete it: {error}") from None
+    if wanted.plant:
+        made = replace(made, field=anchored(planted(made.field), made.observation))
     lost = int((~clip.seen).sum())
     if lost:
         warnings.append(f"{lost:,} frames hold nan and were made like any gap")
@@ -155,21 +159,22 @@ def _warnings(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> list[st
 class OutputPath:
     """Names the file of each clip and sees to it that no two have the same one; owns the names given so far."""
 
-    def __init__(self, out: Path | None, num_clips: int, folders: Sequence[Path]) -> None:
+    def __init__(self, out: Path | None, num_clips: int, folders: Sequence[Path], made: str = COMPLETED) -> None:
         self._out = out
         self._single = num_clips == 1 and not folders
         self._folders = folders
+        self._made = made
         self._taken: dict[Path, str] = {}
 
     def __call__(self, source: ClipSource, suffix: str, fps: str) -> Path:
-        """The file of a clip: `--out`, or in `--out`, or beside it with `.completed` before the suffix.
+        """The file of a clip: `--out`, or in `--out`, or beside it with what was `made` before the suffix.
 
         Raises `LinkError` where that would lie behind a link in a named folder.
         """
         path = self._path(source, suffix, fps)
         other = self._taken.setdefault(path.absolute(), source.name)
         if other != source.name:
-            raise MotionkitError(f"its result would be {path}, as that of {other}: complete them one by one with --out")
+            raise MotionkitError(f"its result would be {path}, as that of {other}: name them one by one with --out")
         return path
 
     def _path(self, source: ClipSource, suffix: str, fps: str) -> Path:
@@ -178,12 +183,12 @@ class OutputPath:
         if self._out is None:
             # A motions.json beside arrays says their framerate, all of them: new ones need a folder of their own.
             beside = source.beside.parent
-            folder = beside / folder_of_made(fps) if suffix == ".npy" else beside
+            folder = beside / folder_of_made(fps, self._made) if suffix == ".npy" else beside
             for each in (folder, *folder.parents):
                 if each == (named or beside):
                     break
                 require_no_link(each, "name a folder with --out")
-            return folder / (f"{stem}.npy" if suffix == ".npy" else f"{stem}.completed{suffix}")
+            return folder / (f"{stem}.npy" if suffix == ".npy" else f"{stem}.{self._made}{suffix}")
         if self._single and self._out.suffix.lower() == suffix and not self._out.is_dir():
             return self._out
         if self._single and self._out.suffix.lower() in CLIP_SUFFIXES and not self._out.is_dir():

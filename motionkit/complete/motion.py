@@ -31,6 +31,7 @@ def complete(
     fps: Framerate | None = None,
     keep: Kept | None = None,
     extend: Extension | None = None,
+    plant: bool = False,
     model: str | None = None,
     run: str | Path | None = None,
 ) -> Motion:
@@ -41,6 +42,7 @@ def complete(
     - `keep`: the frames to keep, all others are made anew: `[(0, 10), (40, None)]`, half-open and counted from 0, or
       "0:10,40:", or a mask of one bool for each frame
     - `extend`: seconds to add after it; or a pair, before and after; or "0,15f" in frames
+    - `plant`: whether feet that slide stand in what is made (`motionkit.plant` is for a whole motion)
     - `model`: an interpolator (`spline`, `slerp`, `hold` …) or the name of a trained encoder; by default the
       preferred encoder (PA-HiRes) if ./runs holds a trained one, else `spline`
     - `run`: the run of a trained encoder, by default the one trained last
@@ -54,13 +56,14 @@ def complete(
     >>> mk.complete(motion, keep=[(0, 30), (60, None)], extend=0.5, model="slerp").duration_seconds
     4.5
     """
-    clip = clip_of_motion(motion) if isinstance(motion, Motion) else _clip_of_file(Path(motion))
+    clip = clip_of_motion(motion) if isinstance(motion, Motion) else clip_of_file(Path(motion))
     before, after = _reaches(extend)
     request = CompletionRequest(
         fps=None if fps is None else parse_fps(fps),
         keep=_ranges(keep, clip.timegrid.num_frames),
         before=before,
         after=after,
+        plant=plant,
     )
     wanted = request.for_clip(clip.timegrid, clip.seen, clip.uneven_seconds)
     chosen = choose_encoder(model, None if run is None else str(run), default_path("runs"))
@@ -73,13 +76,14 @@ def complete(
     return clip.label(made).logged(completed_line(completion, clip.timegrid))
 
 
-def _clip_of_file(path: Path) -> Clip:
+def clip_of_file(path: Path) -> Clip:
+    """The one clip of a file; raises what reading it raises, and `UsageError` where it holds several."""
     check_exists(path)
     found, problems = find_clips([str(path)], ReadOptions(), path)
     if not found:
         raise problems[0]
     if len(found) > 1:
-        raise UsageError(f"{path} holds {len(found):,} motions: complete them one by one, read_all(path) gives them")
+        raise UsageError(f"{path} holds {len(found):,} motions: take them one by one, read_all(path) gives them")
     return found[0].read()
 
 

@@ -45,15 +45,19 @@ class Reach:
 
 @dataclass(frozen=True)
 class CompletionRequest:
-    """What to make: `fps` None is the clip's own, `keep` empty keeps every frame that is there."""
+    """What to make: `fps` None is the clip's own, `keep` empty keeps every frame that is there.
+
+    With `plant` feet that slide stand in what is made.
+    """
 
     fps: Fraction | None = None
     keep: tuple[FrameRange, ...] = ()
     before: Reach = Reach(0.0)
     after: Reach = Reach(0.0)
+    plant: bool = False
 
     def __post_init__(self) -> None:
-        if self.fps is None and not self.keep and not self.before.amount and not self.after.amount:
+        if self.fps is None and not (self.keep or self.before.amount or self.after.amount or self.plant):
             raise UsageError(
                 "nothing to make: give a framerate (--fps 120), frames to keep (--keep 0:10,40:50), or seconds beyond "
                 "the ends (--extend 0.5,1)"
@@ -92,7 +96,7 @@ class CompletionRequest:
         seconds = timegrid.seconds() if uneven_seconds is None else uneven_seconds
         known = seconds[observed]
         gap = float(np.diff(known).max()) if len(known) > 1 else 0.0
-        return ClipRequest(fps, observed, before, after, gap)
+        return ClipRequest(fps, observed, before, after, gap, self.plant)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +111,7 @@ class ClipRequest:
     before_seconds: float
     after_seconds: float
     longest_gap_seconds: float
+    plant: bool = False
 
 
 def kept_frames(ranges: Sequence[FrameRange], num_frames: int) -> Bool[np.ndarray, "frames"]:

@@ -96,7 +96,8 @@ class Completion:
     """A motion that is encoded and can be sampled, whole or in pieces: memory is bounded by the piece.
 
     `known_frames` are the frame numbers of the observed poses. Frame `given_rows[i]` of `grid` is the observed pose
-    `given_poses[i]`; all ascend.
+    `given_poses[i]`; all ascend. `line` is what an operation log says of it, where it says something else than what was
+    completed.
     """
 
     observation: Observed
@@ -105,6 +106,7 @@ class Completion:
     grid: TimeGrid
     given_rows: Int[np.ndarray, "given"]
     given_poses: Int[np.ndarray, "given"]
+    line: str = ""
 
     def given(self, start: int, stop: int) -> tuple[Int[np.ndarray, "given"], Int[np.ndarray, "given"]]:
         """Which frames of [start, stop) of the grid, counted from `start`, are observed poses, and their numbers."""

@@ -16,13 +16,13 @@ from motionkit.generate.folder import FORMAT, GeneratedFolder
 from motionkit.generate.long_motions import check_script, generate_scripts, is_joined
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.generate.request import MotionsRequest, requests_of
-from motionkit.generate.samples import GeneratedSample, motion_name, sample_field
+from motionkit.generate.samples import GeneratedSample, motion_name, sample_field, standing
 from motionkit.training.run import versions, weights_sha256
 
 
 @dataclass(frozen=True)
 class Job:
-    """What to make, by which model out of which run, as which files.
+    """What to make, by which model out of which run, as which files; with feet that stand, unless not to `plant`.
 
     Raises `UsageError`, with the prompt's file and line, for what the model cannot do: before anything is made.
     """
@@ -33,6 +33,7 @@ class Job:
     output: OutputFormat
     seed: int
     sampling: SamplingOptions
+    plant: bool = True
 
     def __post_init__(self) -> None:
         for prompts in self.request.scripts:
@@ -62,6 +63,7 @@ class Job:
             "weights_sha256": weights_sha256(self.run),
             "seed": self.seed,
             "sampling": asdict(self.sampling),
+            "planted": self.plant,
             "file_format": self.output.name,
             "fps": None if request.times else format_fps(self.fps),
             "times_seconds": list(request.times) or None,
@@ -89,7 +91,8 @@ class Job:
         for index, field in enumerate(fields, start=num_done):
             name = motion_name(index, motions[index])
             seconds = np.array(times, dtype=np.float64) if times else None
-            yield field, sample_field(field, name, motions[index], self.fps, seconds)
+            shown = standing(field) if self.plant else field
+            yield field, sample_field(shown, name, motions[index], self.fps, seconds)
 
     def write(self, folder: GeneratedFolder) -> Iterator[tuple[MotionField, GeneratedSample, Path]]:
         """Make and write what the folder lacks, motion by motion: the field, its poses, and the file of that name."""

@@ -15,7 +15,7 @@ from motionkit.fields.motion_field import MotionField
 from motionkit.generate import models
 from motionkit.generate.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, model_of, warn_above_training
-from motionkit.generate.samples import motion_name, sample_field
+from motionkit.generate.samples import motion_name, sample_field, standing
 
 Several = list[str] | tuple[str, ...]
 
@@ -28,6 +28,7 @@ class Options(TypedDict, total=False):
     seconds: int | float | None
     seed: int
     sampling: SamplingOptions | None
+    plant: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +83,15 @@ class MotionModel:
         n: int | None = None,
         seed: int = 0,
         sampling: SamplingOptions | None = None,
+        plant: bool = True,
     ) -> Motion | list[Motion]:
         """A motion of a text, an action, or neither; with `n`, or of several texts, a list: n of each.
 
         `fps` is by default the highest framerate of the training data; above it a warning says that detail is
         interpolated. `seconds` are drawn from those of the training data by default; a motion longer than the model
-        makes at once is joined from several. The same seed gives the same motions at every framerate. Raises
-        `UsageError` for what the model does not know.
+        makes at once is joined from several. The same seed gives the same motions at every framerate. Feet that slide
+        are made to stand, on bones of one length, unless not to `plant` (docs/plant.md). Raises `UsageError` for what
+        the model does not know.
 
         >>> model = mk.load_model("runs/nano")
         >>> [motion.duration_seconds for motion in model.generate("a person jumps", fps=30, seconds=2, n=2, seed=1)]
@@ -99,7 +102,7 @@ class MotionModel:
         scripts = _scripts(text, action, seconds, n)
         fields = self.draw(scripts, seed, sampling or SamplingOptions())
         motions = [
-            sample_field(field, motion_name(number, script), script, rate)
+            sample_field(standing(field) if plant else field, motion_name(number, script), script, rate)
             .motion()
             .logged(f"generate motion {number} of seed {seed} at {format_fps(rate)} fps ({self.name}, {self.run})")
             for number, (script, field) in enumerate(zip(scripts, fields, strict=True))
@@ -115,6 +118,7 @@ class MotionModel:
         n: int = 1,
         seed: int = 0,
         sampling: SamplingOptions | None = None,
+        plant: bool = True,
     ) -> list[MotionField]:
         """The same motions as functions of time, for poses at any instants (docs/motion-fields.md).
 
@@ -122,7 +126,8 @@ class MotionModel:
         >>> field.query(np.array([0.5, 1.25])).joint_positions.shape
         (2, 22, 3)
         """
-        return self.draw(_scripts(text, action, seconds, n), seed, sampling or SamplingOptions())
+        fields = self.draw(_scripts(text, action, seconds, n), seed, sampling or SamplingOptions())
+        return [standing(field) for field in fields] if plant else fields
 
     def draw(self, scripts: Sequence[Script], seed: int, sampling: SamplingOptions) -> list[MotionField]:
         """The motions of scripts, one or several requests in a row each; all are checked before the first is made."""
@@ -182,6 +187,7 @@ def generate(
     n: int | None = None,
     seed: int = 0,
     sampling: SamplingOptions | None = None,
+    plant: bool = True,
 ) -> Motion | list[Motion]:
     """Motions of the model of a run: `load_model(run).generate(…)`, for a single call.
 
@@ -190,7 +196,7 @@ def generate(
     """
     model: Any = load_model(run)  # whose overloads are those above
     made: Motion | list[Motion] = model.generate(
-        text, action=action, fps=fps, seconds=seconds, n=n, seed=seed, sampling=sampling
+        text, action=action, fps=fps, seconds=seconds, n=n, seed=seed, sampling=sampling, plant=plant
     )
     return made
 

@@ -10,8 +10,11 @@ from jaxtyping import Float32, Float64
 
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
+from motionkit.core.progress import warn
 from motionkit.core.skeleton import Skeleton
+from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, at_fps
 from motionkit.generate.long_motions import Script, captions_of
 
@@ -90,6 +93,18 @@ def sample_field(
         captions=captions_of(script),
         action=script[0].action if len({request.action for request in script}) == 1 else "",
     )
+
+
+def standing(field: MotionField) -> MotionField:
+    """A generated field with feet that stand and bones of one length (`motionkit.fields.contact`).
+
+    Itself, with a warning, where its skeleton's legs aren't known.
+    """
+    try:
+        return planted(field, "free")
+    except SkeletonMapError as error:
+        warn(f"not planted: {error}")
+        return field
 
 
 def motion_name(index: int, script: Script) -> str:

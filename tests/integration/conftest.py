@@ -11,6 +11,12 @@ from tests.helpers.outcome import Outcome
 from tests.helpers.small_bvh import bvh_text
 
 
+@pytest.fixture(autouse=True)
+def few_motions_are_searched_for_copies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half the seconds of a small Table 2 are that search, of which tests/eval knows enough."""
+    monkeypatch.setattr("eval.tables.nerm.copies.MOST_MOTIONS", 3)
+
+
 @pytest.fixture
 def motionkit(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
     """`motionkit("ingest", folder, …)`: the installed command with these arguments."""

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
+from tests.helpers.outcome import Outcome
 
 
 def walk(seed: int, fps: int, seconds: float) -> np.ndarray:
@@ -181,8 +183,10 @@ def test_sets_that_mislead_are_named_under_the_table(store: Path, tmp_path: Path
         (("report", "--results", "nowhere"), 2, "there is no result in 'nowhere'"),
     ],
 )
-def test_faults_are_one_line(arguments: tuple[str, ...], code: int, message: str) -> None:
-    done = run(*arguments)
-    assert (done.returncode, done.stdout) == (code, "")
+def test_faults_are_one_line(
+    motionkit: Callable[..., Outcome], arguments: tuple[str, ...], code: int, message: str
+) -> None:
+    done = motionkit(*arguments)
+    assert (done.code, done.stdout) == (code, "")
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

@@ -15,6 +15,7 @@ from motionkit.core.errors import UsageError
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.long_motions import generate_joined
 from motionkit.generate.models import GenerationRequest, load_model
+from motionkit.generate.samples import standing
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import make_body, perform
 from motionkit.training.run import RunError, RunFolder
@@ -86,8 +87,9 @@ def test_the_stage_leaves_a_whole_run(trained: Path) -> None:
 
 
 def test_texts_at_two_framerates_are_one_motion(trained: Path) -> None:
-    [slow] = generate(trained, "slow", "a person walks", "--fps", "20", "--seconds", "2", "--seed", "3")
-    [fast] = generate(trained, "fast", "a person walks", "--fps", "60", "--seconds", "2", "--seed", "3")
+    call = ("a person walks", "--seconds", "2", "--seed", "3", "--no-plant")
+    [slow] = generate(trained, "slow", *call, "--fps", "20")
+    [fast] = generate(trained, "fast", *call, "--fps", "60")
     assert (slow["num_frames"], fast["num_frames"]) == (40, 120)
     model = load_model("nerm", trained / "runs" / "nano")
     [field] = model.generate([GenerationRequest(2.0, text="a person walks")], seed=3)
@@ -100,6 +102,21 @@ def test_instants_are_those_of_the_whole_motion(trained: Path) -> None:
     [whole] = generate(trained, "whole", "--action", "jump", "--fps", "60", "--seconds", "2", "--seed", "3")
     [some] = generate(trained, "some", "--action", "jump", "--times", "1.5,0.5", "--seconds", "2", "--seed", "3")
     np.testing.assert_allclose(positions(some), positions(whole)[[90, 30]], atol=1e-5)
+
+
+def test_feet_stand_and_bones_keep_their_length(trained: Path) -> None:
+    call = ("a person walks", "--fps", "30", "--seconds", "2", "--seed", "3")
+    [planted], [raw] = generate(trained, "planted", *call), generate(trained, "raw", *call, "--no-plant")
+    model = load_model("nerm", trained / "runs" / "nano")
+    parents = list(model.skeleton.parents[1:])
+    spread = [
+        np.ptp(np.linalg.norm(each[:, 1:] - each[:, parents], axis=-1), axis=0).max()
+        for each in (positions(planted), positions(raw))
+    ]
+    assert spread[0] < 1e-5 < spread[1]
+    [field] = model.generate([GenerationRequest(2.0, text="a person walks")], seed=3)
+    expected = standing(field).at_fps(Fraction(30)).query(np.arange(60) / 30).joint_positions
+    np.testing.assert_allclose(positions(planted), expected, atol=1e-5)
 
 
 def test_lengths_are_drawn_from_the_data(trained: Path) -> None:
@@ -124,7 +141,7 @@ def test_the_same_motion_moves_little_between_framerates(trained: Path) -> None:
 
 
 def test_a_long_motion_of_several_texts_is_one_at_every_framerate(trained: Path) -> None:
-    call = ("a person walks", "a person jumps", "--seconds", "14", "--join", "--seed", "2")
+    call = ("a person walks", "a person jumps", "--seconds", "14", "--join", "--seed", "2", "--no-plant")
     [slow] = generate(trained, "long-slow", *call, "--fps", "30")
     [fast] = generate(trained, "long-fast", *call, "--fps", "60")
     assert (slow["num_frames"], fast["num_frames"]) == (840, 1680)

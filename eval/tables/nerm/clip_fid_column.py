@@ -14,6 +14,7 @@ from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
 from eval.sets.found import Found
 from eval.sets.generated import Window, sample_fields
+from eval.sets.planted import PLANTED, is_planted, planted_set
 from eval.sets.real import NoRealMotionError, RealMotion
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed, upsample_as_vectors, upsampled
@@ -146,6 +147,8 @@ def make_column(
             missing.append(f"{name}, {framerate_label(fps)}: {NOT_SO_FAST}")
             continue
         rows[name] = native
+        if is_planted(name):
+            continue
         models.append(name)
         coarse_name = GENERATED_LOW.format(name)
         coarse = sample_fields(own, reference.sequence_ids, LOW_FPS, coarse_name)
@@ -219,9 +222,12 @@ def samples_at(
 ) -> Found[dict[str, SampleSet]]:
     """Every folder's motions at a framerate, by name: those for the real takes that are as fast, where it says which.
 
+    As they are, and planted.
+
     Raises `NoRealMotionError` where too few real sequences are as fast.
     """
-    made, missing = {}, []
+    made: dict[str, SampleSet] = {}
+    missing = []
     for folder in folders:
         with task(on_progress, f"{folder.name}, {framerate_label(fps)}", folder.num_motions) as work:
             every = folder.at(fps, work.advance)
@@ -230,7 +236,7 @@ def samples_at(
         if found is None:
             missing.append(f"{folder.name}, {framerate_label(fps)}: {NOT_SO_FAST}")
         else:
-            made[folder.name] = found
+            made |= {folder.name: found, PLANTED.format(folder.name): planted_set(found)}
     return Found(made, tuple(missing))
 
 

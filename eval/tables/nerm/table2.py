@@ -18,6 +18,7 @@ from eval.sample_folder.takes import takes_of_samples
 from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
 from eval.sets.memorisation import set_remarks
+from eval.sets.planted import PLANTED, PLANTED_NOTE, is_planted
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
 from eval.sets.sets import SampleSet
 from eval.tables.models import check_names, generated_fields
@@ -100,7 +101,7 @@ def build_table2(request: TableRequest) -> Result:
         generated = generated_fields(evaluated.run, wanted, request.seed, evaluated.max_motions, evaluated.draws)
     fields = generated.value
     check_names(request.evaluated.samples, _model_notes(fields))
-    notes = ROW_NOTES | _model_notes(fields) | {folder.name: folder.describe() for folder in folders}
+    notes = _row_notes(fields, folders)
     sources = feature_sources(request.evaluated.run, request.evaluators.names, request.evaluators.guo)
     sheets: list[dict[str, _Scored]] = [{} for _ in sources.value]
     absent: list[list[str]] = [[] for _ in sources.value]
@@ -154,9 +155,17 @@ def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion) -> Found[list[F
     return Found(list(usable.value), usable.missing)
 
 
+def _row_notes(models: Iterable[str], folders: Sequence[SampleFolder]) -> dict[str, str]:
+    samples = {folder.name: folder.describe() for folder in folders}
+    return ROW_NOTES | _model_notes(models) | samples | {PLANTED.format(name): PLANTED_NOTE for name in samples}
+
+
 def _model_notes(models: Iterable[str]) -> dict[str, str]:
     notes: dict[str, str] = {}
     for name in models:
+        if is_planted(name):
+            notes[name] = PLANTED_NOTE
+            continue
         notes |= {name: GENERATED_NOTE, GENERATED_LOW.format(name): GENERATED_LOW_NOTE}
     return notes
 
@@ -184,7 +193,11 @@ def _copies(
         if train.name == real.name:
             raise NoRealMotionError("the compared motion is the training motion")
         held_out, training = real.at(LOW_FPS), train.at(LOW_FPS)
-        generated = {name: sample_fields(own, held_out.sequence_ids, LOW_FPS, name) for name, own in fields.items()}
+        generated = {
+            name: sample_fields(own, held_out.sequence_ids, LOW_FPS, name)
+            for name, own in fields.items()
+            if not is_planted(name)
+        }
         others = {name: samples for name, samples in generated.items() if samples is not None}
         others |= {folder.name: folder.at(LOW_FPS) for folder in folders}
         return Found((copies_block(held_out, training, validation, others, notes),))

@@ -24,10 +24,10 @@ KEPT_SHARE = 0.02
 """Of its velocity a sliding foot keeps so much: none stands quite still."""
 FLOATING, SUNK, STEADY_HEIGHT = 100.0, 1000.0, 0.05
 """What metres² above and below the ground cost, and (m/s)² of an offset's change in height."""
-ABOVE_METRES, BELOW_METRES = (0.03, 0.003), 0.003
-"""How far feet may be above the ground, in a motion that stands and in one that slides; and below it."""
+ABOVE_METRES, BELOW_METRES, HIGHEST_METRES = (0.03, 0.003), 0.003, (0.05, 0.08)
+"""How far feet may be above the ground, in a motion that stands and in one that slides; below it; what is let be."""
 
-BLOCK_SECONDS, MARGIN_SECONDS, FADE_SECONDS = 60.0, 12.0, 1.0
+BLOCK_SECONDS, MARGIN_SECONDS, FADE_SECONDS = 180.0, 12.0, 1.0
 BLOCKS_KEPT = 3
 LEVEL_STRETCHES, LEVEL_STRETCH_SECONDS = 24, 10.0
 FEWEST_INSTANTS = 4
@@ -65,8 +65,8 @@ class Correction:
     """Offsets of body, left and right foot at any instant of a motion, metres.
 
     `positions(start, stop)` are the joints at instants [start, stop) of a grid of `count`, `fps` a second from
-    `start_seconds` on. Blocks of a minute are worked out when they are asked for, from 12 s on both sides too, and go
-    over into one another; so memory doesn't grow with the motion.
+    `start_seconds` on. Blocks of three minutes are worked out when they are asked for, from 12 s on both sides too, and
+    go over into one another; so memory doesn't grow with the motion.
     """
 
     legs: Legs
@@ -80,7 +80,7 @@ class Correction:
         """The offsets at any times; before the first instant and after the last one they stay as they are there."""
         place = (times_seconds - self.start_seconds) * self.fps
         found = np.zeros((len(place), 3, 3))
-        if self.count < FEWEST_INSTANTS:
+        if not self.works:
             return found
         number = np.clip(np.floor(place / self._block_length), 0, self.num_blocks - 1).astype(np.int64)
         for each in np.unique(number).tolist():
@@ -92,6 +92,18 @@ class Correction:
     def num_blocks(self) -> int:
         """Number of blocks; a motion of less than two is one."""
         return max(1, self.count // self._block_length)
+
+    @property
+    def works(self) -> bool:
+        """Whether the motion is long enough to see contacts in."""
+        return self.count >= FEWEST_INSTANTS
+
+    def own(self, number: int) -> slice:
+        """Which rows of a block no other block has."""
+        first = self.block(number).first
+        last = number == self.num_blocks - 1
+        stop = self.count if last else (number + 1) * self._block_length
+        return slice(number * self._block_length - first, stop - first)
 
     @cached_property
     def block(self) -> Callable[[int], Block]:
@@ -162,22 +174,31 @@ def offsets_of(
     paths: Float64[np.ndarray, "instants feet ends 3"], contacts: Contacts, ground: Ground, fps: float, path: Path
 ) -> Float64[np.ndarray, "instants 3 3"]:
     """The offsets of body, left and right foot at every instant of a grid, metres."""
-    hold, lead = contacts.hold, contacts.lead
-    both = np.minimum(hold[1:], hold[:-1])
-    slid = contacts.velocity[..., [0, 2]] * ((1.0 - KEPT_SHARE) * contacts.sliding)[..., None]
-    nowhere = np.zeros((len(paths), 2))
-    level = Wishes(-0.5 * (slid[1:] + slid[:-1]), both, nowhere[..., None].repeat(2, axis=-1), nowhere)
+    found = np.zeros((len(paths), 3, 3))
+    both = np.minimum(contacts.hold[1:], contacts.hold[:-1])
+    if contacts.sliding.any():
+        found[..., [0, 2]] = _level_offsets(contacts, both, fps, LEVEL_COSTS[path])
     height, weight = _heights(paths[..., 1], contacts, ground)
-    still = np.zeros((len(paths) - 1, 2, 1))
-    upright = Wishes(still, STEADY_HEIGHT * both, height[..., None], weight)
-    found = np.empty((len(paths), 3, 3))
-    costs = LEVEL_COSTS[path]
-    found[..., [0, 2]] = solve_offsets(level, hold, fps, costs)
+    if height.any():
+        still = np.zeros((len(paths) - 1, 2, 1))
+        wishes = Wishes(still, STEADY_HEIGHT * both, height[..., None], weight)
+        found[..., [1]] = solve_offsets(wishes, contacts.hold, fps, HEIGHT_COSTS)
+    return found
+
+
+def _level_offsets(
+    contacts: Contacts, both: Float64[np.ndarray, "steps feet"], fps: float, costs: Costs
+) -> Float64[np.ndarray, "instants 3 2"]:
+    """Offsets along X and Z that take away what feet slide by."""
+    lead = contacts.lead
+    slid = contacts.velocity[..., [0, 2]] * ((1.0 - KEPT_SHARE) * contacts.sliding)[..., None]
+    nowhere = np.zeros(lead.shape)
+    wishes = Wishes(-0.5 * (slid[1:] + slid[:-1]), both, np.zeros((*lead.shape, 2)), nowhere)
+    found = solve_offsets(wishes, contacts.hold, fps, costs)
     # Feet once more, the body where it is now: legs take what the body was not to have of feet that come and go.
-    step = np.diff(found[:, :1, [0, 2]], axis=0) * fps
-    rest = replace(level, velocity=level.velocity - step, velocity_weight=np.minimum(lead[1:], lead[:-1]))
-    found[:, 1:, [0, 2]] = solve_offsets(rest, lead, fps, replace(costs, body=HELD))[:, 1:]
-    found[..., [1]] = solve_offsets(upright, hold, fps, HEIGHT_COSTS)
+    step = np.diff(found[:, :1], axis=0) * fps
+    wishes = replace(wishes, velocity=wishes.velocity - step, velocity_weight=np.minimum(lead[1:], lead[:-1]))
+    found[:, 1:] = solve_offsets(wishes, lead, fps, replace(costs, body=HELD))[:, 1:]
     return found
 
 
@@ -193,6 +214,8 @@ def _heights(
     lowest = ground.floor - BELOW_METRES
     lowest = lowest + (np.maximum(ground.level - BELOW_METRES, lowest) - lowest) * sliding
     floats = np.where(contacts.down, np.maximum(height - ground.level - above, 0.0), np.inf).min(axis=-1)
-    floats = np.where(np.isfinite(floats), floats, 0.0)
+    # What is held or stands higher is on a step, on tiptoe, or in the air.
+    floats = np.where(floats < HIGHEST_METRES[1], floats, 0.0)
+    floats *= np.clip((HIGHEST_METRES[1] - floats) / (HIGHEST_METRES[1] - HIGHEST_METRES[0]), 0.0, 1.0)
     sunk = np.maximum(lowest - height, 0.0).max(axis=-1)
     return np.where(sunk > 0, sunk, -floats), np.where(sunk > 0, SUNK, FLOATING * contacts.hold)

@@ -17,7 +17,7 @@ GROUND_METRES, GROUND_SECONDS = 0.12, 1.0
 
 SPEED_SECONDS = 0.05
 ENTER_METRES, LEAVE_METRES = 0.05, 0.08
-ENTER_SPEED, LEAVE_SPEED = (0.45, 0.7), (0.7, 1.0)
+ENTER_SPEED, LEAVE_SPEED = (0.45, 1.5), (0.7, 1.9)
 """Of feet that stand, and of a motion whose feet slide."""
 SHORTEST_SECONDS, GAP_SECONDS = 0.08, 0.05
 
@@ -65,7 +65,7 @@ def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> G
 
     A foot that never comes down has the other's level, and up to 4 cm.
     """
-    speed = _lengths(_velocity(paths.astype(np.float64), fps))
+    speed = _lengths(velocities(paths.astype(np.float64), fps))
     level, floor = np.empty((2, 2)), np.empty((2, 2))
     for foot, end in np.ndindex(2, 2):
         height = paths[:, foot, end, 1].astype(np.float64)
@@ -78,16 +78,16 @@ def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> G
 
 def find_contacts(paths: Float64[np.ndarray, "instants feet ends 3"], fps: float, ground: Ground) -> Contacts:
     """The contacts of foot joints whose places are known at `fps`."""
-    velocity = _velocity(paths, fps)
+    velocity = velocities(paths, fps)
     speed = _lengths(velocity)
     height = _above_ground(paths[..., 1] - ground.level, fps)
     level_speed = np.hypot(velocity[..., 0], velocity[..., 2])
     down = _down(height, speed, fps, 0)
-    rests = _Rests.of(down, level_speed, fps)
+    rests = Rests.of(down, level_speed, fps)
     here, around = rests.sliding(fps)
     if (around > 0.5).any():
         down = np.where((around > 0.5)[:, None, None], _down(height, speed, fps, 1), down)
-        rests = _Rests.of(down, level_speed, fps)
+        rests = Rests.of(down, level_speed, fps)
     steadiest = _steadiest(down, velocity, level_speed)
     faster = np.hypot(steadiest[..., 0], steadiest[..., 2]) / (REST_SPEED + REST_TIMES * rests.speed)
     hold, lead = (rests.on_ground / (1.0 + (faster / times) ** 4) for times in (1.0, LEAD_TIMES))
@@ -100,7 +100,7 @@ def runs(mask: Bool[np.ndarray, "instants"]) -> tuple[Int64[np.ndarray, "runs"],
     return changes[::2], changes[1::2]
 
 
-def _velocity(
+def velocities(
     paths: Float64[np.ndarray, "instants feet ends 3"], fps: float
 ) -> Float64[np.ndarray, "instants feet ends 3"]:
     """Differences over about 0.05 s around each instant; at both ends the nearest such difference."""
@@ -187,7 +187,7 @@ def _steadiest(
 
 
 @dataclass(frozen=True, eq=False)
-class _Rests:
+class Rests:
     """Of every foot on the ground: its slowest 0.1 s within 0.6 s, m/s, and how slow real feet are there."""
 
     on_ground: Bool[np.ndarray, "instants feet"]
@@ -197,7 +197,7 @@ class _Rests:
     @classmethod
     def of(
         cls, down: Bool[np.ndarray, "instants feet ends"], speed: Float64[np.ndarray, "instants feet ends"], fps: float
-    ) -> "_Rests":
+    ) -> "Rests":
         """The rests of feet whose joints go at these horizontal speeds."""
         from scipy.ndimage import minimum_filter1d, uniform_filter1d
 

@@ -1,21 +1,23 @@
 """Motion whose feet stand: a motion field on a motion field, and the same for a motion's own frames."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, Int64
 
-from motionkit.core.kinematics import global_rotations, quaternion_conjugate, quaternion_multiply, quaternion_rotate
+from motionkit.core.kinematics import quaternion_conjugate, quaternion_multiply, quaternion_rotate
 from motionkit.core.skeleton import Skeleton
+from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.correction import Correction, Path
 from motionkit.fields.contact.legs import Leg, Legs, legs_of
 from motionkit.fields.contact.two_bone import BentLeg, bend, turns
-from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.motion_field import MotionField, Observed, Poses, at_fps, check_times
 
-GRID_FPS = 120
+GRID_FPS = 120.0
 BONE_SAMPLES = 1000
 TIMES_AT_ONCE = 4096
 _UP = np.array([0.0, 1.0, 0.0])
@@ -51,10 +53,9 @@ class PlantedField:
         """The field's."""
         return self.field.end_seconds
 
-    def at_fps(self, fps: Fraction) -> MotionField:
-        """The field for this framerate, planted anew where that is another field."""
-        field = at_fps(self.field, fps)
-        return self if field is self.field else planted(field, self.correction.path)
+    def at_fps(self, fps: Fraction) -> "PlantedField":
+        """The field for this framerate with the same correction: one motion has the same contacts at all of them."""
+        return replace(self, field=at_fps(self.field, fps))
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
@@ -75,28 +76,53 @@ class PlantedField:
 def planted(field: MotionField, path: Path = "near") -> PlantedField:
     """A field with feet that stand; positions without rotations are brought onto bones of one length first.
 
-    With a `free` path the body goes where feet that stand carry it, and may end elsewhere: for generated motion. Raises
+    With a `free` path the body goes where feet that stand carry it, and may end elsewhere: for generated motion.
+    Contacts are looked for at 120 instants a second, or a little more, so that the last one is the field's end. Raises
     `SkeletonMapError` for a skeleton whose legs aren't known.
     """
-    legs, span = legs_of(field.skeleton), field.end_seconds - field.start_seconds
+    span = field.end_seconds - field.start_seconds
     count = int(np.ceil(span * GRID_FPS - 1e-6)) + 1
-    fps = (count - 1) / span if count > 1 else float(GRID_FPS)
+    fps = (count - 1) / span if count > 1 else GRID_FPS
 
-    def poses(rows: np.ndarray) -> Poses:
-        return field.query(np.minimum(field.start_seconds + rows / fps, field.end_seconds))
+    def positions(rows: Int64[np.ndarray, "rows"]) -> Float32[np.ndarray, "rows joints 3"]:
+        return field.query(np.minimum(field.start_seconds + rows / fps, field.end_seconds)).joint_positions
 
-    bones = bones_of(poses, count, field.skeleton)
-
-    def positions(start: int, stop: int) -> Float32[np.ndarray, "instants joints 3"]:
-        return on_bones(poses(np.arange(start, stop)), bones).joint_positions
-
-    return PlantedField(field, legs, bones, Correction(legs, positions, field.start_seconds, fps, count, path))
+    return _planted(field, positions, fps, count, path)
 
 
-def bones_of(poses: Callable[[np.ndarray], Poses], count: int, skeleton: Skeleton) -> Bones | None:
-    """The bones of a motion of positions, by some of its poses; None where it has rotations."""
-    some = poses(np.unique(np.linspace(0, count - 1, min(count, BONE_SAMPLES)).astype(np.int64)))
-    return None if some.local_rotations is not None else Bones.lacking(some.joint_positions, skeleton)
+def planted_frames(observation: Observed, frames: TimeGrid, path: Path = "near") -> PlantedField:
+    """A motion's frames with feet that stand, to be asked for at their own times: nothing is made between them.
+
+    At very high framerates every second frame, or third, is looked at.
+    """
+    step = max(1, round(float(frames.fps) / GRID_FPS))
+
+    def positions(rows: Int64[np.ndarray, "rows"]) -> Float32[np.ndarray, "rows joints 3"]:
+        return observation.rows(step * rows).poses.joint_positions
+
+    field, count = INTERPOLATORS["hold"].encode(observation), (frames.num_frames - 1) // step + 1
+    return _planted(field, positions, float(frames.fps / step), count, path)
+
+
+def _planted(
+    field: MotionField,
+    positions: Callable[[Int64[np.ndarray, "rows"]], Float32[np.ndarray, "rows joints 3"]],
+    fps: float,
+    count: int,
+    path: Path,
+) -> PlantedField:
+    """A field planted by its positions at the instants of a grid."""
+    legs = legs_of(field.skeleton)
+    bones = None
+    if field.query(np.array([field.start_seconds])).local_rotations is None:
+        some = np.unique(np.linspace(0, count - 1, min(count, BONE_SAMPLES)).astype(np.int64))
+        bones = Bones.lacking(positions(some), field.skeleton)
+
+    def seen(start: int, stop: int) -> Float32[np.ndarray, "instants joints 3"]:
+        found = positions(np.arange(start, stop))
+        return found if bones is None else bones.applied(found)
+
+    return PlantedField(field, legs, bones, Correction(legs, seen, field.start_seconds, fps, count, path))
 
 
 def on_bones(poses: Poses, bones: Bones | None) -> Poses:
@@ -172,11 +198,11 @@ def _turned(
 ) -> Float32[np.ndarray, "times joints 4"]:
     """Local rotations of joints that have turned in the world, and of those that haven't below them."""
     result = rotations.copy()
-    old = global_rotations(rotations.astype(np.float64), skeleton)
+    old: dict[int, Float64[np.ndarray, "times 4"]] = {}
     for joint, parent in enumerate(skeleton.parents):
         if parent < 0 or (joint not in turned and parent not in turned):
             continue
-        above, here = old[:, parent], old[:, joint]
+        above, here = _world(old, parent, rotations, skeleton), _world(old, joint, rotations, skeleton)
         if parent in turned:
             above = quaternion_multiply(turned[parent], above)
         if joint in turned:
@@ -184,3 +210,16 @@ def _turned(
         local = quaternion_multiply(quaternion_conjugate(above), here)
         result[:, joint] = local / np.linalg.norm(local, axis=-1, keepdims=True)
     return result
+
+
+def _world(
+    known: dict[int, Float64[np.ndarray, "times 4"]],
+    joint: int,
+    rotations: Float32[np.ndarray, "times joints 4"],
+    skeleton: Skeleton,
+) -> Float64[np.ndarray, "times 4"]:
+    """A joint's rotation in the world, which is then known; of a whole body few are needed."""
+    if joint not in known:
+        own, parent = rotations[:, joint].astype(np.float64), skeleton.parents[joint]
+        known[joint] = own if parent < 0 else quaternion_multiply(_world(known, parent, rotations, skeleton), own)
+    return known[joint]

@@ -1,0 +1,160 @@
+"""How fast feet are planted, in how much memory, and what real feet do that the limits were taken from.
+
+    python -m benchmarks.fields.planting [--store STORE] [--json]
+
+Frames a second of the process's own time, the best of three: five minutes at 120 fps of a body that walks on a floor
+going at 0.2 m/s, its positions known as `motionkit plant` knows a file's; of the same walk standing; and beside them
+forward kinematics of as many frames, the floor of anything that makes poses. Memory: the most that Python's allocator
+holds beside the frames' own numbers while six and sixty minutes are planted. Of a store's training takes: how many
+times the rests of their feet are faster than the limit (`motionkit.fields.contact.detection`), quantiles over takes.
+"""
+
+import argparse
+import json
+import os
+import time
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from eval.report.results import provenance
+from eval.sets.real import real_motion
+from motionkit.core.kinematics import forward_kinematics
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.contact.detection import MOST_TIMES, Rests, find_contacts, ground_of, velocities
+from motionkit.fields.contact.legs import legs_of
+from motionkit.fields.contact.planted import planted_frames
+from motionkit.fields.long_observation import LongObservation
+from motionkit.fields.motion_field import Observation, Poses, to_motion
+from motionkit.store.reader import Store
+from motionkit.synthetic import draw_body, perform
+
+FPS, SECONDS, MINUTES, SLIDING, REPEATS, AT_ONCE = Fraction(120), 10.0, 5, 0.2, 3, 4096
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.98)
+
+
+def walk(minutes: float, sliding: float) -> Motion:
+    """A walk, forth and back in time again and again."""
+    rng = np.random.default_rng(0)
+    once = to_motion(perform(rng, draw_body(rng, "somebody"), ["walk"], SECONDS), FPS)
+    count = int(minutes * 60 * FPS)
+    rows = np.arange(count) % (2 * once.num_frames)
+    rows = np.where(rows < once.num_frames, rows, 2 * once.num_frames - 1 - rows)
+    grid = TimeGrid(FPS, count)
+    step = np.zeros((count, 3), np.float32)
+    step[:, 0] = sliding * grid.seconds()
+    assert once.local_rotations is not None
+    assert once.root_translation is not None
+    return Motion(
+        once.joint_positions[rows] + step[:, None],
+        once.skeleton,
+        grid,
+        once.local_rotations[rows],
+        once.root_translation[rows] + step,
+    )
+
+
+def bare(motion: Motion) -> Motion:
+    """Its positions alone."""
+    return replace(motion, local_rotations=None, root_translation=None)
+
+
+def plant(motion: Motion) -> None:
+    """All frames, some thousand at once."""
+    field, times = planted_frames(Observation.of(motion), motion.timegrid), motion.timegrid.seconds()
+    for start in range(0, len(times), AT_ONCE):
+        field.query(times[start : start + AT_ONCE])
+
+
+def frames_a_second(work: Callable[[], object], frames: int) -> float:
+    """The best of some repeats, by the process's own time."""
+    best = np.inf
+    for _ in range(REPEATS):
+        begun = time.process_time()
+        work()
+        best = min(best, time.process_time() - begun)
+    return frames / best
+
+
+def speeds() -> dict[str, float]:
+    """Frames a second of each way."""
+    slides, stands = walk(MINUTES, SLIDING), walk(MINUTES, 0.0)
+    assert slides.local_rotations is not None
+    assert slides.root_translation is not None
+    body = (slides.local_rotations, slides.root_translation, slides.skeleton)
+    ways: dict[str, Callable[[], object]] = {
+        "forward kinematics alone": lambda: forward_kinematics(*body),
+        "positions, sliding": lambda: plant(bare(slides)),
+        "positions, standing": lambda: plant(bare(stands)),
+        "with rotations, sliding": lambda: plant(slides),
+        "with rotations, standing": lambda: plant(stands),
+    }
+    return {name: frames_a_second(work, slides.num_frames) for name, work in ways.items()}
+
+
+def most_megabytes(minutes: int) -> float:
+    """What is held at most beside the frames, which come from one repeated walk."""
+    once = bare(walk(0.5, 0.0)).joint_positions
+    count = int(minutes * 60 * FPS)
+    grid = TimeGrid(FPS, count)
+    observation = LongObservation(grid.seconds(), lambda rows: Poses(once[rows % len(once)]), SMPL22)
+    times = observation.times_seconds
+    field = planted_frames(observation, grid, "free")
+    tracemalloc.start()
+    for start in range(0, count, AT_ONCE):
+        field.query(times[start : start + AT_ONCE])
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return most / 1e6
+
+
+def rests(store: Path) -> dict[str, float]:
+    """Of training takes: the mean over contacts of how many times a foot's rests are faster than the limit."""
+    real, legs = real_motion(Store.open(store), "train"), legs_of(SMPL22)
+    found = []
+    for positions, fps in zip(real.sequences, real.fps, strict=True):
+        paths = legs.foot_paths(positions).astype(np.float64)
+        if len(paths) < fps:
+            continue
+        contacts = find_contacts(paths, float(fps), ground_of(paths, float(fps)))
+        speed = np.linalg.norm(velocities(paths, float(fps))[..., ::2], axis=-1)
+        seen = Rests.of(contacts.down, speed, float(fps))
+        times = np.minimum(seen.speed / seen.limit, MOST_TIMES)[seen.on_ground]
+        if len(times):
+            found.append(float(times.mean()))
+    return {f"{quantile:.0%}": float(np.quantile(found, quantile)) for quantile in QUANTILES} | {"takes": len(found)}
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--store", type=Path)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    figures: dict[str, Any] = {
+        "frames a second": speeds(),
+        "most MB beside the frames": {f"{minutes} minutes": most_megabytes(minutes) for minutes in (6, 60)},
+    }
+    if arguments.store is not None:
+        figures["times the limit, training takes"] = rests(arguments.store)
+    if arguments.json:
+        print(json.dumps({**figures, "provenance": provenance()}, indent=2))
+        return
+    for title, rows in figures.items():
+        print(f"\n{title}\n")
+        for name, value in rows.items():
+            print(f"| {name} | {value:,.3g} |" if value < 1000 else f"| {name} | {value:,.0f} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""Rows of motion whose feet were made to stand, whoever made it: beside each as it is, by the same code."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from eval.sets.generated import Window
+from eval.sets.sets import Ragged, SampleSet
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import STANDARD_SKELETONS
+from motionkit.fields.contact.planted import planted, planted_frames
+from motionkit.fields.motion_field import MotionField, Observation
+
+PLANTED = "{}, planted"
+PLANTED_NOTE = "the same motions with feet that stand, on bones of one length (docs/plant.md)"
+
+
+def is_planted(name: str) -> bool:
+    """Whether a row of this name is of planted motion."""
+    return name.endswith(PLANTED.format(""))
+
+
+def planted_fields(fields: Mapping[Window, MotionField]) -> dict[Window, MotionField]:
+    """Generated motion fields with feet that stand, as `motionkit generate` writes them."""
+    return {window: planted(field, "free") for window, field in fields.items()}
+
+
+def planted_set(samples: SampleSet) -> SampleSet:
+    """A set's motions with feet that stand, as `motionkit plant --path free` writes them; without rotations."""
+    joints = samples.sequences.values.shape[1]
+    skeleton = next(each for each in STANDARD_SKELETONS.values() if each.num_joints == joints)
+    made = []
+    for positions in samples.sequences:
+        motion = Motion.from_joints(positions, samples.fps, skeleton)
+        field = planted_frames(Observation.of(motion), motion.timegrid, "free")
+        made.append(field.query(motion.timegrid.seconds()).joint_positions)
+    return replace(samples, name=PLANTED.format(samples.name), sequences=Ragged.of(made), local_rotations=None)

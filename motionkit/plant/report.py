@@ -1,0 +1,95 @@
+"""What planting did to a motion: contacts that were found, how feet slid there, how far joints moved."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from motionkit.fields.contact.correction import Correction
+from motionkit.fields.contact.detection import runs
+from motionkit.fields.contact.planted import PlantedField
+
+FRAMES_AT_ONCE = 4096
+MOVED_METRES = 2e-5
+
+
+@dataclass(frozen=True)
+class Change:
+    """What became of a motion, m, m/s and s; of feet that are never down the speeds are None.
+
+    `sliding` is the mean horizontal speed of what is down of a foot, the steadier of ankle and toe counting more.
+    `below_ground` is the farthest that a foot joint comes below its floor.
+    """
+
+    num_contacts: int
+    contact_seconds: float
+    sliding_before: float | None
+    sliding_after: float | None
+    below_ground_before: float
+    below_ground_after: float
+    largest_change: float
+    mean_change: float
+    moved_share: float
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        return asdict(self)
+
+
+def measure_change(
+    field: PlantedField, times: Float64[np.ndarray, "frames"], on_frames: Callable[[int], None] = lambda _: None
+) -> tuple[Change, Bool[np.ndarray, "frames"]]:
+    """What planting changes at these times, ascending, and which frames it moves; `on_frames` is told of their number.
+
+    Works through some thousand frames at once.
+    """
+    moved = np.zeros(len(times), bool)
+    largest, total = 0.0, 0.0
+    ground = field.correction.ground
+    below = np.zeros(2)
+    for start in range(0, len(times), FRAMES_AT_ONCE):
+        some = slice(start, min(start + FRAMES_AT_ONCE, len(times)))
+        before, after = field.field.query(times[some]).joint_positions, field.query(times[some]).joint_positions
+        change = np.linalg.norm(after - before, axis=-1)
+        moved[some] = change.max(axis=1) > MOVED_METRES
+        largest, total = max(largest, float(change.max())), total + float(change.mean(axis=1).sum())
+        for place, positions in enumerate((before, after)):
+            depth = ground.floor - field.legs.foot_paths(positions)[..., 1]
+            below[place] = max(below[place], float(depth.max()))
+        on_frames(len(change))
+    contacts, seconds, speeds = _contacts(field.correction)
+    return (
+        Change(
+            num_contacts=contacts,
+            contact_seconds=seconds,
+            sliding_before=speeds[0],
+            sliding_after=speeds[1],
+            below_ground_before=float(below[0]),
+            below_ground_after=float(below[1]),
+            largest_change=largest,
+            mean_change=total / len(times),
+            moved_share=float(moved.mean()),
+        ),
+        moved,
+    )
+
+
+def _contacts(correction: Correction) -> tuple[int, float, tuple[float | None, float | None]]:
+    """How often and how long a foot is down, seconds, and how fast it goes there without and with the correction."""
+    count, instants, sums = 0, 0, np.zeros(2)
+    for number in range(correction.num_blocks if correction.works else 0):
+        block, own = correction.block(number), correction.own(number)
+        down = np.asarray(block.contacts.down[own].any(axis=-1))
+        moves = np.gradient(block.offsets[:, :1] + block.offsets[:, 1:], axis=0)[own] * correction.fps
+        velocity = block.contacts.velocity[own]
+        for place, each in enumerate((velocity, velocity + moves)):
+            sums[place] += np.hypot(each[..., 0], each[..., 2])[down].sum()
+        instants += int(down.sum())
+        # A contact that goes on from the block before is counted there.
+        count += sum(int((runs(down[:, foot])[0] > (0 if number else -1)).sum()) for foot in range(2))
+    if not instants:
+        return 0, 0.0, (None, None)
+    before, after = (sums / instants).tolist()
+    return count, instants / correction.fps, (before, after)

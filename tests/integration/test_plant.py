@@ -1,0 +1,135 @@
+"""`motionkit plant`, file to file, and planting in generate and complete."""
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import motionkit as mk
+from motionkit.core.motion import Motion
+from motionkit.fields.contact.legs import legs_of
+from motionkit.formats.arrays.npz import read_npz, write_npz
+from motionkit.formats.bvh.document import read_bvh
+from motionkit.formats.bvh.writing import write_bvh
+from motionkit.store import Store, StoreWriter
+from tests.helpers.outcome import Outcome
+from tests.helpers.synthetic_capture import capture
+
+Run = Callable[..., Outcome]
+FPS = Fraction(60)
+
+
+@pytest.fixture(scope="module")
+def standing() -> Motion:
+    return replace(capture(FPS, "walk", seconds=4.0), sequence_id="walk")
+
+
+@pytest.fixture(scope="module")
+def sliding(standing: Motion) -> Motion:
+    """The same walk on a floor that goes at 0.2 m/s."""
+    step = np.zeros((standing.num_frames, 3), np.float32)
+    step[:, 2] = 0.2 * standing.timegrid.seconds()
+    assert standing.root_translation is not None
+    return replace(
+        standing,
+        joint_positions=standing.joint_positions + step[:, None],
+        root_translation=standing.root_translation + step,
+    )
+
+
+def steadiest(motion: Motion) -> float:
+    """Mean horizontal speed of the slowest foot joint, m/s: of a walk, one always rests."""
+    feet = motion.joint_positions[:, list(legs_of(motion.skeleton).feet)][..., ::2].astype(np.float64)
+    return float((np.linalg.norm(np.diff(feet, axis=0), axis=-1).min(axis=1) * float(motion.fps)).mean())
+
+
+def test_a_bvh_file_whose_feet_slide(motionkit: Run, sliding: Motion, tmp_path: Path) -> None:
+    write_bvh(sliding, tmp_path / "walk.bvh")
+    outcome = motionkit("plant", tmp_path / "walk.bvh", "--page", "--json")
+    assert outcome.code == 0, outcome.stderr
+    (told,) = json.loads(outcome.stdout)["clips"]
+    assert told["file"] == str(tmp_path / "walk.planted.bvh")
+    assert told["sliding_before"] > 0.19
+    assert told["sliding_after"] < 0.3 * told["sliding_before"]
+    assert told["num_contacts"] > 4
+    after = read_bvh(tmp_path / "walk.planted.bvh")
+    before = read_bvh(tmp_path / "walk.bvh")
+    assert steadiest(after) < 0.3 * steadiest(before)
+    change = np.linalg.norm(after.joint_positions - before.joint_positions, axis=-1)
+    assert change.max() == pytest.approx(told["largest_change"], abs=1e-4)
+    # The same hierarchy, with the same channels.
+    texts = [(tmp_path / name).read_text() for name in ("walk.bvh", "walk.planted.bvh")]
+    assert texts[0].partition("MOTION")[0] == texts[1].partition("MOTION")[0]
+    page = (tmp_path / "walk.planted.html").read_text(encoding="utf-8")
+    found = re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    assert [take["name"] for take in json.loads(found[1])["takes"]] == ["before", "planted"]
+
+
+def test_frames_that_nothing_moves_stay_to_the_last_digit(motionkit: Run, standing: Motion, tmp_path: Path) -> None:
+    write_bvh(standing, tmp_path / "walk.bvh")
+    outcome = motionkit("plant", tmp_path / "walk.bvh", "--json")
+    (told,) = json.loads(outcome.stdout)["clips"]
+    assert told["largest_change"] < 0.005
+    before, after = (tmp_path / name for name in ("walk.bvh", "walk.planted.bvh"))
+    same = [a == b for a, b in zip(before.read_text().splitlines(), after.read_text().splitlines(), strict=True)]
+    assert 0.3 < np.mean(same) < 1.0
+
+
+def test_a_folder_a_store_and_arrays(motionkit: Run, sliding: Motion, tmp_path: Path) -> None:
+    folder = tmp_path / "clips"
+    folder.mkdir()
+    bare = replace(sliding, local_rotations=None, root_translation=None)
+    write_npz(bare, folder / "a.npz")
+    write_npz(bare, folder / "b.npz")
+    outcome = motionkit("plant", folder)
+    assert outcome.code == 0, outcome.stderr
+    assert outcome.stdout.split() == [str(folder / "a.planted.npz"), str(folder / "b.planted.npz")]
+    assert steadiest(read_npz(folder / "a.planted.npz")) < 0.3 * steadiest(bare)
+    # What it made is not taken for a clip, and nothing is overwritten.
+    again = motionkit("plant", folder)
+    assert again.code == 1
+    assert again.stderr.count("exists") == 2
+    store = tmp_path / "store"
+    with StoreWriter.create(store) as writer:
+        writer.add(sliding)
+    outcome = motionkit("plant", "--store", store, "--out", tmp_path / "made")
+    assert outcome.code == 0, outcome.stderr
+    assert steadiest(read_npz(tmp_path / "made" / "walk.npz")) < 0.3 * steadiest(Store.open(store)["walk"])
+    assert motionkit("plant").code == 2
+
+
+def test_in_python(sliding: Motion) -> None:
+    made = mk.plant(sliding)
+    assert steadiest(made) < 0.3 * steadiest(sliding)
+    assert made.sequence_id == "walk"
+    assert made.provenance.operations[-1].startswith("plant ")
+    free = mk.plant(sliding, path="free")
+    assert steadiest(free) < 0.3 * steadiest(sliding)
+
+
+def test_what_is_completed_stands_and_given_frames_stay(sliding: Motion) -> None:
+    kept = np.ones(sliding.num_frames, bool)
+    kept[60:180] = np.arange(120) % 30 == 0
+    plain = mk.complete(sliding, keep=kept, model="slerp")
+    made = mk.complete(sliding, keep=kept, model="slerp", plant=True)
+    np.testing.assert_array_equal(made.joint_positions[kept], sliding.joint_positions[kept])
+    assert np.abs(made.joint_positions - plain.joint_positions).max() > 0.001
+    parents = list(sliding.skeleton.parents[1:])
+    places = [each.joint_positions for each in (made, sliding)]
+    lengths = [np.linalg.norm(each[:, 1:] - each[:, parents], axis=-1) for each in places]
+    np.testing.assert_allclose(lengths[0], np.broadcast_to(lengths[1].mean(axis=0), lengths[0].shape), atol=1e-4)
+
+
+def test_frames_that_are_lost_are_refused(motionkit: Run, sliding: Motion, tmp_path: Path) -> None:
+    places = sliding.joint_positions.copy()
+    places[10:12] = np.nan
+    write_npz(replace(sliding, joint_positions=places, local_rotations=None), tmp_path / "lost.npz")
+    outcome = motionkit("plant", tmp_path / "lost.npz")
+    assert outcome.code == 1
+    assert "motionkit complete" in outcome.stderr
