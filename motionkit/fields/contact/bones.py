@@ -5,13 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-from motionkit.core.kinematics import (
-    fit_rotation,
-    quaternion_conjugate,
-    quaternion_rotate,
-    quaternion_to_matrix,
-    rotation_vector_to_quaternion,
-)
+from motionkit.core.kinematics import fit_rotation, quaternion_conjugate, quaternion_rotate
 from motionkit.core.skeleton import Skeleton
 
 # A joint whose distance from its parent spreads by more hangs on no bone: hips above a reference on the floor, markers.
@@ -68,10 +62,8 @@ class Bones:
             if len(children) > 1:
                 reached[children] = reached[joint] + _placed(self.offsets[children], wanted[children] - reached[joint])
             elif children:
-                bone = wanted[children[0]] - reached[joint]
-                length = np.sqrt(np.einsum("fi,fi->f", bone, bone))
-                bone *= (self.offsets[children[0], 1] / np.maximum(length, NO_LENGTH))[:, None]
-                reached[children[0]] = reached[joint] + bone
+                bone, own = wanted[children[0]] - reached[joint], self.offsets[children[0], 1]
+                reached[children[0]] = reached[joint] + bone * (own / np.maximum(_lengths(bone), NO_LENGTH))[:, None]
         return reached.transpose(1, 0, 2).astype(np.float32)
 
 
@@ -90,40 +82,11 @@ def _shape(
 def _placed(
     shape: Float64[np.ndarray, "bones 3"], wanted: Float64[np.ndarray, "bones frames 3"]
 ) -> Float64[np.ndarray, "bones frames 3"]:
-    """A shape turned onto bones by least squares: from a frame of two of them, then by Newton's method on the rest.
-
-    What is left after two steps is third order in how far the bones are from the shape; singular values cost ten times
-    as much.
-    """
-    own, theirs = _frame(shape[:, None]), _frame(wanted)
-    turn = np.einsum("fik,gjk->fij", theirs, own)
-    inertia = np.einsum("bi,bi->", shape, shape) * np.eye(3) - shape.T @ shape
-    inverse = np.linalg.inv(inertia + 1e-9 * np.trace(inertia) * np.eye(3))
-    for _ in range(2):
-        seen = np.einsum("fji,bfj->bfi", turn, wanted)
-        torque = np.cross(shape[:, None], seen).sum(axis=0) @ inverse
-        turn = turn @ _small_turn(torque)
-    return np.asarray(np.einsum("fij,bj->bfi", turn, shape))
-
-
-def _frame(bones: Float64[np.ndarray, "bones frames 3"]) -> Float64[np.ndarray, "frames 3 3"]:
-    """Orthonormal columns of the first two bones; of bones on a line the second column is any that stands on it."""
-    first = _unit(bones[0] - bones[1])
-    second = bones[-1] if len(bones) > 2 else bones[0] + bones[1]
-    third = np.cross(first, second)
-    third = _unit(
-        np.where(np.abs(third).max(axis=-1, keepdims=True) > NO_LENGTH, third, np.cross(first, first[:, [1, 2, 0]]))
-    )
-    return np.asarray(np.stack((first, np.cross(third, first), third), axis=-1))
-
-
-def _small_turn(vectors: Float64[np.ndarray, "frames 3"]) -> Float64[np.ndarray, "frames 3 3"]:
-    return np.asarray(quaternion_to_matrix(rotation_vector_to_quaternion(vectors)))
+    """A shape turned onto bones by least squares."""
+    bones = wanted.transpose(1, 0, 2)
+    turns = fit_rotation(np.broadcast_to(shape, bones.shape), bones)
+    return np.asarray(quaternion_rotate(turns[:, None], shape).transpose(1, 0, 2))
 
 
 def _lengths(vectors: Float[np.ndarray, "*shape 3"]) -> Float64[np.ndarray, "*shape"]:
     return np.asarray(np.linalg.norm(vectors.astype(np.float64), axis=-1))
-
-
-def _unit(vectors: Float64[np.ndarray, "frames 3"]) -> Float64[np.ndarray, "frames 3"]:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), NO_LENGTH))

@@ -11,6 +11,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.fields.contact import correction
+from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.planted import PlantedField, planted
 from motionkit.fields.interpolation.interpolators import interpolate
 from motionkit.fields.motion_field import joint_velocities, to_motion
@@ -144,6 +145,18 @@ def test_bones_keep_their_length(seed: int, action: str) -> None:
     after = to_motion(field_of(slid(motion, 0.15)), FPS).joint_positions.astype(np.float64)
     lengths = np.linalg.norm(after[:, 1:] - after[:, list(SMPL22.parents[1:])], axis=-1)
     assert np.ptp(lengths, axis=0).max() < 5e-6
+
+
+def test_joints_of_a_chest_that_is_bent_out_of_shape_do_not_jump() -> None:
+    """Neck and collars, each up to 10 cm a coordinate from its place: a chest so bent has one best turn, and that changes smoothly."""
+    times = np.arange(600) / 120.0
+    pose = forward_kinematics(np.tile([1.0, 0, 0, 0], (1, 22, 1)), np.zeros((1, 3)), SMPL22)[0]
+    positions = np.tile(pose, (len(times), 1, 1)).astype(np.float32)
+    for joint, rate in zip((12, 13, 14), (0.31, 0.47, 0.73), strict=True):
+        turn = 2 * np.pi * rate * times[:, None] + np.arange(3) * joint
+        positions[:, joint] += 0.1 * np.sin(turn).astype(np.float32)
+    changed = Bones.of(positions, SMPL22).applied(positions) - positions
+    assert np.linalg.norm(np.diff(changed, axis=0), axis=-1).max() * 120 < 5.0
 
 
 def test_planting_twice_is_planting_once() -> None:
