@@ -148,7 +148,7 @@ def test_bones_keep_their_length(seed: int, action: str) -> None:
 
 
 def test_joints_of_a_chest_that_is_bent_out_of_shape_do_not_jump() -> None:
-    """Neck and collars, each up to 10 cm a coordinate from its place: a chest so bent has one best turn, and that changes smoothly."""
+    """Neck and collars, each up to 10 cm from its place: the best turn changes smoothly."""
     times = np.arange(600) / 120.0
     pose = forward_kinematics(np.tile([1.0, 0, 0, 0], (1, 22, 1)), np.zeros((1, 3)), SMPL22)[0]
     positions = np.tile(pose, (len(times), 1, 1)).astype(np.float32)
