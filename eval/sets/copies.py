@@ -291,6 +291,10 @@ def _least_squares(
     return np.asarray(found / (num_poses * len(PARENTS)))
 
 
+def _dot(one: Float32[np.ndarray, "pairs n"], other: Float32[np.ndarray, "pairs n"]) -> Float64[np.ndarray, "pairs"]:
+    return np.asarray(np.einsum("qn,qn->q", one, other), dtype=np.float64)
+
+
 def _between(
     apart: Float32[np.ndarray, "pairs numbers"],
     speed: Float32[np.ndarray, "pairs numbers"],
@@ -298,12 +302,8 @@ def _between(
 ) -> Float64[np.ndarray, "pairs"]:
     """The least |apart + (shift + faster · later) · speed|² with at most half a frame of shift and 3 % faster."""
     stretched = speed * later
-
-    def dot(one: Float32[np.ndarray, "p n"], other: Float32[np.ndarray, "p n"]) -> Float64[np.ndarray, "p"]:
-        return np.asarray(np.einsum("qn,qn->q", one, other), dtype=np.float64)
-
-    a_a, a_v, a_w = dot(apart, apart), dot(apart, speed), dot(apart, stretched)
-    v_v, v_w, w_w = dot(speed, speed) + TINY, dot(speed, stretched), dot(stretched, stretched) + TINY
+    a_a, a_v, a_w = _dot(apart, apart), _dot(apart, speed), _dot(apart, stretched)
+    v_v, v_w, w_w = _dot(speed, speed) + TINY, _dot(speed, stretched), _dot(stretched, stretched) + TINY
     faster = (v_w * a_v - v_v * a_w) / np.maximum(v_v * w_w - v_w**2, TINY)
     faster = np.clip(faster, -MOST_FASTER, MOST_FASTER)
     shift = np.clip(-(a_v + faster * v_w) / v_v, -0.5, 0.5)
