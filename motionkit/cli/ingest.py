@@ -76,6 +76,14 @@ BodyModels = Annotated[
         show_default=False,
     ),
 ]
+SkipFrames = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        help="Frames to leave out at the start of every file, such as a T-pose; the column skip_frames of --captions "
+        "says it of one.",
+    ),
+]
 OnErrorChoice = Annotated[
     OnError,
     typer.Option(
@@ -120,6 +128,7 @@ def ingest(
     unit_metres: UnitMetres = None,
     skeleton_map: SkeletonMaps = None,
     body_models: BodyModels = None,
+    skip_frames: SkipFrames = 0,
     on_error: OnErrorChoice = OnError.SKIP,
     overwrite: Overwrite = False,
     workers: Workers = None,
@@ -144,9 +153,10 @@ def ingest(
 
     options = replace(
         read_options(parse_rate(fps), skeleton_map, format, unit_metres, captions),
-        index=_index_options(index, texts, splits, mirrored, compat, captions),
+        index=_index_options(index, texts, splits, mirrored, compat, captions, skip_frames),
         fps_rules=tuple(rule for path in fps_rules or () for rule in read_rules(path)),
         body_models=_body_models(body_models),
+        skip_frames=skip_frames,
     )
     with progress() as show, task(show, "ingest", note="scanning") as work:
         report = ingest_sources(
@@ -204,6 +214,7 @@ def _index_options(
     mirrored: bool,
     compat: Compat | None,
     captions: Path | None,
+    skip_frames: int,
 ) -> "IndexOptions | None":
     from motionkit.formats.scan.items import IndexOptions
 
@@ -213,6 +224,8 @@ def _index_options(
             name = next(name for name, value in given.items() if value)
             raise UsageError(f"{name} is about an index: give one with --index")
         return None
+    if skip_frames:
+        raise UsageError("--skip-frames is about whole files; an index counts the frames of its stretches itself")
     if captions is not None:
         raise UsageError("--captions describes whole files; the captions of an index are its own or those of --texts")
     return IndexOptions(tuple(index), texts, splits, mirrored, published=compat is not None)

@@ -1,9 +1,10 @@
 """Sidecar CSV files: captions, actions, splits, framerates, licences of motions that carry none of these themselves.
 
 The first row names the columns: `file` (path from the CSV's folder) and any of `caption`, `caption_kit` (a second
-caption), `captions` (any number, as JSON), `action`, `style`, `subject`, `split`, `fps`, `stated_fps`, `licence`,
-`source`, `subset`; of generated motions also `group` (those of one prompt share it) and `num_frames` (how many of the
-file's frames are motion, the rest being padding). Others are not read, which is a warning.
+caption), `captions` (any number, as JSON), `action`, `style`, `subject` (or `performer`), `split`, `fps`, `stated_fps`,
+`licence`, `source`, `subset`, `skip_frames` (how many frames at the start are no motion: a T-pose); of generated
+motions also `group` (those of one prompt share it) and `num_frames` (how many of the file's frames are motion, the rest
+being padding). Others are not read, which is a warning.
 """
 
 import csv
@@ -25,8 +26,8 @@ from motionkit.formats.texts import SPLITS
 
 COLUMNS = frozenset(
     (
-        *("caption", "caption_kit", "captions", "action", "style", "subject", "split"),
-        *("fps", "stated_fps", "licence", "source", "subset", "group", "num_frames"),
+        *("caption", "caption_kit", "captions", "action", "style", "subject", "performer", "split"),
+        *("fps", "stated_fps", "licence", "source", "subset", "group", "num_frames", "skip_frames"),
     )
 )
 # What motionkit itself writes beside these, for people and for its own checks.
@@ -55,6 +56,7 @@ class Annotation:
     subset: str = ""
     group: str = ""
     num_frames: int | None = None
+    skip_frames: int = 0
     line: int = 0
 
 
@@ -211,11 +213,21 @@ def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotat
             reason="annotations",
             line=line,
         )
+    skip_frames = whole_number(cell["skip_frames"] or "0")
+    if skip_frames is None:
+        message = f"skip_frames {shown(cell['skip_frames'])}, expected how many frames to leave out at the start"
+        raise FormatError(message, path=path, reason="annotations", line=line)
     sentences = dict.fromkeys(cell[name] for name in CAPTION_COLUMNS if cell[name])
     captions = (*(Caption(text) for text in sentences), *_captions(cell["captions"], path, line))
+    cell["subject"] = cell["subject"] or cell["performer"]
     names = ("action", "style", "subject", "split", "stated_fps", "licence", "source", "subset", "group")
     return Annotation(
-        captions=captions, fps=fps, num_frames=num_frames, line=line, **{name: cell[name] for name in names}
+        captions=captions,
+        fps=fps,
+        num_frames=num_frames,
+        skip_frames=skip_frames,
+        line=line,
+        **{name: cell[name] for name in names},
     )
 
 

@@ -77,6 +77,18 @@ def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
             return _called_20_fps(_crop_frames(motion, stretch, step, path), step)
 
 
+def without_first(motion: Motion, num_frames: int, path: Path) -> Motion:
+    """The motion without its first frames, its clock from 0 on; raises `FormatError` where no frame is left."""
+    if num_frames == 0:
+        return motion
+    if num_frames >= motion.num_frames:
+        message = f"{motion.num_frames} frames, of which the first {num_frames} are to be left out"
+        raise FormatError(message, path=path, reason="skip-frames")
+    kept = motion.frames(num_frames, motion.num_frames)
+    line = f"the first {num_frames} of {motion.num_frames} frames left out (skip_frames)"
+    return replace(kept, timegrid=TimeGrid(motion.fps, kept.num_frames)).logged(line)
+
+
 def missing_seconds(cut: Cut, path: Path, num_frames: int, fps: Fraction, stated_fps: str) -> float:
     """By how much a cropped motion is shorter than its cut asks for; 0 where a frame's rounding explains it."""
     match cut:

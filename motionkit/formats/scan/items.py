@@ -35,7 +35,8 @@ class ReadOptions:
     file of annotations that replaces those found beside the motions. `skeleton_maps` are the user's tables as
     `skeletons.families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along.
     `fps_rules` are the user's corrections of framerates, before the shipped ones (`framerate_rules`). `body_models` is
-    the user's folder of SMPL-family models. `index` picks stretches of a source's files.
+    the user's folder of SMPL-family models. `index` picks stretches of a source's files. `skip_frames` at the start of
+    every whole file are left out, where its annotations don't say how many.
     """
 
     format: str = "auto"
@@ -46,6 +47,7 @@ class ReadOptions:
     fps_rules: tuple[FramerateRule, ...] = ()
     body_models: Path | None = None
     index: IndexOptions | None = None
+    skip_frames: int = 0
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class SourceItem:
 
     `path` is the file that holds it, `root` the source folder, `key` the sequence's name inside a folder format (empty
     where a file holds one sequence). `fps` and `stated_fps` are what an annotation says; the file's own are read later.
-    `cut` is the stretch of the file that the sequence is, None for all of it.
+    `cut` is the stretch of the file that the sequence is, None for all of it but for its first `skip_frames`.
     """
 
     format: str
@@ -73,6 +75,7 @@ class SourceItem:
     subset: str = ""
     licence: str = ""
     cut: Cut | None = None
+    skip_frames: int = 0
     mirrored: bool = False
 
     def __str__(self) -> str:

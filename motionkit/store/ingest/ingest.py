@@ -119,6 +119,10 @@ def ingest(
     return run.ingest(sources, overwrite)
 
 
+# Before its second frame a jump may be seen one frame late.
+FIRST_FRAMES = 2
+
+
 class _Stopped(Exception):
     """A problem under `stop`, or nothing to store: leave the writer without a commit."""
 
@@ -324,13 +328,14 @@ class _Run:
 def warnings_of(item: SourceItem, row: Row) -> Iterator[FormatError]:
     """Warnings about a motion that is kept; `row` is its row in the table of sequences.
 
-    `neutral-body`: no model of the subject's gender; `shortened`, or `duration` of a whole file: a file is not as long
-    as its index has it.
+    `neutral-body`: no model of the subject's gender; `first-frame`: a jump after the first frame; `shortened`, or
+    `duration` of a whole file: a file is not as long as its index has it.
     """
     substitute = substituted_body(row["operations"])
     if substitute:
         yield FormatError(substitute, path=item.path, reason="neutral-body")
     if item.cut is None:
+        yield from _jump_at_start(item, row)
         return
     fps = Fraction(row["fps_numerator"], row["fps_denominator"])
     seconds = row["duration_seconds"]
@@ -344,3 +349,14 @@ def warnings_of(item: SourceItem, row: Row) -> Iterator[FormatError]:
         )
         message += "its captions' seconds won't fit: is the framerate wrong (--fps-rules)?"
         yield FormatError(message, path=item.path, reason="duration")
+
+
+def _jump_at_start(item: SourceItem, row: Row) -> Iterator[FormatError]:
+    # Converters put a T-pose before the motion.
+    jump, frame = row["first_teleport_seconds"], row["seconds_between_frames"]
+    if jump is not None and jump < (FIRST_FRAMES + 0.5) * frame:
+        message = (
+            f"jumps at {jump:.3g} s: does it begin with a reference pose? --skip-frames N leaves out the first frames "
+            "of every file, a column skip_frames of the annotation table those of one"
+        )
+        yield FormatError(message, path=item.path, reason="first-frame")

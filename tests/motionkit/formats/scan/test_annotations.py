@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from motionkit.core.errors import FormatError
 from motionkit.formats.scan.annotations import read_annotations, tables_in
 from motionkit.formats.scan.items import IndexOptions, ReadOptions
+from motionkit.formats.scan.reading import read
 from motionkit.formats.scan.scanner import scan
 from tests.helpers.format_samples import bvh_text
 
@@ -51,6 +54,31 @@ def test_columns_that_are_not_read_are_reported(tmp_path: Path, header: str, rep
     assert [warning.message for warning in found.warnings if warning.reason == "unknown-column"] == [reported] * bool(
         reported
     )
+
+
+def test_a_column_performer_says_who_moves(tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text("file,performer,subject\na.bvh,p1,\nb.bvh,p1,s2\n")
+    ((table,), _) = tables_in(tmp_path)
+    assert {target.name: row.subject for target, row in table.rows.items()} == {"a.bvh": "p1", "b.bvh": "s2"}
+
+
+@pytest.mark.parametrize(("table", "option", "kept"), [("2", 0, 2), ("", 3, 1), ("2", 3, 2), ("", 0, 4)])
+def test_the_first_frames_are_left_out(tmp_path: Path, table: str, option: int, kept: int) -> None:
+    (tmp_path / "walk.bvh").write_text(bvh_text())
+    (tmp_path / "table.csv").write_text(f"file,skip_frames\nwalk.bvh,{table}\n")
+    options = ReadOptions(skip_frames=option)
+    (item,) = scan([tmp_path], options).items
+    whole, motion = read(item), read(item, options)
+    assert motion.num_frames == kept
+    assert motion.timegrid.start_seconds == 0.0
+    assert np.array_equal(motion.joint_positions[-1], whole.joint_positions[-1])
+
+
+def test_more_first_frames_than_there_are(tmp_path: Path) -> None:
+    (tmp_path / "walk.bvh").write_text(bvh_text())
+    (item,) = scan([tmp_path]).items
+    with pytest.raises(FormatError, match="4 frames, of which the first 4 are to be left out"):
+        read(item, ReadOptions(skip_frames=4))
 
 
 def test_splits_that_no_command_knows_are_reported_once(tmp_path: Path) -> None:
