@@ -117,6 +117,9 @@ def test_feet_stand_and_bones_keep_their_length(trained: Path) -> None:
     [field] = model.generate([GenerationRequest(2.0, text="a person walks")], seed=3)
     expected = standing(field).at_fps(Fraction(30)).query(np.arange(60) / 30).joint_positions
     np.testing.assert_allclose(positions(planted), expected, atol=1e-5)
+    [written] = generate(trained, "animation", *call, "--format", "bvh")
+    text = Path(str(written["file"])).read_text()
+    assert (text.count("CHANNELS 6"), text.count("CHANNELS 3")) == (1, 21)  # places of the root alone
 
 
 def test_lengths_are_drawn_from_the_data(trained: Path) -> None:

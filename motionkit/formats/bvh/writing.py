@@ -26,8 +26,9 @@ def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:
     """Write a motion with its skeleton: centimetres unless `unit_metres` says otherwise, ZXY rotations, six decimals.
 
     Reading it back gives the same framerate, the joints (depth first), and positions within 0.15 mm. A motion without
-    rotations gets them by inverse kinematics; where rigid bones would miss its positions by more than 0.1 mm, every
-    joint gets position channels. The frame time is written with all its digits.
+    rotations gets them by inverse kinematics on its own bones. Where these change so little that no joint is missed by
+    more than 2 mm, the root alone has position channels (and joints are as near as that); else every joint has. The
+    frame time is written with all its digits.
     """
     made = joint_channels(motion)
     skeleton, translations = made.skeleton, made.translations

@@ -9,9 +9,11 @@ from jaxtyping import Float32
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
+from motionkit.fields.contact.bones import Bones
 
-# A position that rigid bones miss by more gets a translation of its own.
-RIGID_METRES = 1e-4
+# Rigid bones that miss no position by more are what animators want; else every joint gets a translation of its own.
+RIGID_METRES = 2e-3
+BONE_SAMPLES = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +29,15 @@ class JointChannels:
 
 
 def joint_channels(motion: Motion) -> JointChannels:
-    """True rotations where the motion has them; else inverse kinematics on bones of their median observed length.
+    """True rotations where the motion has them; else inverse kinematics on the bones that the motion has.
 
-    Where rigid bones would miss the positions by more than 0.1 mm, every joint gets a translation, so that forward
+    Where rigid bones would miss a position by more than 2 mm, every joint gets a translation, so that forward
     kinematics gives the positions in any case.
     """
     if motion.local_rotations is not None and motion.root_translation is not None:
         return JointChannels(motion.skeleton, motion.local_rotations, {0: motion.root_translation})
     positions = motion.joint_positions
-    skeleton = _with_observed_lengths(motion)
+    skeleton = _with_observed_bones(motion)
     rotations = kinematics.inverse_kinematics(positions, skeleton)
     places = {0: positions[:, 0]}
     reached = kinematics.forward_kinematics(rotations, positions[:, 0], skeleton)
@@ -48,12 +50,23 @@ def joint_channels(motion: Motion) -> JointChannels:
     return JointChannels(skeleton, rotations, places)
 
 
-def _with_observed_lengths(motion: Motion) -> Skeleton:
+def _with_observed_bones(motion: Motion) -> Skeleton:
+    """The skeleton with the motion's own bones, each joint's turned to where they rest."""
     skeleton = motion.skeleton
-    parents = [max(parent, 0) for parent in skeleton.parents]
-    bones = motion.joint_positions - motion.joint_positions[:, parents]
-    observed = np.median(np.linalg.norm(bones, axis=-1), axis=0)
-    rest = np.linalg.norm(skeleton.offsets, axis=-1)
-    scale = np.where(rest > 1e-6, observed / np.maximum(rest, 1e-6), 1.0).astype(np.float32)
-    scale[0] = 1.0
-    return replace(skeleton, offsets=skeleton.offsets * scale[:, None])
+    some = np.unique(np.linspace(0, motion.num_frames - 1, BONE_SAMPLES).astype(np.int64))
+    bones = Bones.of(motion.joint_positions[some], skeleton)
+    rest = skeleton.offsets.astype(np.float64)
+    own = rest.copy()
+    for joint in range(skeleton.num_joints):
+        children = [
+            child
+            for child in skeleton.children(joint)
+            if child not in bones.moving and np.any(np.abs(rest[child]) > 1e-6)
+        ]
+        if len(children) == 1:
+            length = np.linalg.norm(bones.offsets[children[0]])
+            own[children] *= length / np.linalg.norm(rest[children[0]])
+        elif children:
+            turn = kinematics.fit_rotation(bones.offsets[children], rest[None, children])
+            own[children] = kinematics.quaternion_rotate(turn, bones.offsets[children])
+    return replace(skeleton, offsets=own.astype(np.float32))

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -62,6 +63,25 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     assert np.allclose(again.joint_positions, motion.joint_positions, atol=1e-5)
     assert again.local_rotations is not None and motion.local_rotations is not None
     assert np.allclose(np.abs(np.sum(again.local_rotations * motion.local_rotations, axis=-1)), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("change_metres", "misses_metres"), [(0.0, 1e-4), (3e-4, 2e-3)])
+def test_bones_that_keep_their_length_need_no_position_channels(
+    tmp_path: Path, change_metres: float, misses_metres: float
+) -> None:
+    """Whatever shape the body's own hips and shoulders have; bones that change a little are written as one skeleton."""
+    rng = np.random.default_rng(3)
+    offsets = SMPL22.offsets + rng.normal(0, 0.03, SMPL22.offsets.shape).astype(np.float32)
+    turns = Rotation.random(50 * 22, rng).as_quat(scalar_first=True).reshape(50, 22, 4).astype(np.float32)
+    root = rng.normal(size=(50, 3)).astype(np.float32)
+    positions = kinematics.forward_kinematics(turns, root, replace(SMPL22, offsets=offsets))
+    positions = (positions + rng.uniform(-change_metres, change_metres, positions.shape)).astype(np.float32)
+    write_bvh(Motion(positions, SMPL22, TimeGrid(Fraction(60), 50)), tmp_path / "own.bvh")
+    text = (tmp_path / "own.bvh").read_text()
+    assert (text.count("CHANNELS 6"), text.count("CHANNELS 3")) == (1, 21)
+    again = read_bvh(tmp_path / "own.bvh")
+    order = [again.skeleton.index(joint) for joint in SMPL22.joint_names]
+    assert np.abs(again.joint_positions[:, order] - positions).max() < misses_metres
 
 
 @pytest.mark.parametrize("fps", [Fraction(20), Fraction(30000, 1001), Fraction(25, 2), Fraction(250)])
