@@ -5,11 +5,8 @@ holds the projection's bias alone. The duration is not a condition that guidance
 long the motion lasts, so both passes of Eq. 6 see it (`nerm.conditions`).
 """
 
-import math
-import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -83,53 +80,6 @@ def unit_rows(embeddings: Float32[np.ndarray, "texts dimension"]) -> Float32[np.
     """Embeddings scaled to length 1; rows of zeros stay zeros."""
     lengths = np.linalg.norm(embeddings, axis=1, keepdims=True)
     return np.asarray(embeddings / np.where(lengths > 0, lengths, 1.0), dtype=np.float32)
-
-
-MINIMUM_OVERLAP = 0.5
-SIDED_WORD = re.compile(
-    r"(?<![a-z])(?:(left|right)(wards?|most)?|((?:counter|anti)[- ]?)?clockwise)(?![a-z])", re.IGNORECASE
-)
-
-
-def overlapping_captions(
-    captions: Iterable[Mapping[str, Any]], window_start: float, window_end: float
-) -> tuple[str, ...]:
-    """The texts whose seconds overlap [window_start, window_end) by at least half of the shorter of the two.
-
-    `captions` are rows of the store: text, start_seconds, end_seconds (None: to the end of the sequence). A caption of
-    HumanML3D may speak of a segment only; a window that touches it by a tenth of a second doesn't show what it says.
-    Raises `ValueError` for an empty window.
-    """
-    if window_end <= window_start:
-        raise ValueError(f"the window [{window_start}, {window_end}) s is empty")
-    found = []
-    for caption in captions:
-        start, end = float(caption["start_seconds"]), caption["end_seconds"]
-        stop = math.inf if end is None or math.isnan(end) else float(end)
-        overlap = min(stop, window_end) - max(start, window_start)
-        shorter = min(stop - start, window_end - window_start)
-        if overlap > 0 and overlap >= MINIMUM_OVERLAP * shorter and caption["text"]:
-            found.append(str(caption["text"]))
-    return tuple(found)
-
-
-def mirrored_text(text: str) -> str:
-    """The text of the motion seen in a mirror: left and right, clockwise and counterclockwise change places.
-
-    So do leftward(s), leftmost and their like; counter- and anti-clockwise may be written in one word, in two or with a
-    hyphen.
-    """
-    return SIDED_WORD.sub(_opposite, text)
-
-
-def _opposite(found: re.Match[str]) -> str:
-    side, ending, against = found.groups()
-    if side:
-        other = {"left": "right", "right": "left"}[side.lower()] + (ending or "").lower()
-    else:
-        other = "clockwise" if against else "counterclockwise"
-    word = found.group()
-    return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
 
 
 ConditionalDenoiser = Callable[[Tensor, Tensor, Conditions], Tensor]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from dataclasses import field as part
 
 from motionkit.training.config import Schedule
+from motionkit.training.diffusion.settings import DiffusionConfig
 from nerm.settings import (
     ClipsConfig,
     CodebookConfig,
@@ -15,7 +16,6 @@ from nerm.settings import (
     ConditionsConfig,
     DecoderConfig,
     DenoiserConfig,
-    DiffusionConfig,
     EncoderConfig,
     FieldConfig,
     FieldLossConfig,

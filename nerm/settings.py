@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, Literal
 
 from motionkit.core.framerate import parse_fps
 from motionkit.training.config import SCHEDULE_MOVED, Precision, Schedule, moved, require_positive
+from motionkit.training.diffusion.settings import DiffusionConfig
 
 
 @dataclass(frozen=True)
@@ -277,45 +278,8 @@ class FieldConfig:
             raise ValueError("a path of the body turns poses, so x and z need one scale: loss.scaling=group")
 
 
-NoiseSchedule = Literal["scaled_linear", "cosine"]
-Prediction = Literal["noise", "latent", "velocity"]
-LossMeasure = Literal["noise", "latent", "velocity", "min_snr"]
-Sampler = Literal["ddim", "ddpm"]
 PathNumbers = Literal["places", "steps"]
 LatentScale = Literal["number", "component"]
-SAMPLERS: tuple[Sampler, ...] = get_args(Sampler)
-
-
-@dataclass(frozen=True)
-class DiffusionConfig:
-    """The process, what the network predicts, and the sampler; the defaults are the paper's (Eq. 5, B.1).
-
-    The paper's "scaled linearly" is linear in √β, as in latent diffusion models; "cosine" is Nichol & Dhariwal's
-    (2021), which knows no `beta_start` and `beta_end`. `prediction` is what the network puts out: the noise ε (the
-    paper), the clean latent z, or the velocity √ᾱ ε − √(1 − ᾱ) z (Salimans & Ho 2022); `loss` is the quantity whose
-    squared error is learned, whichever is put out ("min_snr": that of z, weighed by min(SNR, 5); Hang et al. 2023).
-
-    With `sampling_spacing` "trailing" the steps used at inference start at the noisiest one, the state that
-    z_K ~ N(0, I) belongs to; "leading" (offset 1) starts up to num_steps / sampling_steps earlier, as
-    motion-latent-diffusion does. `guidance_scale` is r of Eq. 6.
-    """
-
-    num_steps: int = 1000
-    schedule: NoiseSchedule = "scaled_linear"
-    beta_start: float = 8.5e-4
-    beta_end: float = 0.012
-    prediction: Prediction = "noise"
-    loss: LossMeasure = "noise"
-    sampler: Sampler = "ddim"
-    sampling_steps: int = 50
-    sampling_spacing: Literal["trailing", "leading"] = "trailing"
-    guidance_scale: float = 7.5
-
-    def __post_init__(self) -> None:
-        if not 0 < self.beta_start <= self.beta_end < 1:
-            raise ValueError(f"betas must rise inside (0, 1), not from {self.beta_start} to {self.beta_end}")
-        if not 1 <= self.sampling_steps <= self.num_steps:
-            raise ValueError(f"sampling_steps must lie in 1 … {self.num_steps}, not {self.sampling_steps}")
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ def test_imports_run_one_way() -> None:
         ("motionkit/engines/parallel.py", "import motionkit.core.motion", "engines compute, whatever it is"),
         ("eval/metrics/gaussian.py", "import torch", "the corpus and the metrics never import torch"),
         (
-            "nerm/denoiser/diffusion.py",
+            "nerm/denoiser/latent_space.py",
             "import motionkit.cli.app",
             "models and the evaluation do not know the command line",
         ),

@@ -3,19 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
 import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
+from motionkit.clips.captions import actions_of_windows, captions_of_windows
 from motionkit.clips.windows import Windows
 from motionkit.store.cache.folder import cache_root
 from motionkit.store.reader import Store
 from motionkit.training.text import TextEncoder, embed_texts
-from nerm.conditions import NO_ACTION, ConditionLayout, Conditions, mirrored_text, overlapping_captions, unit_rows
+from nerm.conditions import NO_ACTION, ConditionLayout, Conditions, unit_rows
 from nerm.latents.local import LocalLatents
 from nerm.latents.posterior import first_read
 
@@ -128,28 +127,6 @@ def corpus_of(
         embeddings=_embeddings(encoder, texts, cache_root(store.path, store.fingerprint)),
         banks=banks,
     )
-
-
-def captions_of_windows(windows: Windows, sequences: pd.DataFrame) -> list[tuple[str, ...]]:
-    """Each window's captions, in mirrored words where the window is mirrored."""
-    captions: dict[Any, Sequence[Any]] = sequences["captions"].to_dict()
-    ends = windows.start_seconds + windows.duration_seconds
-    found = []
-    for sequence, start, end, mirrored in zip(
-        windows.sequence_index, windows.start_seconds, ends, windows.mirrored, strict=True
-    ):
-        texts = overlapping_captions(captions[int(sequence)], float(start), float(end))
-        found.append(tuple(map(mirrored_text, texts)) if mirrored else texts)
-    return found
-
-
-def actions_of_windows(windows: Windows, sequences: pd.DataFrame) -> list[str]:
-    """Each window's action, "" where its sequence has none, in mirrored words where the window is mirrored."""
-    actions: dict[Any, str] = sequences["action"].to_dict()
-    return [
-        mirrored_text(actions[int(sequence)]) if mirrored else actions[int(sequence)]
-        for sequence, mirrored in zip(windows.sequence_index, windows.mirrored, strict=True)
-    ]
 
 
 def _embeddings(encoder: TextEncoder | None, texts: Sequence[str], folder: Path) -> Float32[np.ndarray, "texts size"]:

@@ -12,16 +12,23 @@ from torch import Tensor
 from motionkit.core.errors import UsageError
 from motionkit.generate.models import SamplingOptions
 from motionkit.training.config import from_plain, to_plain
+from motionkit.training.diffusion.process import (
+    cumulative_alphas,
+    predicted_noise,
+    sample_ddim,
+    sample_ddpm,
+    sampling_steps,
+)
+from motionkit.training.diffusion.settings import SAMPLERS
 from motionkit.training.run import RunFolder
 from motionkit.training.schedule import seeded_initialisation, step_generator
 from motionkit.training.tensors import load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from nerm.conditions import ConditionLayout, Conditions, guided
-from nerm.denoiser.diffusion import cumulative_alphas, predicted_noise, sample_ddim, sample_ddpm, sampling_steps
 from nerm.denoiser.latent_space import LatentSpace
 from nerm.denoiser.network import Denoiser
 from nerm.latents.local import LocalLatents
 from nerm.latents.posterior import in_use
-from nerm.settings import SAMPLERS, DenoiserConfig
+from nerm.settings import DenoiserConfig
 
 SAMPLES_PER_BATCH = 256
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from motionkit.training.diffusion.process import add_noise, cumulative_alphas, loss_weights, prediction_target
 from motionkit.training.precision import autocast, compile_each
 from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.schedule import (
@@ -17,7 +18,6 @@ from motionkit.training.schedule import (
 from motionkit.training.tensors import load_training_tensors, prefixed, training_tensors, unprefixed
 from nerm.conditions import Conditions
 from nerm.denoiser.corpus import LatentCorpus
-from nerm.denoiser.diffusion import add_noise, cumulative_alphas, loss_weights, prediction_target
 from nerm.denoiser.latent_space import measured_space
 from nerm.denoiser.network import Denoiser
 from nerm.denoiser.trained import TrainedDenoiser

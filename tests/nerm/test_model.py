@@ -13,6 +13,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.motion_field import Poses, check_times, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.training.config import apply_overrides
+from motionkit.training.diffusion.settings import DiffusionConfig
 from motionkit.training.run import RunError
 from motionkit.training.schedule import seeded_initialisation
 from nerm.conditions import ConditionLayout
@@ -21,7 +22,7 @@ from nerm.denoiser.network import Denoiser
 from nerm.denoiser.trained import TrainedDenoiser
 from nerm.latents.posterior import ALWAYS
 from nerm.model import NermModel
-from nerm.settings import DenoiserConfig, DiffusionConfig, TransformerConfig
+from nerm.settings import DenoiserConfig, TransformerConfig
 
 NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, dropout=0.0)
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nerm.conditions import mirrored_text, overlapping_captions
+from motionkit.clips.captions import mirrored_text, overlapping_captions
 
 
 def captions(*spans):

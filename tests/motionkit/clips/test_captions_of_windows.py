@@ -1,11 +1,11 @@
-"""From windows and a store's table to the denoiser's corpus."""
+"""What a store's table says of windows."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from motionkit.clips.captions import actions_of_windows, captions_of_windows
 from motionkit.clips.windows import Windows
-from nerm.denoiser.corpus import actions_of_windows, captions_of_windows
 
 
 def caption(text, start=0.0, end=None):

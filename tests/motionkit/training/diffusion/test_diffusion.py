@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nerm.denoiser.diffusion import (
+from motionkit.training.diffusion.process import (
     add_noise,
     cumulative_alphas,
     loss_weights,
@@ -18,7 +18,7 @@ from nerm.denoiser.diffusion import (
     sample_ddpm,
     sampling_steps,
 )
-from nerm.settings import DiffusionConfig
+from motionkit.training.diffusion.settings import DiffusionConfig
 
 
 def reference(config: DiffusionConfig, kind: str):

@@ -1,4 +1,4 @@
-"""The diffusion process of NeRM §3.2: the noise schedule, training pairs (Eq. 5), the DDIM and DDPM samplers.
+"""The diffusion process (NeRM §3.2): the noise schedule, training pairs (Eq. 5), the DDIM and DDPM samplers.
 
 Everything the process itself computes is float64 and knows nothing of networks: a sampler is given a function that
 predicts noise. Steps k count from 0 (almost clean) to num_steps − 1 (almost pure noise), as the arrays do.
@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
-from nerm.settings import DiffusionConfig, LossMeasure, Prediction
+from motionkit.training.diffusion.settings import DiffusionConfig, LossMeasure, Prediction
 
 NoisePredictor = Callable[[Tensor, Tensor], Tensor]
 """(z_k [batch, latent], k [batch]) → predicted noise [batch, latent]."""
