@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import ClassVar, Literal
 
+from motionkit.clips.pose_vectors import PoseVectorsName
 from motionkit.core.framerate import parse_fps
 from motionkit.training.config import SCHEDULE_MOVED, Precision, Schedule, moved, require_positive
 from motionkit.training.diffusion.settings import DiffusionConfig
@@ -83,7 +84,6 @@ class CodebookConfig:
 
 TimeEncoding = Literal["none", "raw", "fourier", "codebook"]
 LatentLayout = Literal["global", "local"]
-PoseVectorsName = Literal["field", "native", "rotations"]
 Activation = Literal["relu", "silu", "gelu"]
 
 
@@ -231,8 +231,8 @@ class FieldOptimizerConfig:
 class FieldConfig:
     """The variational implicit representation (paper §3.1, B, D); lengths in seconds, rates in frames a second.
 
-    `pose_vectors` is what is learnt at each instant (nerm/pose_vectors/): positions, the published 263 numbers, SMPL's
-    rotations.
+    `pose_vectors` is what is learnt at each instant (motionkit/clips/pose_vectors/): positions, the published 263
+    numbers, SMPL's rotations.
     """
 
     where: str = "split = 'train'"

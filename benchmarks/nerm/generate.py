@@ -26,6 +26,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from eval.report.results import provenance
+from motionkit.clips.pose_vectors.convention import VectorScaling
 from motionkit.clips.windows import Windows
 from motionkit.generate.models import GenerationRequest
 from nerm.conditions import ConditionLayout
@@ -37,7 +38,6 @@ from nerm.field.trained import TrainedField
 from nerm.latents.local import local_latents
 from nerm.latents.posterior import first_read
 from nerm.model import NermModel, load
-from nerm.pose_vectors.convention import VectorScaling
 from nerm.recipes import RECIPES
 
 SECONDS = 9.8

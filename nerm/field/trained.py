@@ -11,6 +11,8 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64
 
+from motionkit.clips.pose_vectors.convention import PoseVectors, VectorScaling, described, restored
+from motionkit.clips.pose_vectors.field import FIELD_VECTORS
 from motionkit.clips.windows import Windows
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import normalise_seconds
@@ -21,8 +23,6 @@ from motionkit.training.run import RunFolder, StageFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from nerm.field.network import EncodedCoordinates, FieldNetwork
 from nerm.latents.linear_fit import LinearModel, PoseComponents
-from nerm.pose_vectors.convention import PoseVectors, VectorScaling, described, restored
-from nerm.pose_vectors.field import FIELD_VECTORS
 from nerm.settings import FieldConfig
 
 GRIDS_KEPT = 16

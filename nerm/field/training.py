@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Int64
 
+from motionkit.clips.pose_vectors.convention import PoseVectors, VectorScaling, measure_scaling
+from motionkit.clips.pose_vectors.field import FIELD_VECTORS
 from motionkit.clips.poses import PoseBatch, WindowPoses
 from motionkit.clips.windows import PositionSource, Windows, cut_windows, rows_by_duration, shuffled_batches
 from motionkit.core.errors import UsageError
@@ -20,8 +22,6 @@ from nerm.field.network import FieldNetwork
 from nerm.latents.linear_fit import LinearModel, fit_windows, measure_components
 from nerm.latents.local import local_latents
 from nerm.latents.posterior import LOG_VARIANCE_RANGE, RowAdam, kl_divergence, sample_posterior
-from nerm.pose_vectors.convention import PoseVectors, VectorScaling, measure_scaling
-from nerm.pose_vectors.field import FIELD_VECTORS
 from nerm.settings import FieldConfig
 
 
@@ -66,7 +66,13 @@ class FieldTraining:
         ranks: Ranks = ALONE,
     ) -> None:
         self.poses, self.config, self.seed, self.device = poses, config, seed, device
-        self.scaling = measure_scaling(poses, config, vectors)
+        self.scaling = measure_scaling(
+            poses,
+            vectors,
+            grouped=config.loss.scaling == "group",
+            root_weight=config.loss.root_weight,
+            centred_path=config.latents.has_path,
+        )
         model = linear_model(poses, self.scaling, config)
         self.components = None if model is None else model.components
         self.ranks = ranks

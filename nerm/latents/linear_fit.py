@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Int64
 
+from motionkit.clips.pose_vectors.convention import ROOT_PATH, VectorScaling
 from motionkit.clips.poses import PoseBatch, WindowPoses
 from motionkit.clips.windows import chunks
 from nerm.latents.knots import measured_heading, relative_to, ridge_knots
 from nerm.latents.local import LocalLatents
-from nerm.pose_vectors.convention import ROOT_PATH, VectorScaling
 
 TIMES_PER_WINDOW = 128
 HELD_TIMES = 128

@@ -6,6 +6,7 @@ import time
 import torch
 from jaxtyping import Float32
 
+from motionkit.clips.pose_vectors.convention import PoseVectors, training_vectors
 from motionkit.clips.poses import FrameVectors, WindowPoses
 from motionkit.core.progress import warn
 from motionkit.core.skeleton import SMPL22
@@ -18,7 +19,6 @@ from motionkit.training.stage import StageContext
 from nerm.codebook.network import load_codes
 from nerm.field.trained import TrainedField, save_field
 from nerm.field.training import FieldTraining, remarks, training_windows
-from nerm.pose_vectors.convention import PoseVectors, training_vectors
 from nerm.recipes import NermConfig
 from nerm.settings import FieldConfig
 

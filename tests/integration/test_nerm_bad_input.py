@@ -177,7 +177,7 @@ CASES = (
         "no rotations",
         f"{TRAIN} good --stage field {NEW} --set field.pose_vectors=rotations {NO_PATH}",
         2,
-        ("needs sequences with the joint rotations of SMPL's 22 joints", "good has none", "field.pose_vectors=field"),
+        ("needs sequences with the joint rotations of SMPL's 22 joints", "good has none", "pose_vectors=field"),
     ),
     Case(
         "no framerate",

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from motionkit.clips.pose_vectors.convention import measure_scaling
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import cut_windows
 from motionkit.core.errors import UsageError
@@ -12,7 +13,6 @@ from motionkit.training.config import apply_overrides
 from nerm.latents.knots import measured_heading, path_speed, placed, relative_to, turned
 from nerm.latents.linear_fit import LinearModel, held
 from nerm.latents.local import LocalLatents, local_latents
-from nerm.pose_vectors.convention import measure_scaling
 from nerm.recipes import paper
 from nerm.settings import FieldConfig
 from tests.helpers.nerm_corpus import MemorySource, analytic_positions, analytic_source
@@ -40,6 +40,11 @@ def _banks(config: FieldConfig = BANKED) -> LocalLatents:
     banks = local_latents(config)
     assert banks is not None
     return banks
+
+
+def _scaling(poses, config):
+    grouped, weight, path = config.loss.scaling == "group", config.loss.root_weight, config.latents.has_path
+    return measure_scaling(poses, grouped=grouped, root_weight=weight, centred_path=path)
 
 
 def _poses(source: MemorySource, seconds: float = 4.0) -> WindowPoses:
@@ -140,7 +145,7 @@ def test_the_linear_model_with_a_path_describes_somebody_who_walks_in_circles() 
     poses = _poses(_circling())
     errors = []
     for config in (BANKED, apply_overrides(BANKED, ["latents.path_knots=0", f"latents.dimension={16 * 6 + 8 * 5}"])):
-        model = linear_model(poses, measure_scaling(poses, config), config)
+        model = linear_model(poses, _scaling(poses, config), config)
         assert model is not None
         errors.append(float(_reconstructed(model, poses, model.fit(poses.evenly(np.array([0]), 128)))))
     with_path, without = errors
@@ -154,7 +159,7 @@ def test_what_a_short_window_does_not_reach_holds_its_last_pose() -> None:
 
     source = analytic_source(seconds=2.0)
     poses = _poses(source)
-    model = linear_model(poses, measure_scaling(poses, BANKED), BANKED)
+    model = linear_model(poses, _scaling(poses, BANKED), BANKED)
     assert model is not None
     batch = poses.evenly(np.arange(4), 60)
     extended, counts = held(batch)

@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motionkit.clips.pose_vectors.convention import PoseVectors, training_vectors
+from motionkit.clips.pose_vectors.native import NativeVectors
+from motionkit.clips.pose_vectors.rotations import RotationVectors, smpl_rig, training_rig, with_rotations
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.reconstruction import window_truth
 from motionkit.clips.windows import cut_windows
@@ -24,9 +27,6 @@ from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from nerm.field.motion_encoder import encode_windows
 from nerm.field.trained import load_field
-from nerm.pose_vectors.convention import PoseVectors, training_vectors
-from nerm.pose_vectors.native import NativeVectors
-from nerm.pose_vectors.rotations import RotationVectors, smpl_rig, training_rig, with_rotations
 from nerm.recipes import nano
 from nerm.stages.field import train_field
 

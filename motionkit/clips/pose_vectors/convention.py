@@ -13,16 +13,16 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64
 
+from motionkit.clips.pose_vectors import PoseVectorsName
+from motionkit.clips.pose_vectors.field import FIELD_VECTORS
+from motionkit.clips.pose_vectors.native import NativeVectors
+from motionkit.clips.pose_vectors.rotations import RotationVectors, smpl_rig, training_rig
 from motionkit.clips.poses import FrameVectors, WindowPoses
 from motionkit.clips.windows import chunks
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Poses
 from motionkit.store.cache.positions import PositionCache
 from motionkit.store.reader import Store
-from nerm.pose_vectors.field import FIELD_VECTORS
-from nerm.pose_vectors.native import NativeVectors
-from nerm.pose_vectors.rotations import RotationVectors, smpl_rig, training_rig
-from nerm.settings import FieldConfig, PoseVectorsName
 
 
 @runtime_checkable
@@ -90,14 +90,20 @@ class VectorScaling:
 
 
 def measure_scaling(
-    poses: WindowPoses, config: FieldConfig, vectors: PoseVectors = FIELD_VECTORS, poses_per_window: int = 32
+    poses: WindowPoses,
+    vectors: PoseVectors = FIELD_VECTORS,
+    *,
+    grouped: bool,
+    root_weight: float = 1.0,
+    centred_path: bool = False,
+    poses_per_window: int = 32,
 ) -> VectorScaling:
     """Mean and scale of the windows' vectors, from poses spread evenly over each window; one pass, flat memory.
 
-    `number` standardises each number by itself; `group` gives each of the convention's groups one scale (of `field`
+    Each number is standardised by itself, or `grouped`: each of the convention's groups has one scale (of `field`
     vectors the root's x and z one, everything else another), so that errors weigh as they do in millimetres.
-    `root_weight` then multiplies the first group, the root's path. Where latents hold a path of the body, x and z have
-    mean zero, so that standardised poses can be turned.
+    `root_weight` then multiplies the first group, the root's path. With `centred_path` x and z of positions have mean
+    zero, so that standardised poses can be turned.
     """
     size = vectors.num_numbers
     count, total, squares = 0, torch.zeros(size, dtype=torch.float64), torch.zeros(size, dtype=torch.float64)
@@ -106,15 +112,15 @@ def measure_scaling(
         count += len(some)
         total, squares = total + some.sum(0), squares + some.square().sum(0)
     mean = total / count
-    if config.latents.has_path:
+    if centred_path:
         mean.view(-1, 3)[:, [0, 2]] = 0.0
     variance = squares / count - mean.square()
     groups = [list(group) for group in vectors.groups]
-    if config.loss.scaling == "group":
+    if grouped:
         for group in groups:
             variance[group] = variance[group].mean()
     scale = variance.clamp(min=SMALLEST_SCALE**2).sqrt()
-    scale[groups[0]] /= config.loss.root_weight
+    scale[groups[0]] /= root_weight
     return VectorScaling(mean.float(), scale.float())
 
 

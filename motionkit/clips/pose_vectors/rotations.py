@@ -139,9 +139,9 @@ def with_rotations(store: Store, where: str | None, num_joints: int = SMPL22.num
     if not len(store.select(condition)):
         among = f" among those with {where}" if where else ""
         raise UsageError(
-            f"field.pose_vectors=rotations needs sequences with the joint rotations of SMPL's {num_joints} joints "
+            f"pose_vectors=rotations needs sequences with the joint rotations of SMPL's {num_joints} joints "
             f"(AMASS, UESTC); {store.path} has none{among}: ingest some, or train on positions "
-            "(field.pose_vectors=field)"
+            "(pose_vectors=field)"
         )
     return condition
 

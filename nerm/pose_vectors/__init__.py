@@ -1,1 +1,0 @@
-"""What a motion field learns at each instant, in which numbers and at which scale."""
