@@ -14,6 +14,7 @@ from nerm.settings import (
     CodebookNetworkConfig,
     CodebookScheduleConfig,
     ConditionsConfig,
+    ContactsConfig,
     DecoderConfig,
     DenoiserConfig,
     EncoderConfig,
@@ -54,7 +55,7 @@ def nano() -> NermConfig:
             network=CodebookNetworkConfig(width=128, code_dimension=128, num_codes=256),
             schedule=CodebookScheduleConfig(steps=600, batch_size=48, learning_rate=1e-3, drop_at=480),
         ),
-        field=_local_field(steps=8000),
+        field=replace(_local_field(steps=8000), contacts=ContactsConfig(steps=800)),
         denoiser=_knot_denoiser(steps=2500),
     )
 

@@ -219,6 +219,20 @@ class FieldLossConfig:
 
 
 @dataclass(frozen=True)
+class ContactsConfig:
+    """Contact as an output of the field (`nerm.field.contact`), trained after it in `steps` steps; 0: no such output.
+
+    Latents get noise of up to `noise` deviations of the numbers that the denoiser works on.
+    """
+
+    steps: int = 0
+    batch_size: int = 256
+    learning_rate: float = 3e-3
+    width: int = 128
+    noise: float = 0.4
+
+
+@dataclass(frozen=True)
 class FieldOptimizerConfig:
     """What AdamW has besides the schedule's learning rate: those of attention and of the latents (μ and log Σ)."""
 
@@ -245,6 +259,7 @@ class FieldConfig:
     loss: FieldLossConfig = field(default_factory=FieldLossConfig)
     schedule: Schedule = field(default_factory=lambda: Schedule(epochs=20_000, batch_size=4096))
     optimizer: FieldOptimizerConfig = field(default_factory=FieldOptimizerConfig)
+    contacts: ContactsConfig = field(default_factory=ContactsConfig)
     precision: Precision = "float32"
     compile: bool = False
 
@@ -267,6 +282,8 @@ class FieldConfig:
         latents = self.latents
         if latents.layout == "local" and self.encoder.coordinates == "frames":
             raise ValueError("knots lie at normalised coordinates: frame numbers (Table 9) need latents.layout=global")
+        if latents.layout == "global" and self.contacts.steps:
+            raise ValueError("contacts.steps belongs to local latents: contacts are read of z's knots")
         if latents.layout == "global" and self.decoder.linear_path:
             raise ValueError("decoder.linear_path belongs to a linear model of local latents")
         if latents.has_path and self.pose_vectors != "field":

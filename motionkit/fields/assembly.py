@@ -11,12 +11,12 @@ from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, quaternion_slerp
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation.joints import Joints
-from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times
+from motionkit.fields.motion_field import KnowsContacts, MotionField, Poses, at_fps, check_times
 
 SHORTEST_OVERLAP_SECONDS = 1e-3
 _TIMES_TO_FIT = 16
@@ -40,10 +40,14 @@ class Piece:
         """When it ends in the longer motion."""
         return self.start_seconds + self.field.end_seconds - self.field.start_seconds
 
+    def own_seconds(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
+        """Times of the longer motion as those of the field."""
+        own = times_seconds - self.start_seconds + self.field.start_seconds
+        return np.clip(own, self.field.start_seconds, self.field.end_seconds)
+
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses in the world at times of the longer motion."""
-        own = times_seconds - self.start_seconds + self.field.start_seconds
-        poses = self.field.query(np.clip(own, self.field.start_seconds, self.field.end_seconds))
+        poses = self.field.query(self.own_seconds(times_seconds))
         if self.yaw == 0.0 and self.origin == (0.0, 0.0):
             return poses
         turn = np.array([np.cos(self.yaw / 2), 0.0, np.sin(self.yaw / 2), 0.0])
@@ -123,6 +127,25 @@ class AssembledField:
             result.put(asked[~joins], poses.rows(~joins))
         assert result is not None
         return result
+
+    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
+        """How probably feet are on the ground (`KnowsContacts`): the surer of two pieces where they join.
+
+        None where a piece doesn't know.
+        """
+        check_times(self, times_seconds)
+        found = np.zeros((len(times_seconds), 2, 2), np.float32)
+        first = np.searchsorted(self.fade_end, times_seconds, side="right")
+        last = np.searchsorted(self.fade_start, times_seconds, side="left")
+        for number, piece in enumerate(self.pieces):
+            asked = np.flatnonzero((first <= number) & (number <= last))
+            said = None
+            if isinstance(piece.field, KnowsContacts):
+                said = piece.field.contacts(piece.own_seconds(times_seconds[asked]))
+            if said is None:
+                return None
+            found[asked] = np.maximum(found[asked], said)
+        return found
 
 
 def assemble(pieces: Sequence[Piece], fade_seconds: float | None = None) -> AssembledField:

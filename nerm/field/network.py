@@ -173,6 +173,19 @@ class FieldNetwork(nn.Module):
             features = self.attention(features)
         return features[which]
 
+    @property
+    def num_read(self) -> int:
+        """Numbers that `read` gives; none without knots."""
+        return 0 if self.local is None else self.local.num_seen + self._feature_width()
+
+    def read(
+        self, latents: Float[torch.Tensor, "batch latent"], encoded: EncodedCoordinates
+    ) -> Float[torch.Tensor, "batch poses read"]:
+        """What the decoder's first layer has of z and t at each pose, where z is read as knots."""
+        assert self.local is not None and encoded.weights is not None
+        seen = self.local.read(latents, encoded.weights, encoded.which).seen
+        return seen if encoded.features is None else torch.cat((seen, encoded.features[encoded.which]), dim=-1)
+
     def decode(
         self,
         latents: Float[torch.Tensor, "batch latent"],

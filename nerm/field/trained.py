@@ -21,6 +21,7 @@ from motionkit.training.config import from_plain, to_plain
 from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunFolder, StageFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
+from nerm.field.contact import ContactHead, contact_head, probabilities
 from nerm.field.network import EncodedCoordinates, FieldNetwork
 from nerm.latents.linear_fit import LinearModel, PoseComponents
 from nerm.settings import FieldConfig
@@ -37,7 +38,8 @@ class TrainedField:
     """f_θ with its scales and the posteriors N(μ_i, Σ_i) of all training windows.
 
     `network` is in evaluation mode, its gradients off; `components` are the pose components of the linear model that a
-    local latent's search starts from (None for the global layout); `vectors` is what is learnt at each instant.
+    local latent's search starts from (None for the global layout); `vectors` is what is learnt at each instant;
+    `contacts` says when feet are on the ground (None: it has not learnt that).
     """
 
     network: FieldNetwork
@@ -48,6 +50,7 @@ class TrainedField:
     windows: Windows
     store_fingerprint: str
     vectors: PoseVectors = FIELD_VECTORS
+    contacts: ContactHead | None = None
 
     @property
     def config(self) -> FieldConfig:
@@ -181,6 +184,18 @@ class TrainedField:
         vectors: torch.Tensor = self.scaling.invert(standardised.float())
         return vectors
 
+    def contact_probabilities(
+        self, latent: Float[torch.Tensor, "latent"], times_seconds: Float64[np.ndarray, "times"], fps: Fraction
+    ) -> Float32[np.ndarray, "times 2 2"] | None:
+        """How probably ankle and toe of left and right foot are on the ground; None where that was not learnt."""
+        if self.contacts is None:
+            return None
+        encoded = self.encode_times(times_seconds[None], fps)
+        with torch.no_grad():
+            read = self.network.read(latent[None].float().to(self.device), encoded)
+        found: Float32[np.ndarray, "times 2 2"] = probabilities(self.contacts, read)[0]
+        return found
+
     def as_motion_field(
         self, latent: Float[torch.Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None
     ) -> "LatentMotionField":
@@ -221,6 +236,11 @@ class LatentMotionField:
             context = np.linspace(0.0, self.end_seconds, CONTEXT_INSTANTS)
         return self.field.poses(self.latent[None], times_seconds, self.fps, context)[0]
 
+    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
+        """How probably ankle and toe of left and right foot are on the ground; None where the field doesn't say."""
+        check_times(self, times_seconds)
+        return self.field.contact_probabilities(self.latent, times_seconds, self.fps)
+
 
 STAGE_NAME = "field"
 FORMAT_VERSION = 2
@@ -235,6 +255,8 @@ def save_field(folder: StageFolder, trained: TrainedField) -> None:
         | described(trained.vectors)
         | prefixed("windows", {name: torch.from_numpy(array) for name, array in trained.windows.arrays().items()})
     )
+    if trained.contacts is not None:
+        tensors |= prefixed("contacts", trained.contacts.state_dict())
     if trained.components is not None:
         tensors["components.mean"] = trained.components.mean
         tensors["components.directions"] = trained.components.directions
@@ -269,6 +291,11 @@ def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]
     scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
     network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))
     network.load_state_dict(unprefixed("network", tensors))
+    contacts = None
+    if of_contacts := unprefixed("contacts", tensors):
+        contacts = contact_head(network, config)
+        contacts.load_state_dict(of_contacts)
+        contacts = contacts.to(where).eval().requires_grad_(False)
     arrays = {name: tensor.numpy() for name, tensor in unprefixed("windows", tensors).items()}
     components = None
     if config.latents.layout == "local":
@@ -282,4 +309,5 @@ def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]
         windows=Windows(config.windows.max_duration_seconds, **arrays),
         store_fingerprint=str(description["store_fingerprint"]),
         vectors=restored(config.pose_vectors, tensors),
+        contacts=contacts,
     )

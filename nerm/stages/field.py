@@ -17,8 +17,11 @@ from motionkit.training.precision import float32_products, resolve_device, with_
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
 from nerm.codebook.network import load_codes
+from nerm.denoiser.latent_space import measured_space
+from nerm.field.contact import ContactTraining, contact_rows
 from nerm.field.trained import TrainedField, save_field
 from nerm.field.training import FieldTraining, remarks, training_windows
+from nerm.latents.posterior import first_read, in_use
 from nerm.recipes import NermConfig
 from nerm.settings import FieldConfig
 
@@ -63,10 +66,31 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         store_fingerprint=store.fingerprint,
         vectors=vectors,
     )
+    if settings.contacts.steps:
+        trained, figures["contacts"] = _with_contacts(trained, source, context)
     save_field(folder, trained)
     hours = float(windows.duration_seconds.sum()) / 3600
     facts = {"windows": len(windows), "hours": round(hours, 3), "wall_seconds": round(time.perf_counter() - started, 1)}
     folder.finish({**figures, **facts})
+
+
+def _with_contacts(trained: TrainedField, source: PositionCache, context: StageContext) -> tuple[TrainedField, float]:
+    """The field with contacts among its outputs, and the loss that they were learnt to."""
+    banks = trained.network.local
+    means, duration = trained.posterior_mean, trained.windows.duration_seconds / trained.max_duration_seconds
+    used = in_use(first_read(means.shape[1], banks), torch.from_numpy(duration).float())
+    space = measured_space(means, used, banks, "steps", "component")
+    most = trained.config.contacts.noise
+
+    def noisy(latents: Float32[torch.Tensor, "batch latent"], generator: torch.Generator) -> torch.Tensor:
+        share = torch.rand(len(latents), 1, generator=generator)
+        noise = torch.randn(latents.shape, generator=generator)
+        return space.restore(space.standardise(latents) + most * share * noise)
+
+    rows, network = contact_rows(source), trained.network
+    training = ContactTraining(network, means, trained.windows, rows, noisy, seed=context.seed)
+    loss = training.run(context.on_progress)
+    return dataclasses.replace(trained, contacts=training.head.eval().requires_grad_(False)), loss
 
 
 def check_field(context: StageContext, config: NermConfig) -> None:

@@ -6,7 +6,7 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from motionkit.fields.contact.detection import Contacts, Ground, find_contacts, ground_of
 from motionkit.fields.contact.legs import Legs
@@ -66,7 +66,8 @@ class Correction:
 
     `positions(start, stop)` are the joints at instants [start, stop) of a grid of `count`, `fps` a second from
     `start_seconds` on. Blocks of three minutes are worked out when they are asked for, from 12 s on both sides too, and
-    go over into one another; so memory doesn't grow with the motion.
+    go over into one another; so memory doesn't grow with the motion. `down(start, stop)` says which foot joints are on
+    the ground, where the motion itself knows; else that is found by their paths.
     """
 
     legs: Legs
@@ -75,6 +76,7 @@ class Correction:
     fps: float
     count: int
     path: Path
+    down: Callable[[int, int], Bool[np.ndarray, "instants feet ends"]] | None = None
 
     def at(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
         """The offsets at any times; before the first instant and after the last one they stay as they are there."""
@@ -166,7 +168,8 @@ class Correction:
         last = number == self.num_blocks - 1
         stop = self.count if last else min(self.count, (number + 1) * self._block_length + margin)
         paths = self._paths(first, stop)
-        contacts = find_contacts(paths, self.fps, self.ground)
+        offered = None if self.down is None else self.down(first, stop)
+        contacts = find_contacts(paths, self.fps, self.ground, offered)
         return Block(first, paths, contacts, offsets_of(paths, contacts, self.ground, self.fps, self.path))
 
 

@@ -76,16 +76,21 @@ def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> G
     return Ground(*(np.minimum(each, each.min(axis=0) + MOST_BETWEEN_FEET_METRES) for each in (level, floor)))
 
 
-def find_contacts(paths: Float64[np.ndarray, "instants feet ends 3"], fps: float, ground: Ground) -> Contacts:
-    """The contacts of foot joints whose places are known at `fps`."""
+def find_contacts(
+    paths: Float64[np.ndarray, "instants feet ends 3"],
+    fps: float,
+    ground: Ground,
+    offered: Bool[np.ndarray, "instants feet ends"] | None = None,
+) -> Contacts:
+    """The contacts of foot joints whose places are known at `fps`: those that are `offered`, else by their paths."""
     velocity = velocities(paths, fps)
     speed = _lengths(velocity)
     height = _above_ground(paths[..., 1] - ground.level, fps)
     level_speed = np.hypot(velocity[..., 0], velocity[..., 2])
-    down = _down(height, speed, fps, 0)
+    down = _down(height, speed, fps, 0) if offered is None else _each(offered, fps)
     rests = Rests.of(down, level_speed, fps)
     here, around = rests.sliding(fps)
-    if (around > 0.5).any():
+    if offered is None and (around > 0.5).any():
         down = np.where((around > 0.5)[:, None, None], _down(height, speed, fps, 1), down)
         rests = Rests.of(down, level_speed, fps)
     steadiest = _steadiest(down, velocity, level_speed)
@@ -142,8 +147,15 @@ def _down(
     stays = (height < LEAVE_METRES) & (speed < LEAVE_SPEED[kind])
     down = np.empty_like(stays)
     for foot, end in np.ndindex(2, 2):
-        found = _held(enters[:, foot, end], stays[:, foot, end])
-        down[:, foot, end] = _without_short(_without_gaps(found, fps), fps)
+        down[:, foot, end] = _held(enters[:, foot, end], stays[:, foot, end])
+    return _each(down, fps)
+
+
+def _each(found: Bool[np.ndarray, "instants feet ends"], fps: float) -> Bool[np.ndarray, "instants feet ends"]:
+    """Contacts without short gaps, then those that are not short."""
+    down = np.empty_like(found)
+    for foot, end in np.ndindex(2, 2):
+        down[:, foot, end] = _without_short(_without_gaps(found[:, foot, end], fps), fps)
     return down
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from motionkit.core.kinematics import quaternion_conjugate, quaternion_multiply, quaternion_rotate
 from motionkit.core.skeleton import Skeleton
@@ -15,13 +15,14 @@ from motionkit.fields.contact.correction import Correction, Path
 from motionkit.fields.contact.legs import Leg, Legs, legs_of
 from motionkit.fields.contact.two_bone import BentLeg, bend, turns
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
-from motionkit.fields.motion_field import MotionField, Observed, Poses, at_fps, check_times
+from motionkit.fields.motion_field import KnowsContacts, MotionField, Observed, Poses, at_fps, check_times
 
 GRID_FPS = 120.0
 BONE_SAMPLES = 1000
 TIMES_AT_ONCE = 4096
 _UP = np.array([0.0, 1.0, 0.0])
 _SMALL_METRES = 1e-7
+PROBABLY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,17 +78,30 @@ def planted(field: MotionField, path: Path = "near") -> PlantedField:
     """A field with feet that stand; positions without rotations are brought onto bones of one length first.
 
     With a `free` path the body goes where feet that stand carry it, and may end elsewhere: for generated motion.
-    Contacts are looked for at 120 instants a second, or a little more, so that the last one is the field's end. Raises
-    `SkeletonMapError` for a skeleton whose legs aren't known.
+    Contacts are those that the field says (`KnowsContacts`), else they are looked for, at 120 instants a second or a
+    little more, so that the last one is the field's end. Raises `SkeletonMapError` for a skeleton whose legs aren't
+    known.
     """
     span = field.end_seconds - field.start_seconds
     count = int(np.ceil(span * GRID_FPS - 1e-6)) + 1
     fps = (count - 1) / span if count > 1 else GRID_FPS
 
-    def positions(rows: Int64[np.ndarray, "rows"]) -> Float32[np.ndarray, "rows joints 3"]:
-        return field.query(np.minimum(field.start_seconds + rows / fps, field.end_seconds)).joint_positions
+    def seconds(rows: Int64[np.ndarray, "rows"]) -> Float64[np.ndarray, "rows"]:
+        return np.minimum(field.start_seconds + rows / fps, field.end_seconds)
 
-    return _planted(field, positions, fps, count, path)
+    def positions(rows: Int64[np.ndarray, "rows"]) -> Float32[np.ndarray, "rows joints 3"]:
+        return field.query(seconds(rows)).joint_positions
+
+    made = _planted(field, positions, fps, count, path)
+    if not isinstance(field, KnowsContacts) or field.contacts(seconds(np.zeros(1, np.int64))) is None:
+        return made
+
+    def down(start: int, stop: int) -> Bool[np.ndarray, "instants feet ends"]:
+        probability = field.contacts(seconds(np.arange(start, stop)))
+        assert probability is not None
+        return np.asarray(probability > PROBABLY)
+
+    return replace(made, correction=replace(made.correction, down=down))
 
 
 def planted_frames(observation: Observed, frames: TimeGrid, path: Path = "near") -> PlantedField:

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -12,9 +12,10 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.fields.contact import correction
 from motionkit.fields.contact.bones import Bones
+from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.planted import PlantedField, planted
 from motionkit.fields.interpolation.interpolators import interpolate
-from motionkit.fields.motion_field import joint_velocities, to_motion
+from motionkit.fields.motion_field import MotionField, Poses, joint_velocities, to_motion
 from tests.helpers.synthetic_capture import capture
 
 FPS = Fraction(60)
@@ -72,6 +73,50 @@ def test_feet_that_slide_stand(rotations: bool) -> None:
     # The path that feet carry the body along is the capture's own.
     off = after.joint_positions[:, 0] - motion.joint_positions[:, 0]
     assert np.abs(off - off[0])[:, ::2].max() < 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Knowing:
+    """A field that says when its feet are on the ground."""
+
+    field: MotionField
+    fps: Fraction
+    down: np.ndarray
+
+    @property
+    def skeleton(self) -> Skeleton:
+        return self.field.skeleton
+
+    @property
+    def start_seconds(self) -> float:
+        return self.field.start_seconds
+
+    @property
+    def end_seconds(self) -> float:
+        return self.field.end_seconds
+
+    def query(self, times_seconds: np.ndarray) -> Poses:
+        return self.field.query(times_seconds)
+
+    def contacts(self, times_seconds: np.ndarray) -> np.ndarray | None:
+        row = np.round((times_seconds - self.start_seconds) * float(self.fps)).astype(int)
+        return self.down[np.minimum(row, len(self.down) - 1)].astype(np.float32)
+
+
+def test_contacts_that_the_field_knows_are_taken() -> None:
+    motion = capture(FPS, "walk", seconds=6.0)
+    still = true_rests(motion)
+    paths = motion.joint_positions[:, FEET].reshape(-1, 2, 2, 3).astype(np.float64)
+    down = find_contacts(paths, float(FPS), ground_of(paths, float(FPS))).down
+    # So fast that no detection takes it for a foot on the ground.
+    fast = interpolate(bare(slid(motion, 2.5)), "cubic")
+    speeds = [
+        steadiest_speed(to_motion(planted(field, "free"), FPS).joint_positions, still, FPS).mean()
+        for field in (fast, Knowing(fast, FPS, down), Knowing(fast, FPS, np.zeros_like(down)))
+    ]
+    assert speeds[0] > 1.0
+    assert speeds[1] < 0.1
+    assert speeds[2] == pytest.approx(2.5, rel=0.02)
 
 
 @pytest.mark.parametrize("action", ["walk", "jog", "turn_left", "squat", "wave_left"])

@@ -1,0 +1,135 @@
+"""Contact as an output of the field: how probably ankle and toe of both feet are on the ground, at any t.
+
+A small network reads of z what the decoder reads, and is trained after it: on what is found on the training takes
+(`motionkit.fields.contact.detection`), from latents with noise on them. What a denoiser leaves of its noise lets feet
+slide, so that their paths say little of contacts; z still does (docs/results/nerm-field-trials.md).
+"""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Int64
+from torch import Tensor, nn
+
+from motionkit.clips.windows import Windows, rows_by_duration, shuffled_batches
+from motionkit.core.progress import OnProgress, task
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import normalise_seconds
+from motionkit.fields.contact.detection import find_contacts, ground_of
+from motionkit.fields.contact.legs import legs_of
+from motionkit.store.cache.positions import PositionCache
+from motionkit.store.cache.row_file import RowFile
+from motionkit.training.schedule import seeded_initialisation, set_rate, step_generator
+from nerm.field.network import FieldNetwork
+from nerm.settings import ContactsConfig, FieldConfig
+
+NUM_LOGITS = 4
+CONTACT_ROWS = "contacts-1"
+FEWEST_FRAMES = 4
+
+Noisy = Callable[[Float32[Tensor, "batch latent"], torch.Generator], Float32[Tensor, "batch latent"]]
+"""Latents of the field with noise on them."""
+
+
+class ContactHead(nn.Module):
+    """Logits of contact of left ankle, left toe, right ankle and right toe."""
+
+    def __init__(self, num_read: int, width: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(num_read, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, NUM_LOGITS)
+        )
+
+    def forward(self, read: Float[Tensor, "batch poses read"]) -> Float[Tensor, "batch poses 4"]:
+        """From what `FieldNetwork.read` gives."""
+        logits: Tensor = self.layers(read)
+        return logits
+
+
+def contact_head(network: FieldNetwork, config: FieldConfig) -> ContactHead:
+    """A head that fits a network."""
+    return ContactHead(network.num_read, config.contacts.width)
+
+
+def contact_rows(cache: PositionCache) -> RowFile:
+    """Of every row of the cache's positions, which foot joints are on the ground (1 or 0); kept beside them."""
+
+    def compute() -> Iterator[Float32[np.ndarray, "frames 4"]]:
+        legs = legs_of(SMPL22)
+        for sequence in range(cache.num_sequences):
+            paths = legs.foot_paths(np.asarray(cache.sequence_positions(sequence))).astype(np.float64)
+            down = np.zeros((len(paths), 2, 2), np.float32)
+            if len(paths) >= FEWEST_FRAMES:
+                fps = float(cache.exact_fps(sequence))
+                down[:] = find_contacts(paths, fps, ground_of(paths, fps)).down
+            yield down.reshape(-1, NUM_LOGITS)
+
+    return cache.derived_rows(CONTACT_ROWS, NUM_LOGITS, compute)
+
+
+class ContactTraining:
+    """Steps of the head on windows of a frozen field, from the means of their posteriors with noise."""
+
+    def __init__(
+        self,
+        network: FieldNetwork,
+        means: Float32[Tensor, "windows latent"],
+        windows: Windows,
+        rows: RowFile,
+        noisy: Noisy,
+        *,
+        seed: int,
+    ) -> None:
+        self.network, self.means, self.windows, self.rows, self.noisy = network, means, windows, rows, noisy
+        self.seed, self.config, self.device = seed, network.config, next(network.parameters()).device
+        with seeded_initialisation(seed, "contacts"):
+            self.head = contact_head(network, self.config).to(self.device)
+        rate = self.config.contacts.learning_rate
+        self.optimizer = torch.optim.AdamW(self.head.parameters(), lr=rate, weight_decay=0.0)
+        self.visits = torch.from_numpy(rows_by_duration(windows, self.config.clips.seconds_per_visit))
+
+    def run(self, on_progress: OnProgress) -> float:
+        """All steps; returns the mean of the last fifth's losses, in nats a number."""
+        settings, losses = self.config.contacts, []
+        with task(on_progress, "contacts", settings.steps) as work:
+            for step in range(settings.steps):
+                losses.append(self.step(step, settings))
+                work.advance()
+        return float(torch.stack(losses[-max(1, settings.steps // 5) :]).mean())
+
+    def step(self, step: int, settings: ContactsConfig) -> Float[Tensor, ""]:
+        """One step; returns the loss."""
+        generator = step_generator(self.seed, "contacts", step)
+        set_rate(self.optimizer, settings.learning_rate * 0.5 * (1.0 + np.cos(np.pi * step / settings.steps)))
+        windows = self.visits[shuffled_batches(len(self.visits), settings.batch_size, step, self.seed)]
+        chosen, poses = windows.numpy(), self.config.clips.num_poses
+        uniform = torch.rand(len(chosen), poses, generator=generator, dtype=torch.float64).numpy()
+        frame = np.floor(uniform * self.windows.num_frames[chosen][:, None]).astype(np.int64)
+        fps = torch.from_numpy(self.windows.fps[chosen]).to(self.device)
+        seconds = frame / self.windows.fps[chosen][:, None]
+        times = torch.from_numpy(normalise_seconds(seconds, self.windows.max_duration_seconds)).to(self.device)
+        with torch.no_grad():
+            latents = self.noisy(self.means[windows], generator).to(self.device)
+            read = self.network.read(latents, self.network.encode_coordinates(times, fps))
+        loss = nn.functional.binary_cross_entropy_with_logits(self.head(read), self._down(chosen, frame))
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        self.optimizer.step()
+        return loss.detach()
+
+    def _down(
+        self, window: Int64[np.ndarray, "batch"], frame: Int64[np.ndarray, "batch poses"]
+    ) -> Float32[Tensor, "batch poses 4"]:
+        """What is on the ground at frames of windows; feet change sides where a window is mirrored."""
+        found = self.rows[self.windows.start_row[window][:, None] + frame]
+        mirrored = self.windows.mirrored[window]
+        found[mirrored] = found[mirrored][..., [2, 3, 0, 1]]
+        return torch.from_numpy(found).to(self.device)
+
+
+def probabilities(head: ContactHead, read: Float[Tensor, "batch times read"]) -> Float32[np.ndarray, "batch times 2 2"]:
+    """How probably ankle and toe of left and right foot are on the ground."""
+    with torch.no_grad():
+        found = torch.sigmoid(head(read)).cpu().numpy()
+    return np.asarray(found.reshape(*found.shape[:2], 2, 2))
