@@ -8,15 +8,32 @@ from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import STANDARD_SKELETONS
 from motionkit.fields.contact.planted import planted, planted_frames
+from motionkit.fields.detail.detailed import detailed
+from motionkit.fields.detail.model import Detail
 from motionkit.fields.motion_field import MotionField, Observation
 
 PLANTED = "{}, planted"
+DETAILED = f"{PLANTED}, with detail"
 PLANTED_NOTE = "the same motions with feet that stand, on bones of one length (docs/plant.md)"
+DETAILED_NOTE = "the planted motions with what captures hold above 10 Hz, drawn anew (docs/detail.md)"
 
 
 def is_planted(name: str) -> bool:
-    """Whether a row of this name is of planted motion."""
-    return name.endswith(PLANTED.format(""))
+    """Whether a row of this name is of planted motion, with detail or without."""
+    return name.endswith((PLANTED.format(""), DETAILED.format("")))
+
+
+def planted_note(name: str) -> str:
+    """What a table says of a row of planted motion."""
+    return DETAILED_NOTE if name.endswith(DETAILED.format("")) else PLANTED_NOTE
+
+
+def detailed_fields(fields: Mapping[Window, MotionField], detail: Detail, seed: int) -> dict[Window, MotionField]:
+    """Motion fields with what captures hold above 10 Hz, drawn anew for each, as `motionkit generate --detail` does."""
+    return {
+        window: detailed(field, detail, seed=seed, number=number)
+        for number, (window, field) in enumerate(fields.items())
+    }
 
 
 def planted_fields(fields: Mapping[Window, MotionField]) -> dict[Window, MotionField]:

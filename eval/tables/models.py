@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, windows_of
-from eval.sets.planted import PLANTED, planted_fields
+from eval.sets.planted import DETAILED, PLANTED, detailed_fields, planted_fields
 from eval.sets.sets import SampleSet
+from motionkit.clips.detail.stage import has_detail, load_detail
 from motionkit.clips.reconstruction import ReconstructsWindows
 from motionkit.complete.encoders import installed_encoders
 from motionkit.core.checksums import sha256_of
@@ -96,7 +97,7 @@ def generated_fields(
 ) -> Found[dict[str, dict[Window, MotionField]]]:
     """What each model of a run generates for the captions and durations of a real set, by the names of their rows.
 
-    As the model gives it, and planted.
+    As the model gives it, planted, and where the run has learnt detail, planted with detail.
     """
     models = trained_models(run)
 
@@ -106,8 +107,12 @@ def generated_fields(
 
     found = each_found(models.value, generated)
     rows: dict[str, dict[Window, MotionField]] = {}
+    detail = load_detail(run) if run is not None and has_detail(run) else None
     for name, fields in found.value.items():
-        rows |= {name: fields, PLANTED.format(name): planted_fields(fields)}
+        standing = planted_fields(fields)
+        rows |= {name: fields, PLANTED.format(name): standing}
+        if detail is not None:
+            rows[DETAILED.format(name)] = detailed_fields(standing, detail, seed)
     return Found(rows, (*models.missing, *found.missing))
 
 

@@ -40,6 +40,7 @@ SamplingSteps = Annotated[
     int | None, typer.Option(min=1, help="Diffusion steps visited (else the recipe's; ddpm likes more).")
 ]
 Plant = Annotated[bool, typer.Option("--plant/--no-plant", help="Let feet stand that slide, on bones of one length.")]
+WithDetail = Annotated[bool, typer.Option("--detail", help="Add what captures hold above 10 Hz (docs/detail.md).")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with a call that was stopped.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a former call's files.")]
@@ -71,6 +72,7 @@ def generate(
     sampler: Sampler = None,
     sampling_steps: SamplingSteps = None,
     plant: Plant = True,
+    detail: WithDetail = False,
     seed: Seed = 0,
     resume: Resume = False,
     overwrite: Overwrite = False,
@@ -91,15 +93,20 @@ def generate(
         raise UsageError("--times and --fps exclude each other")
     rate, instants = parse_rate(fps), parse_times(times)
     output = output_format(file_format, instants)
+    if detail and output.name == "bvh":
+        raise UsageError("--detail is for measuring and training: it trembles as captures do, and isn't written as BVH")
     request = MotionsRequest(tuple(wanted), count, instants, rate, join, overlap)
 
+    from motionkit.clips.detail.stage import load_detail
     from motionkit.generate.folder import begin_folder, replace_folder, resume_folder
     from motionkit.generate.job import Job
     from motionkit.generate.models import load_model, model_of, warn_above_training
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)
-    job = Job(request, loaded, place, output, seed, SamplingOptions(guidance, sampler, sampling_steps), plant)
+    sampling = SamplingOptions(guidance, sampler, sampling_steps)
+    learnt = load_detail(place) if detail else None
+    job = Job(request, loaded, place, output, seed, sampling, plant, learnt)
     warn_above_training(loaded, job.fps)
     _say_joined(job)
     opening = resume_folder if resume else replace_folder if overwrite else begin_folder

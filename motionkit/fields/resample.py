@@ -97,7 +97,7 @@ def _resample(
     if len(values) == 1:
         return flat.reshape(values.shape)
     ratio = fps_from / fps_to
-    reach, cutoff = _kernel_shape(ratio)
+    reach, cutoff = kernel_shape(ratio)
     margin = reach + 1
     padded = np.pad(flat, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
     taps = np.arange(-reach, reach + 1)
@@ -107,7 +107,7 @@ def _resample(
         # k·p/q in integers: a long take loses nothing to rounding.
         whole, remainder = np.divmod(rows * ratio.numerator, ratio.denominator)
         phases, phase_of_row = np.unique(remainder, return_inverse=True)
-        weights = _kernel(phases[:, None] / ratio.denominator - taps, reach, cutoff)
+        weights = kernel(phases[:, None] / ratio.denominator - taps, reach, cutoff)
         weights /= weights.sum(axis=1, keepdims=True)
         columns = whole[:, None] + taps + margin
         pointers = np.arange(len(rows) + 1) * len(taps)
@@ -116,7 +116,7 @@ def _resample(
     return result.reshape(num_rows, *values.shape[1:])
 
 
-def _kernel_shape(ratio: Fraction) -> tuple[int, float]:
+def kernel_shape(ratio: Fraction) -> tuple[int, float]:
     """Half-length in source frames and cut-off in cycles per source frame of the Kaiser-windowed sinc.
 
     Length: Kaiser's formula N = (A − 7.95) / (2.285·Δω) (Oppenheim & Schafer, Discrete-Time Signal Processing, §7.5.3).
@@ -128,9 +128,10 @@ def _kernel_shape(ratio: Fraction) -> tuple[int, float]:
     return int(np.ceil(length / 2)), cutoff
 
 
-def _kernel(
+def kernel(
     distance: Float64[np.ndarray, "phases taps"], reach: int, cutoff: float
 ) -> Float64[np.ndarray, "phases taps"]:
+    """Weights, up to a factor, of the source frames at these distances, in frames, of the shape of `kernel_shape`."""
     beta = 0.1102 * (STOPBAND_DECIBEL - 8.7)
     inside = np.sqrt(np.maximum(0.0, 1.0 - (distance / (reach + 1)) ** 2))
     window: Float64[np.ndarray, "phases taps"] = np.i0(beta * inside)

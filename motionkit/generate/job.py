@@ -10,6 +10,8 @@ import numpy as np
 
 from motionkit.core.errors import UsageError
 from motionkit.core.framerate import format_fps
+from motionkit.fields.detail.detailed import detailed
+from motionkit.fields.detail.model import Detail
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.files import OutputFormat
 from motionkit.generate.folder import FORMAT, GeneratedFolder
@@ -24,6 +26,8 @@ from motionkit.training.run import versions, weights_sha256
 class Job:
     """What to make, by which model out of which run, as which files; with feet that stand, unless not to `plant`.
 
+    With `detail` motions have what captures hold above 10 Hz, of the same seed (docs/detail.md).
+
     Raises `UsageError`, with the prompt's file and line, for what the model cannot do: before anything is made.
     """
 
@@ -34,6 +38,7 @@ class Job:
     seed: int
     sampling: SamplingOptions
     plant: bool = True
+    detail: Detail | None = None
 
     def __post_init__(self) -> None:
         for prompts in self.request.scripts:
@@ -64,6 +69,7 @@ class Job:
             "seed": self.seed,
             "sampling": asdict(self.sampling),
             "planted": self.plant,
+            "with_detail": self.detail is not None,
             "file_format": self.output.name,
             "fps": None if request.times else format_fps(self.fps),
             "times_seconds": list(request.times) or None,
@@ -92,6 +98,8 @@ class Job:
             name = motion_name(index, motions[index])
             seconds = np.array(times, dtype=np.float64) if times else None
             shown = standing(field) if self.plant else field
+            if self.detail is not None:
+                shown = detailed(shown, self.detail, seed=self.seed, number=index)
             yield field, sample_field(shown, name, motions[index], self.fps, seconds)
 
     def write(self, folder: GeneratedFolder) -> Iterator[tuple[MotionField, GeneratedSample, Path]]:

@@ -18,7 +18,7 @@ from eval.sample_folder.takes import takes_of_samples
 from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
 from eval.sets.memorisation import set_remarks
-from eval.sets.planted import PLANTED, PLANTED_NOTE, is_planted
+from eval.sets.planted import PLANTED, PLANTED_NOTE, is_planted, planted_note
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
 from eval.sets.sets import SampleSet
 from eval.tables.models import check_names, generated_fields
@@ -164,7 +164,7 @@ def _model_notes(models: Iterable[str]) -> dict[str, str]:
     notes: dict[str, str] = {}
     for name in models:
         if is_planted(name):
-            notes[name] = PLANTED_NOTE
+            notes[name] = planted_note(name)
             continue
         notes |= {name: GENERATED_NOTE, GENERATED_LOW.format(name): GENERATED_LOW_NOTE}
     return notes

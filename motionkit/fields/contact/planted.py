@@ -182,7 +182,7 @@ def _moved(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: Legs, 
     if translation is not None:
         translation = translation + offsets[:, 0].astype(np.float32)
     if rotations is not None:
-        rotations = _turned(rotations, turned, skeleton)
+        rotations = turned_rotations(rotations, turned, skeleton)
     return Poses(positions, rotations, translation)
 
 
@@ -205,7 +205,7 @@ def _carry(
                 positions[:, joint] = new + quaternion_rotate(turn, positions[:, joint] - start)
 
 
-def _turned(
+def turned_rotations(
     rotations: Float32[np.ndarray, "times joints 4"],
     turned: dict[int, Float64[np.ndarray, "times 4"]],
     skeleton: Skeleton,
@@ -214,14 +214,16 @@ def _turned(
     result = rotations.copy()
     old: dict[int, Float64[np.ndarray, "times 4"]] = {}
     for joint, parent in enumerate(skeleton.parents):
-        if parent < 0 or (joint not in turned and parent not in turned):
+        if joint not in turned and parent not in turned:
             continue
-        above, here = _world(old, parent, rotations, skeleton), _world(old, joint, rotations, skeleton)
-        if parent in turned:
-            above = quaternion_multiply(turned[parent], above)
+        local = _world(old, joint, rotations, skeleton)
         if joint in turned:
-            here = quaternion_multiply(turned[joint], here)
-        local = quaternion_multiply(quaternion_conjugate(above), here)
+            local = quaternion_multiply(turned[joint], local)
+        if parent >= 0:
+            above = _world(old, parent, rotations, skeleton)
+            if parent in turned:
+                above = quaternion_multiply(turned[parent], above)
+            local = quaternion_multiply(quaternion_conjugate(above), local)
         result[:, joint] = local / np.linalg.norm(local, axis=-1, keepdims=True)
     return result
 

@@ -1,0 +1,116 @@
+"""The stage `detail` of `motionkit train`, and a run's detail; nothing heavy is imported before it is used."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from motionkit.core.errors import UsageError
+from motionkit.core.progress import task
+from motionkit.core.skeleton import SMPL22
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import Stage, StageContext, lazily
+
+if TYPE_CHECKING:
+    from motionkit.fields.detail.model import Detail
+
+NAME = "detail"
+
+
+@dataclass(frozen=True)
+class DetailConfig:
+    """Which takes detail is learnt from: those of 120 fps or more, drawn at random up to so many minutes.
+
+    `where` (SQL) says which takes are for training; empty for all but those of val and test.
+    """
+
+    where: str = "split NOT IN ('val', 'test')"
+    minutes: float = 40.0
+
+
+def train_detail(context: StageContext, config: DetailConfig) -> None:
+    """Learn detail; writes RUN/detail/model.safetensors, which `load_detail` reads.
+
+    Raises `UsageError` for a store without training takes of 120 fps.
+    """
+    import torch
+
+    from motionkit.clips.detail.fit import fit_detail
+    from motionkit.fields.detail.slow_motion import GRID_FPS
+    from motionkit.training.tensors import save_tensors
+
+    store = context.open_store()
+    takes = _takes(context, config)
+    folder = context.begin(NAME, config, store_fingerprint=store.fingerprint)
+    with task(context.on_progress, NAME, 2 * len(takes)) as work:
+        detail = fit_detail(takes, work.advance)
+    tensors = {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in detail.arrays().items()}
+    save_tensors(folder.model_path, tensors, {"store_fingerprint": store.fingerprint})
+    folder.finish({"takes": len(takes), "minutes": sum(len(take) for take in takes) / GRID_FPS / 60})
+
+
+def _takes(context: StageContext, config: DetailConfig) -> list[np.ndarray]:
+    """Random takes at 120 fps."""
+    from fractions import Fraction
+
+    from motionkit.fields.detail.slow_motion import GRID_FPS
+    from motionkit.fields.resample import resample_positions
+    from motionkit.store.cache.positions import open_cache
+
+    cache = open_cache(context.open_store(), layout=SMPL22.name, where=config.where or None)
+    fast = [index for index in range(cache.num_sequences) if cache.exact_fps(index) >= GRID_FPS]
+    takes, frames = [], 0.0
+    for index in np.random.default_rng(context.seed).permutation(fast).tolist():
+        if frames >= config.minutes * 60 * GRID_FPS:
+            break
+        take = resample_positions(cache.sequence_positions(index), cache.exact_fps(index), Fraction(GRID_FPS))
+        if len(take) > 1:
+            takes.append(take)
+            frames += len(take)
+    if not takes:
+        raise UsageError(
+            f"{context.store}: detail is learnt from captures of {GRID_FPS} fps or more, and none of the "
+            f"{cache.num_sequences} takes for training is as fast"
+        )
+    return takes
+
+
+def _check(context: StageContext, config: DetailConfig) -> None:
+    """Raise what would stop a training: no take that is fast enough."""
+    _takes(context, config)
+
+
+def has_detail(run: Path) -> bool:
+    """Whether a run's stage `detail` is trained."""
+    return RunFolder(run).stage(NAME).is_complete
+
+
+def load_detail(run: Path) -> "Detail":
+    """The detail of a run; raises `RunError`, with the command that trains it, where it has none."""
+    RunFolder(run).stage(NAME).read_summary()
+    detail: Detail = lazily("motionkit.clips.detail.stage:_read")(run)
+    return detail
+
+
+def _read(run: Path) -> "Detail":
+    from motionkit.fields.detail.model import Detail
+    from motionkit.training.tensors import load_tensors, rebuilding
+
+    path = RunFolder(run).stage(NAME).model_path
+    tensors, _ = load_tensors(path)
+    arrays: Mapping[str, np.ndarray] = {name: tensor.numpy() for name, tensor in tensors.items()}
+    with rebuilding(path, NAME, tensors):
+        return Detail(**arrays)
+
+
+STAGE = Stage(
+    name=NAME,
+    order=90,
+    description="what captures hold above 10 Hz, for motionkit generate --detail",
+    recipes=dict.fromkeys(("demo", "nano", "small", "base", "paper"), DetailConfig),
+    train=train_detail,
+    in_all=False,
+    check=_check,
+)

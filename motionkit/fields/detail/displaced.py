@@ -1,0 +1,48 @@
+"""Poses whose joints are moved by a little, by turning bones: their lengths, and shapes of several bones, stay."""
+
+import numpy as np
+from jaxtyping import Float64
+
+from motionkit.core.kinematics import quaternion_between, quaternion_rotate, rotation_vector_to_quaternion
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.contact.planted import turned_rotations
+from motionkit.fields.motion_field import Poses
+
+_NO_LENGTH = 1e-9
+
+
+def displaced(poses: Poses, steps: Float64[np.ndarray, "times joints 3"], skeleton: Skeleton) -> Poses:
+    """Every joint as near to its old place and `steps` (m) as bones let it that begin where their parent now is."""
+    old = np.ascontiguousarray(poses.joint_positions.transpose(1, 0, 2), dtype=np.float64)
+    wanted = old + steps.transpose(1, 0, 2)
+    reached = wanted.copy()
+    turned: dict[int, Float64[np.ndarray, "times 4"]] = {}
+    for joint in range(skeleton.num_joints):
+        children = list(skeleton.children(joint))
+        if not children:
+            continue
+        bones, aims = old[children] - old[joint], wanted[children] - reached[joint]
+        if len(children) > 1:
+            turned[joint] = _turn(bones, aims)
+            reached[children] = reached[joint] + quaternion_rotate(turned[joint][None], bones)
+            continue
+        length, aim = (np.linalg.norm(each[0], axis=-1, keepdims=True) for each in (bones, aims))
+        reached[children[0]] = reached[joint] + aims[0] * (length / np.maximum(aim, _NO_LENGTH))
+        if poses.local_rotations is not None:
+            turned[joint] = quaternion_between(bones[0], aims[0])
+    rotations, translation = poses.local_rotations, poses.root_translation
+    if rotations is not None:
+        rotations = turned_rotations(rotations, turned, skeleton)
+    if translation is not None:
+        translation = translation + steps[:, 0].astype(np.float32)
+    return Poses(reached.transpose(1, 0, 2).astype(np.float32), rotations, translation)
+
+
+def _turn(
+    bones: Float64[np.ndarray, "bones times 3"], aims: Float64[np.ndarray, "bones times 3"]
+) -> Float64[np.ndarray, "times 4"]:
+    """The small rotation that takes bones nearest to where they are to point: least squares, linear in the angle."""
+    squares = np.einsum("bti,bti->t", bones, bones)
+    spread = (squares * (1.0 + 1e-9) + _NO_LENGTH)[:, None, None] * np.eye(3) - np.einsum("bti,btj->tij", bones, bones)
+    torque = np.cross(bones, aims).sum(axis=0)
+    return rotation_vector_to_quaternion(np.linalg.solve(spread, torque[..., None])[..., 0])

@@ -1,0 +1,186 @@
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motionkit.clips.detail.fit import fit_detail
+from motionkit.core.errors import UsageError
+from motionkit.core.kinematics import forward_kinematics
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import KIT21, SMPL22
+from motionkit.fields.detail import detailed as module
+from motionkit.fields.detail.detailed import DetailedField, detailed
+from motionkit.fields.detail.model import Detail
+from motionkit.fields.detail.slow_motion import (
+    BAND_REACH,
+    MARGIN,
+    NUM_BANDS,
+    band_motion,
+    band_power,
+    slow_motion,
+    to_body,
+    to_world,
+    with_ends,
+)
+from motionkit.fields.interpolation.interpolators import interpolate
+from motionkit.fields.motion_field import to_motion
+from motionkit.fields.resample import resample_positions
+from tests.helpers.synthetic_capture import capture
+
+NATIVE = Fraction(120)
+FOOT = 10
+STILL_METRES, MOVING_METRES = 0.0005, 0.004
+
+
+def shaken(motion: Motion, seed: int) -> Motion:
+    """A capture whose joints tremble by 0.5 mm, and eight times as much while they move at 0.5 m/s or more."""
+    speed = np.linalg.norm(np.gradient(motion.joint_positions, 1 / float(motion.fps), axis=0), axis=-1)
+    strength = np.where(speed > 0.5, MOVING_METRES, STILL_METRES)[..., None]
+    noise = strength * np.random.default_rng(seed).standard_normal(motion.joint_positions.shape)
+    return replace(motion, joint_positions=(motion.joint_positions + noise).astype(np.float32), local_rotations=None)
+
+
+@pytest.fixture(scope="module")
+def learnt() -> Detail:
+    takes = [shaken(capture(NATIVE, action, 10.0, seed=n), n) for n, action in enumerate(("walk", "jog", "walk"))]
+    return fit_detail([take.joint_positions for take in takes])
+
+
+@pytest.fixture(scope="module")
+def smooth() -> Motion:
+    motion = capture(NATIVE, "walk", 8.0, seed=7)
+    return replace(motion, local_rotations=None, root_translation=None)
+
+
+def field_of(motion: Motion, detail: Detail, number: int = 0) -> DetailedField:
+    return detailed(
+        interpolate(motion, "slerp" if motion.local_rotations is not None else "cubic"), detail, seed=3, number=number
+    )
+
+
+def test_detail_is_as_strong_as_captures_are_in_such_moments(learnt: Detail, smooth: Motion) -> None:
+    steps = field_of(smooth, learnt).displacements.at(0, smooth.num_frames).reshape(-1, 22, 3)
+    speed = np.linalg.norm(np.gradient(smooth.joint_positions[:, FOOT], 1 / 120, axis=0), axis=-1)
+    fast, still = (np.sqrt(np.square(steps[mask, FOOT]).sum(-1).mean()) for mask in (speed > 0.8, speed < 0.1))
+    # What lies above 10 Hz of white noise at 120 fps is five sixths of its power.
+    assert fast == pytest.approx(MOVING_METRES * np.sqrt(3 * 5 / 6), rel=0.3)
+    assert still < fast / 3
+
+
+def test_bands_are_all_that_lies_above_the_lowest_edge() -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((1200, 2))
+    inner = noise[BAND_REACH:-BAND_REACH]
+    times = np.arange(1200) / 120
+    slow, fast = (np.sin(2 * np.pi * hz * times)[:, None] for hz in (4.0, 24.0))
+    assert np.abs(band_motion(slow)).max() < 0.01
+    assert np.abs(band_motion(fast).sum(axis=0) - fast[BAND_REACH:-BAND_REACH]).max() < 0.01
+    assert band_motion(fast)[2].std() > 10 * band_motion(fast)[[0, 4]].std(axis=(1, 2)).max()
+    assert band_motion(noise).sum(axis=0).shape == inner.shape
+
+
+def test_the_state_is_the_same_wherever_the_body_stands_and_faces(smooth: Motion) -> None:
+    positions = with_ends(smooth.joint_positions, MARGIN, MARGIN)
+    turn = np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 0.6]])
+    here, there = slow_motion(positions), slow_motion(positions @ turn.T + [3.0, 0.4, -2.0])
+    np.testing.assert_allclose(here.features, there.features, atol=1e-6)
+    vectors = np.random.default_rng(0).standard_normal((len(here.facing), 22, 3))
+    np.testing.assert_allclose(to_body(vectors, here.facing), to_body(vectors @ turn.T, there.facing), atol=1e-6)
+    np.testing.assert_allclose(to_world(to_body(vectors, here.facing), here.facing), vectors, atol=1e-12)
+
+
+@settings(max_examples=8, deadline=None)
+@given(slow=st.sampled_from([24, 30, 40]), faster=st.sampled_from([2, 3]))
+def test_a_framerate_is_a_faster_one_low_passed(learnt: Detail, smooth: Motion, slow: int, faster: int) -> None:
+    field, rates = field_of(smooth, learnt), (Fraction(slow), Fraction(slow * faster))
+    few, many = (field.at_fps(fps).steps(np.arange(int(7 * fps)) / float(fps)) for fps in rates)
+    filtered = resample_positions(many, rates[1], rates[0])
+    inner = slice(slow, len(few) - slow)
+    assert few.std() > 1e-4
+    assert np.abs(filtered - few)[inner].max() < 0.03 * few.std()
+
+
+@pytest.mark.parametrize("fps", [30, 60, 100])
+def test_nothing_lies_above_half_the_framerate(learnt: Detail, smooth: Motion, fps: int) -> None:
+    times = np.arange(1600) / 240.0
+    steps = field_of(smooth, learnt).at_fps(Fraction(fps)).steps(times)[:, FOOT, 1]
+    power = np.square(np.abs(np.fft.rfft(steps * np.hanning(len(steps)))))
+    hz = np.fft.rfftfreq(len(steps), 1 / 240)
+    assert power[hz > fps / 2].sum() < 1e-5 * power.sum()
+    assert power[(hz > 0.7 * fps / 2) & (hz < 0.8 * fps / 2)].sum() > 1e-3 * power.sum()
+
+
+def test_what_20_fps_hold_is_left_alone(learnt: Detail, smooth: Motion) -> None:
+    field = field_of(smooth, learnt)
+    plain = to_motion(field.field, Fraction(20)).joint_positions
+    np.testing.assert_array_equal(to_motion(field, Fraction(20)).joint_positions, plain)
+
+
+def test_any_instants_in_any_order_whatever_the_blocks(
+    learnt: Detail, smooth: Motion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(1)
+    times = np.sort(rng.uniform(0, smooth.timegrid.seconds()[-1], 300))
+    order = rng.permutation(len(times))
+    whole = field_of(smooth, learnt).query(times).joint_positions
+    np.testing.assert_array_equal(field_of(smooth, learnt).query(times[order]).joint_positions, whole[order])
+    monkeypatch.setattr(module, "BLOCK", 211)
+    np.testing.assert_allclose(field_of(smooth, learnt).query(times).joint_positions, whole, atol=2e-6)
+
+
+def test_a_motion_number_is_a_motion(learnt: Detail, smooth: Motion) -> None:
+    first, again, second = (
+        field_of(smooth, learnt, number).displacements.at(0, smooth.num_frames) for number in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert abs(np.corrcoef(first[:, 31], second[:, 31])[0, 1]) < 0.2
+
+
+@pytest.mark.parametrize("rotations", [True, False])
+def test_bones_keep_their_length(learnt: Detail, rotations: bool) -> None:
+    motion = capture(NATIVE, "walk", 3.0)
+    if not rotations:
+        motion = replace(motion, local_rotations=None, root_translation=None)
+    field = field_of(motion, learnt)
+    before, after = (to_motion(each, Fraction(90)) for each in (field.field, field))
+    parents = list(SMPL22.parents[1:])
+    lengths = [
+        np.linalg.norm(each.joint_positions[:, 1:] - each.joint_positions[:, parents], axis=-1)
+        for each in (before, after)
+    ]
+    np.testing.assert_allclose(*lengths, atol=2e-6)
+    moved = np.linalg.norm(after.joint_positions - before.joint_positions, axis=-1)
+    assert 5e-4 < moved.mean() < 0.01
+    if rotations:
+        assert after.local_rotations is not None and after.root_translation is not None
+        rotations_in_full, root = (each.astype(np.float64) for each in (after.local_rotations, after.root_translation))
+        shown = forward_kinematics(rotations_in_full, root, motion.skeleton)
+        np.testing.assert_allclose(shown, after.joint_positions, atol=2e-5)
+
+
+def test_what_a_capture_has_already_is_not_added_again(learnt: Detail, smooth: Motion) -> None:
+    real = shaken(smooth, 5)
+    steps = [field_of(each, learnt).displacements.at(0, each.num_frames) for each in (smooth, real)]
+    assert np.square(steps[1]).mean() < 0.35 * np.square(steps[0]).mean()
+    power = band_power(with_ends(real.joint_positions, MARGIN, MARGIN))
+    assert power.shape == (real.num_frames, NUM_BANDS, 22)
+
+
+def test_a_motion_of_one_pose_and_other_joints(learnt: Detail, smooth: Motion) -> None:
+    still = field_of(smooth.frames(0, 1), learnt)
+    assert still.query(np.array([still.start_seconds])).joint_positions.shape == (1, 22, 3)
+    other = Motion.from_joints(np.zeros((3, 21, 3), np.float32), 60, KIT21)
+    with pytest.raises(UsageError, match="detail is known for the joints of smpl22, the motion has those of 'kit21'"):
+        detailed(interpolate(other, "cubic"), learnt, seed=0)
+
+
+def test_numbers_that_are_no_detail(learnt: Detail) -> None:
+    with pytest.raises(ValueError, match=r"mixing is \(2, 66, 66\)"):
+        replace(learnt, mixing=learnt.mixing[:2])
+    with pytest.raises(ValueError, match="not finite"):
+        replace(learnt, centre=learnt.centre * np.nan)
+    with pytest.raises(ValueError, match="one take"):
+        fit_detail([])
