@@ -1,6 +1,5 @@
 """A motion with what captures hold above 10 Hz: a motion field on a motion field."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -17,7 +16,7 @@ from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_time
 from motionkit.fields.resample import kernel, kernel_shape
 
 BLOCK = 30 * GRID_FPS
-BLOCKS_KEPT = 3
+BLOCKS_KEPT = 4
 TIMES_AT_ONCE = 4096
 
 
@@ -44,14 +43,11 @@ class Displacements:
         for number in range(max(0, start) // BLOCK, (min(stop, self.count) - 1) // BLOCK + 1):
             first = max(start, number * BLOCK)
             last = min(stop, self.count, (number + 1) * BLOCK)
-            found[first - start : last - start] = self._block(number)[first - number * BLOCK : last - number * BLOCK]
+            found[first - start : last - start] = _block(self, number)[first - number * BLOCK : last - number * BLOCK]
         return found
 
-    @cached_property
-    def _block(self) -> Callable[[int], Float64[np.ndarray, "instants coordinates"]]:
-        return lru_cache(BLOCKS_KEPT)(self._made)
-
-    def _made(self, number: int) -> Float64[np.ndarray, "instants coordinates"]:
+    def block(self, number: int) -> Float64[np.ndarray, "instants coordinates"]:
+        """Displacements of block `number`, worked out."""
         start, stop = number * BLOCK, min(self.count, (number + 1) * BLOCK)
         first, last = max(0, start - MARGIN), min(self.count, stop + MARGIN)
         times = self.field.start_seconds + np.arange(first, last) / GRID_FPS
@@ -63,6 +59,12 @@ class Displacements:
         noise = self.detail.noise(self.seeds, start, stop)
         made = np.einsum("tbj,btjx->tjx", strength, noise)
         return to_world(made, slow.facing).reshape(stop - start, -1)
+
+
+@lru_cache(BLOCKS_KEPT)
+def _block(displacements: Displacements, number: int) -> Float64[np.ndarray, "instants coordinates"]:
+    """The last blocks that were worked out, of all motions: thousands of them may be alive at once."""
+    return displacements.block(number)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,10 @@ from eval.clip_fid import features
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.report.results import Block, Result
 from eval.sample_folder import SampleOptions
+from eval.sets.planted import DETAILED, DETAILED_NOTE, PLANTED
 from eval.tables.nerm import clip_fid_column, copies, table2
 from eval.tables.registry import find_table, installed_tables
+from motionkit.clips.detail.fit import fit_detail
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
@@ -20,6 +22,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
+from tests.helpers.synthetic_capture import capture
 from tests.helpers.table_request import table_request
 
 FPS = (Fraction(20), Fraction(60))
@@ -169,3 +172,19 @@ def test_the_registry_knows_the_table() -> None:
     assert find_table("nerm", "2") is table2.TABLE
     with pytest.raises(UsageError, match="no table 2 of 'nobody'"):
         find_table("nobody", "2")
+
+
+@pytest.mark.usefixtures("without_copies")
+def test_a_run_that_has_learnt_detail_has_a_row_with_it(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install_models(monkeypatch, lambda run: ScriptedModel(truth))
+    learnt = fit_detail([capture(Fraction(120), seconds=3.0, noise=0.002).joint_positions])
+    monkeypatch.setattr("eval.tables.models.has_detail", lambda run: run.name == "run")
+    monkeypatch.setattr("eval.tables.models.load_detail", lambda run: learnt)
+    result = build(store, tmp_path, run=trained_run(tmp_path / "run"))
+    rows, (standing, fine) = rows_of(result), (PLANTED.format(NERM), DETAILED.format(NERM))
+    assert rows[fine]["20 fps"] == pytest.approx(rows[standing]["20 fps"])
+    assert rows[fine]["60 fps"] != pytest.approx(rows[standing]["60 fps"])
+    assert DETAILED_NOTE in next(row for row in result.blocks[0].rows if row.name == fine).note
+    assert fine not in rows_of(build(store, tmp_path, run=trained_run(tmp_path / "other")))
