@@ -3,7 +3,7 @@
     python -m benchmarks.fields.detail TRAINING [TESTED] [--run RUN] [--fps 60 120] [--json]
 
 Detail is learnt from TRAINING's training takes. Of the test takes of TESTED (by default TRAINING's) what lies above
-10 Hz is filtered out; scored by clip-FID/2 and kinematic/1 against the takes themselves, on descriptors of TESTED's
+10 Hz is filtered out; scored by clip-FID/2 and kinematic/1 against the takes themselves, on descriptors of the same
 training takes, are: that; with detail; with noise as strong on average, joint by joint and band by band, that does not
 follow the motion; with what another take has above 10 Hz; and the takes themselves with detail. With a run, its planted
 motions, the same with detail, with the noise, and with detail first and planted then; and physical figures at 120 fps.
@@ -250,7 +250,7 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
     """All figures."""
     learning = real_motion(Store.open(options.training), "train")
     tested = Store.open(options.tested or options.training)
-    real, train = real_motion(tested, "test"), real_motion(tested, "train")
+    real = real_motion(tested, options.split)
     begun = time.process_time()
     taught = fast_takes(learning)
     detail = fit_detail(taught)
@@ -259,7 +259,7 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
     takes = fast_takes(real)
     fields = None if options.run is None else generated(options.run, real.at(GRID), detail)
     for fps in options.fps:
-        reference, fitted = real.at(fps), train.at(fps)
+        reference, fitted = real.at(fps), learning.at(fps)
         known = {name: n for n, name in enumerate(reference.sequence_ids)}
         fast = [name for name, own in zip(real.sequence_ids, real.fps, strict=True) if own >= GRID]
         reference = reference.select([known[name] for name in fast])
@@ -279,13 +279,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("training", type=Path)
     parser.add_argument("tested", type=Path, nargs="?")
+    parser.add_argument("--split", default="test", help="of TESTED; all for every take")
     parser.add_argument("--run", type=Path)
     parser.add_argument("--fps", type=Fraction, nargs="+", default=[Fraction(rate) for rate in RATES])
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     figures = measured(options)
     if options.json:
-        print(json.dumps({**figures, "provenance": provenance(options.training)}, indent=1, default=str))
+        runs = [] if options.run is None else [options.run]
+        origin = {
+            **provenance(options.training, runs),
+            "tested": provenance(options.tested or options.training)["store"],
+        }
+        print(json.dumps({**figures, "provenance": origin}, indent=1))
         return
     for title, part in figures.items():
         print(f"\n{title}\n" if isinstance(part, dict) else f"{title}: {part:.3g}")
