@@ -56,15 +56,17 @@ def train_loop(
     ranks: Ranks = ALONE,
     on_progress: OnProgress = ignore,
 ) -> dict[str, float]:
-    """Train to `steps`, from the folder's checkpoint where there is one; returns the last logged figures.
+    """Train to `steps`, from the folder's checkpoint where there is one.
+
+    Returns the last logged figures, and `cpu_seconds`: what the processor spent, sessions before this one included.
 
     Figures are means over the steps since the last line of metrics.jsonl. Ctrl-C or SIGTERM ends the current step,
     saves a checkpoint and raises `KeyboardInterrupt`. Raises `RunError` where a loss is not finite (the last checkpoint
     stays), `CheckpointError` where the checkpoint is of something else, and `DamagedFileError` where it or the log is
     damaged. Only the first rank writes, and only it knows the figures.
     """
-    purpose = folder.path.name
-    first, figures = _restore(trainable, folder, ranks)
+    purpose, spent = folder.path.name, time.process_time()
+    first, figures, before = _restore(trainable, folder, ranks)
     latest = (folder.read_metrics() or [{}])[-1]
     saved = time.perf_counter()
     started = saved - latest.get("seconds", 0.0)
@@ -84,12 +86,12 @@ def train_loop(
             if log and ranks.is_first:
                 folder.append_metrics(latest)
             if save:
-                _save(trainable, folder, ranks, done, figures)
+                _save(trainable, folder, ranks, done, figures, before + time.process_time() - spent)
                 saved = time.perf_counter()
             if stop:
                 raise KeyboardInterrupt
             work.advance()
-    return latest
+    return latest | {"cpu_seconds": round(before + time.process_time() - spent, 1)}
 
 
 class _Figures:
@@ -126,7 +128,9 @@ class _Figures:
         return {name: float(total) / (done - self.since) for name, total in self.sums.items()}
 
 
-def _save(trainable: Trainable, folder: StageFolder, ranks: Ranks, done: int, figures: _Figures) -> None:
+def _save(
+    trainable: Trainable, folder: StageFolder, ranks: Ranks, done: int, figures: _Figures, cpu_seconds: float
+) -> None:
     tensors = prefixed("state", trainable.state_tensors()) | prefixed("sums", figures.sums)
     if ranks.is_first:
         description = {
@@ -134,16 +138,20 @@ def _save(trainable: Trainable, folder: StageFolder, ranks: Ranks, done: int, fi
             "stage": folder.path.name,
             "logged": figures.since,
             "metrics": folder.metrics.extent(),
+            "cpu_seconds": round(cpu_seconds, 1),
         }
         save_tensors(folder.checkpoint_path, tensors, description)
 
 
-def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[int, _Figures]:
-    """Go back to the checkpoint, where there is one; returns its step and the figures since the last logged one."""
+def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[int, _Figures, float]:
+    """Go back to the checkpoint, where there is one.
+
+    Returns its step, the figures since the last logged one, and the processor seconds that were spent until then.
+    """
     path = folder.checkpoint_path
     if not path.is_file():
         ranks.on_first(lambda: folder.metrics.cut(NOTHING_LOGGED))
-        return 0, _Figures({}, since=0)
+        return 0, _Figures({}, since=0), 0.0
     mend = "train the stage again with --overwrite"
     tensors, description = load_tensors(path)
     if description.get("stage") != folder.path.name:
@@ -156,7 +164,8 @@ def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[i
         raise CheckpointError(f"{fault}: {mend}") from None
     logged_until = description.get("metrics") or folder.metrics.extent_until(step)
     ranks.on_first(lambda: folder.metrics.cut(logged_until))
-    return step, _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)
+    figures = _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)
+    return step, figures, float(description.get("cpu_seconds", 0.0))
 
 
 @contextmanager

@@ -1,6 +1,5 @@
 """A trained denoiser, and sampling latents with it."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,7 +18,6 @@ from motionkit.training.diffusion.process import (
     sample_ddpm,
     sampling_steps,
 )
-from motionkit.training.diffusion.settings import SAMPLERS
 from motionkit.training.run import RunFolder
 from motionkit.training.schedule import seeded_initialisation, step_generator
 from motionkit.training.tensors import load_tensors, prefixed, rebuilding, save_tensors, unprefixed
@@ -84,20 +82,7 @@ class TrainedDenoiser:
 
     def with_sampling(self, sampling: SamplingOptions) -> DenoiserConfig:
         """The configuration with what was asked for in place of its own; raises `UsageError` for what cannot be."""
-        own = self.config.diffusion
-        steps = own.sampling_steps if sampling.steps is None else sampling.steps
-        if not 1 <= steps <= own.num_steps:
-            raise UsageError(f"{steps} sampling steps: this model's diffusion has 1 … {own.num_steps}")
-        if sampling.sampler not in (None, *SAMPLERS):
-            raise UsageError(f"no sampler is called {sampling.sampler!r}; there are {', '.join(SAMPLERS)}")
-        guidance_scale = own.guidance_scale if sampling.guidance_scale is None else sampling.guidance_scale
-        if not math.isfinite(guidance_scale):
-            raise UsageError(
-                f"a guidance scale is a finite number (1 follows the condition as the data does), not {guidance_scale}"
-            )
-        diffusion = replace(
-            own, sampler=sampling.sampler or own.sampler, sampling_steps=steps, guidance_scale=guidance_scale
-        )
+        diffusion = self.config.diffusion.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
         return replace(self.config, diffusion=diffusion)
 
     @torch.inference_mode()

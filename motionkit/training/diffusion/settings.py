@@ -1,7 +1,10 @@
 """Settings of a diffusion process (no torch)."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
+
+from motionkit.core.errors import UsageError
 
 NoiseSchedule = Literal["scaled_linear", "cosine"]
 Prediction = Literal["noise", "latent", "velocity"]
@@ -40,3 +43,18 @@ class DiffusionConfig:
             raise ValueError(f"betas must rise inside (0, 1), not from {self.beta_start} to {self.beta_end}")
         if not 1 <= self.sampling_steps <= self.num_steps:
             raise ValueError(f"sampling_steps must lie in 1 … {self.num_steps}, not {self.sampling_steps}")
+
+    def adjusted(self, sampler: str | None, steps: int | None, guidance_scale: float | None) -> "DiffusionConfig":
+        """These settings, sampled otherwise (None: as they are); raises `UsageError` for what cannot be."""
+        steps = self.sampling_steps if steps is None else steps
+        if not 1 <= steps <= self.num_steps:
+            raise UsageError(f"{steps} sampling steps: this model's diffusion has 1 … {self.num_steps}")
+        chosen = next((each for each in SAMPLERS if each == (sampler or self.sampler)), None)
+        if chosen is None:
+            raise UsageError(f"no sampler is called {sampler!r}; there are {', '.join(SAMPLERS)}")
+        scale = self.guidance_scale if guidance_scale is None else guidance_scale
+        if not math.isfinite(scale):
+            raise UsageError(
+                f"a guidance scale is a finite number (1 follows the condition as the data does), not {scale}"
+            )
+        return replace(self, sampler=chosen, sampling_steps=steps, guidance_scale=scale)

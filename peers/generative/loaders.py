@@ -1,0 +1,17 @@
+"""The generative peers as models, registered under `motionkit.models`; imports nothing heavy."""
+
+from functools import partial
+
+from motionkit.generate.models import ModelLoader
+from motionkit.training.stage import lazily
+from peers.generative import recipes
+from peers.generative.recipes import GenerativePeer
+
+
+def _loader(peer: GenerativePeer) -> ModelLoader:
+    stages = tuple(stage.name for stage in peer.stages)
+    load = partial(lazily("peers.generative.model:load"), peer)
+    return ModelLoader(peer.title, stages, load, order=peer.stages[-1].order)
+
+
+MDM, MDM_50, MLD = map(_loader, (recipes.MDM, recipes.MDM_50, recipes.MLD))

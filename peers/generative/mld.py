@@ -1,0 +1,134 @@
+"""MLD (Chen et al. 2023; ChenFengYe/motion-latent-diffusion, mld/models): diffusion of one latent of a motion's VAE."""
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor, nn
+from torch.nn.functional import smooth_l1_loss
+
+from motionkit.training.diffusion.settings import DiffusionConfig
+from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted, frames_within
+from peers.generative.layers import LongSkips, among, decoder_layer, diffusion_loss, diffusion_sample, encoder_layer
+from peers.generative.settings import MldNetworkConfig, MldVaeNetworkConfig
+
+VAE = "mld-vae"
+
+
+class MldVae(nn.Module):
+    """Frames → N(μ, σ²) of one latent → frames, by transformers with long skips."""
+
+    def __init__(
+        self, config: MldVaeNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
+    ) -> None:
+        super().__init__()
+        width = config.transformer.width
+        self.config, self.space, self.width = config, space, width
+        self.frame_in = nn.Linear(space.num_numbers, width)
+        self.distribution = nn.Parameter(torch.randn(2, width))
+        self.encoder_positions = nn.Parameter(torch.rand(config.longest, width))
+        self.decoder_positions = nn.Parameter(torch.rand(config.longest, width))
+        self.encoder = LongSkips(config.transformer, encoder_layer)
+        self.decoder = LongSkips(config.transformer, decoder_layer)
+        self.frame_out = nn.Linear(width, space.num_numbers)
+
+    def encode(
+        self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
+    ) -> tuple[Float[Tensor, "batch width"], Float[Tensor, "batch width"]]:
+        """μ and log σ²."""
+        tokens = torch.cat((self.distribution.expand(len(rows), -1, -1), self.frame_in(rows)), dim=1)
+        hidden = ~frames_within(lengths + 2, tokens.shape[1])
+        tokens = self.encoder(tokens + self.encoder_positions[: tokens.shape[1]], among(hidden))
+        return tokens[:, 0], tokens[:, 1]
+
+    def decode(
+        self, latents: Float[Tensor, "batch width"], seen: Bool[Tensor, "batch frames"]
+    ) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows, zeros where none is seen."""
+        memory, hidden = latents[:, None], ~seen
+        queries = self.decoder_positions[: seen.shape[1]].expand(len(latents), -1, -1)
+        tokens = self.decoder(queries, lambda layer, tokens: layer(tokens, memory, tgt_key_padding_mask=hidden))
+        rows: Tensor = self.frame_out(tokens) * seen[..., None]
+        return rows
+
+    def draw(
+        self,
+        mean: Float[Tensor, "batch width"],
+        log_variance: Float[Tensor, "batch width"],
+        generator: torch.Generator,
+    ) -> Float[Tensor, "batch width"]:
+        """z ~ N(μ, σ²)."""
+        noise = torch.randn(mean.shape, generator=generator).to(mean.device)
+        return mean + (0.5 * log_variance).exp() * noise
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """Smooth L1 of the numbers and of the joints, over the frames there are, and KL, each a mean over numbers."""
+        mean, log_variance = self.encode(batch.rows, batch.lengths)
+        made = self.decode(self.draw(mean, log_variance, generator), batch.seen)
+        features = smooth_l1_loss(made[batch.seen], batch.rows[batch.seen])
+        joints = smooth_l1_loss(self.space.joints(made)[batch.seen], self.space.joints(batch.rows)[batch.seen])
+        kl = 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).mean()
+        loss = features + self.config.joint_weight * joints + self.config.kl_weight * kl
+        return {"loss": loss, "features": features, "joints": joints, "kl": kl}
+
+
+class Mld(nn.Module):
+    """The noise of a latent, from an encoder with long skips over the tokens [latent, time, condition]."""
+
+    def __init__(
+        self, config: MldNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
+    ) -> None:
+        super().__init__()
+        vae = earlier[VAE]
+        assert isinstance(vae, MldVae)
+        width = config.transformer.width
+        if vae.width != width:
+            raise ValueError(f"the VAE's latent has {vae.width} numbers, the denoiser's tokens {width}")
+        self.config, self.diffusion, self.width = config, config.diffusion, width
+        self._vae = (vae,)  # frozen, and saved with its own stage
+        self.step_in = nn.Sequential(nn.Linear(config.time_features, width), nn.SiLU(), nn.Linear(width, width))
+        self.text_in = (
+            nn.Sequential(nn.ReLU(), nn.Linear(sizes.text_dimension, width)) if sizes.text_dimension else None
+        )
+        self.actions = nn.Embedding(len(sizes.actions), width) if sizes.actions else None
+        has_condition = self.text_in is not None or self.actions is not None
+        self.positions = nn.Parameter(torch.rand(3 if has_condition else 2, width))
+        self.layers = LongSkips(config.transformer, encoder_layer)
+
+    @property
+    def vae(self) -> MldVae:
+        """What makes latents of motions, and motions of latents."""
+        return self._vae[0]
+
+    def forward(
+        self, noisy: Float[Tensor, "batch 1 width"], steps: Int64[Tensor, "batch"], conditions: Conditions
+    ) -> Float[Tensor, "batch 1 width"]:
+        """ε of a noisy latent."""
+        tokens = [noisy, self.step_in(step_features(steps, self.config.time_features))[:, None]]
+        if self.text_in is not None:
+            tokens.append(self.text_in(conditions.text)[:, None])
+        if self.actions is not None:
+            known = (conditions.action >= 0)[:, None]
+            tokens.append((self.actions(conditions.action.clamp(min=0)) * known)[:, None])
+        made: Tensor = self.layers(torch.cat(tokens, dim=1) + self.positions, among(None))
+        return made[:, :1]
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """The squared error of ε, of latents drawn anew at every step."""
+        with torch.no_grad():
+            latents = self.vae.draw(*self.vae.encode(batch.rows, batch.lengths), generator)[:, None]
+        every = torch.ones(latents.shape[:2], dtype=torch.bool, device=latents.device)
+        return {"loss": diffusion_loss(self, latents, every, batch.conditions, self.diffusion, generator)}
+
+    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows."""
+        latents = diffusion_sample(self, wanted, lambda: wanted.noise(1, self.width), diffusion)
+        seen = frames_within(wanted.lengths, wanted.frames).to(wanted.device)
+        return self.vae.decode(latents[:, 0].to(wanted.device, torch.float32), seen)
+
+
+def step_features(steps: Int64[Tensor, "batch"], width: int) -> Float[Tensor, "batch width"]:
+    """cos, then sin of a step, wavelengths from 2π to 20,000π (diffusers' `Timesteps` with `flip_sin_to_cos`)."""
+    exponents = torch.arange(width // 2, device=steps.device) / (width // 2)
+    angles = steps[:, None].to(torch.float32) * 10_000.0 ** (-exponents)
+    return torch.cat((angles.cos(), angles.sin()), dim=1)

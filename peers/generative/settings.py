@@ -1,0 +1,161 @@
+"""Settings of generative peers: what is common to all, and sizes of the networks; imports nothing heavy.
+
+Defaults of the sizes are the published ones.
+"""
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Literal, Protocol, runtime_checkable
+
+from motionkit.clips.pose_vectors import PoseVectorsName
+from motionkit.core.framerate import parse_fps
+from motionkit.training.config import ConfigLike, Precision, Schedule, require_positive
+from motionkit.training.diffusion.settings import DiffusionConfig
+
+
+@dataclass(frozen=True)
+class MotionsConfig:
+    """What is learnt: pose vectors of random crops at `fps`, of `max_frames` at most.
+
+    Crops lie in windows that begin every `stride_seconds` of a sequence and last `min_seconds` at least; as HumanML3D's
+    readers do, their lengths are whole multiples of `crop_multiple` frames, in one of three cases one multiple less
+    than would fit.
+    """
+
+    pose_vectors: PoseVectorsName = "native"
+    fps: float = 20.0
+    max_frames: int = 196
+    min_seconds: float = 2.0
+    stride_seconds: float = 2.0
+    mirrored: bool = True
+    crop_multiple: int = 4
+    where: str = "split = 'train'"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "fps", "min_seconds", "stride_seconds", "crop_multiple")
+        if self.max_frames < 2:
+            raise ValueError(f"max_frames must be 2 or more, not {self.max_frames}")
+
+    @property
+    def framerate(self) -> Fraction:
+        """`fps` as an exact fraction."""
+        return parse_fps(self.fps)
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """From the first to the last of `max_frames`."""
+        return float((self.max_frames - 1) / self.framerate)
+
+
+@dataclass(frozen=True)
+class ConditionsConfig:
+    """What motions are conditioned on; with probability `drop` nothing, so that guidance has what it needs.
+
+    `nothing` says what a text is replaced by: zeros in place of its embedding, or the embedding of the empty text.
+    `scaled` brings embeddings of length 1 to a root mean square of 1, which CLIP's own are nearer to.
+    """
+
+    kind: Literal["text", "action", "none"] = "text"
+    text_encoder: str = "clip"
+    drop: float = 0.1
+    nothing: Literal["zeros", "empty"] = "zeros"
+    scaled: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.drop < 1.0:
+            raise ValueError(f"drop must lie in [0, 1), not {self.drop}")
+
+
+@dataclass(frozen=True)
+class OptimizerConfig:
+    """AdamW; `ema_decay` above 0 keeps an average of the weights, which is what generates."""
+
+    weight_decay: float = 0.0
+    ema_decay: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.ema_decay < 1.0:
+            raise ValueError(f"ema_decay must lie in [0, 1), not {self.ema_decay}")
+
+
+@runtime_checkable
+class PeerConfig(ConfigLike, Protocol):
+    """A stage's configuration; its part `network` is the peer's own."""
+
+    @property
+    def motions(self) -> MotionsConfig:
+        """What is learnt."""
+        ...
+
+    @property
+    def conditions(self) -> ConditionsConfig:
+        """Under which conditions."""
+        ...
+
+    @property
+    def schedule(self) -> Schedule:
+        """How long."""
+        ...
+
+    @property
+    def optimizer(self) -> OptimizerConfig:
+        """By which steps."""
+        ...
+
+    @property
+    def precision(self) -> Precision:
+        """In which number format."""
+        ...
+
+
+@dataclass(frozen=True)
+class TransformerSizes:
+    """Layers of torch's kind: post-norm, GELU."""
+
+    layers: int
+    width: int
+    heads: int
+    inner: int
+    dropout: float = 0.1
+
+
+@dataclass(frozen=True)
+class MdmNetworkConfig:
+    """MDM: a transformer encoder over frames behind one token of time and condition, which predicts the clean motion.
+
+    1,000 steps as published first, all of them sampled; `mdm-50` is the separately trained one of 50.
+    """
+
+    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 512, 4, 1024))
+    diffusion: DiffusionConfig = field(
+        default_factory=lambda: DiffusionConfig(
+            schedule="cosine",
+            prediction="latent",
+            loss="latent",
+            sampler="ddpm",
+            sampling_steps=1000,
+            guidance_scale=2.5,
+        )
+    )
+
+
+@dataclass(frozen=True)
+class MldVaeNetworkConfig:
+    """MLD's VAE: transformers with long skips to one latent of the transformer's width and back.
+
+    `longest` is how many learned positions there are.
+    """
+
+    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(9, 256, 4, 1024))
+    longest: int = 500
+    joint_weight: float = 1.0
+    kl_weight: float = 1e-4
+
+
+@dataclass(frozen=True)
+class MldNetworkConfig:
+    """MLD's denoiser over the tokens latent, time and condition; `time_features` are the sinusoids of a step."""
+
+    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(9, 256, 4, 1024))
+    time_features: int = 768
+    diffusion: DiffusionConfig = field(default_factory=lambda: DiffusionConfig(sampling_spacing="leading"))

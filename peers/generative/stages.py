@@ -1,0 +1,24 @@
+"""The generative peers as trainable stages, registered under `motionkit.stages`; imports nothing heavy."""
+
+from functools import partial
+from typing import Any
+
+from motionkit.training.stage import Stage, lazily
+from peers.generative.recipes import PEERS, GenerativePeer, PeerStage
+
+
+def _stage(peer: GenerativePeer, stage: PeerStage) -> Stage[Any]:
+    return Stage(
+        stage.name,
+        stage.order,
+        stage.description,
+        stage.configs,
+        partial(lazily("peers.generative.training:train_stage"), peer, stage),
+        in_all=False,
+        check=lazily("peers.generative.training:check_stage"),
+        builds_on=lambda config: stage.builds_on,
+    )
+
+
+STAGES = {stage.name: _stage(peer, stage) for peer in PEERS for stage in peer.stages}
+MDM, MDM_50, MLD_VAE, MLD = (STAGES[name] for name in ("mdm", "mdm-50", "mld-vae", "mld"))

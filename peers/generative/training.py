@@ -1,0 +1,231 @@
+"""Training of a generative peer's network on motionkit's loop, and what it leaves in its stage's folder."""
+
+import dataclasses
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float, Float64
+from torch import Tensor, nn
+
+from motionkit.clips.pose_vectors.convention import VectorScaling, described, restored
+from motionkit.training.config import Schedule, from_plain, to_plain
+from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.loop import train_loop
+from motionkit.training.precision import autocast, float32_products, resolve_device, with_precision_of
+from motionkit.training.run import RunError, RunFolder
+from motionkit.training.schedule import WeightAverage, dropout_from, seeded_initialisation, set_rate
+from motionkit.training.stage import StageContext
+from motionkit.training.tensors import (
+    CheckpointError,
+    load_tensors,
+    load_training_tensors,
+    prefixed,
+    rebuilding,
+    save_tensors,
+    training_tensors,
+    unprefixed,
+)
+from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, Wanted
+from peers.generative.corpus import MotionCorpus, check_captioned, open_corpus, text_encoder_of
+from peers.generative.recipes import GenerativePeer, PeerStage, stage_named
+from peers.generative.settings import PeerConfig
+
+FORMAT, FORMAT_VERSION = "motionkit-generative-peer", 1
+
+
+@runtime_checkable
+class Generator(Protocol):
+    """A peer's network: an `nn.Module` made of (sizes, space, condition sizes, networks of earlier stages)."""
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """Figures of a batch, `loss` among them, which is what is made smaller; randomness from `generator` (CPU)."""
+        ...
+
+
+@runtime_checkable
+class Sampler(Protocol):
+    """A network whose motions can be sampled: that of a peer's last stage."""
+
+    @property
+    def diffusion(self) -> DiffusionConfig | None:
+        """Its diffusion's settings; None where it diffuses nothing."""
+        ...
+
+    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows of motions; what lies behind a motion's length means nothing."""
+        ...
+
+
+class PeerTraining:
+    """A `motionkit.training.loop.Trainable`: owns a network, its average and its optimiser."""
+
+    def __init__(
+        self,
+        config: PeerConfig,
+        corpus: MotionCorpus,
+        network: nn.Module,
+        *,
+        seed: int,
+        device: torch.device,
+    ) -> None:
+        self.config, self.corpus, self.device = config, corpus, device
+        self.network = network.to(device)
+        self.num_steps = config.schedule.num_steps(len(corpus))
+        self.average = WeightAverage(network, config.optimizer.ema_decay) if config.optimizer.ema_decay else None
+        self.optimizer = torch.optim.AdamW(
+            network.parameters(), lr=config.schedule.learning_rate, weight_decay=config.optimizer.weight_decay
+        )
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
+        """One optimiser step on a fresh batch."""
+        schedule: Schedule = self.config.schedule
+        set_rate(self.optimizer, schedule.factor(step, self.num_steps) * schedule.learning_rate)
+        rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
+        batch = self.corpus.batch(rows, generator, drop=self.config.conditions.drop).to(self.device)
+        assert isinstance(self.network, Generator)
+        self.network.train()
+        with dropout_from(generator, self.device), autocast(self.config.precision, self.device):
+            figures = self.network.losses(batch, generator)
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(figures["loss"])
+        self.optimizer.step()
+        if self.average is not None:
+            self.average.update(self.network, step)
+        return {name: figure.detach() for name, figure in figures.items()}
+
+    @property
+    def trained_tensors(self) -> dict[str, Tensor]:
+        """The weights that generate: averaged where an average is kept."""
+        return self.network.state_dict() if self.average is None else self.average.tensors()
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Weights, their average, the optimiser's moments."""
+        kept = {} if self.average is None else prefixed("average", self.average.tensors())
+        return training_tensors("network", self.network, self.optimizer) | kept
+
+    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Go back to the state that `state_tensors` gave."""
+        load_training_tensors("network", self.network, self.optimizer, tensors)
+        if self.average is not None:
+            self.average.load(unprefixed("average", tensors))
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedStage:
+    """A stage's network in evaluation mode, with what it was trained on; `durations` are its windows', in seconds."""
+
+    config: Any
+    network: nn.Module
+    space: PoseSpace
+    sizes: ConditionSizes
+    durations: Float64[Tensor, "windows"]
+    nothing: Float[Tensor, "text"]
+    text_fingerprint: str
+
+
+def train_stage(peer: GenerativePeer, stage: PeerStage, context: StageContext, config: Any) -> None:
+    """Train a stage of a peer on the context's store; writes RUN/STAGE/model.safetensors.
+
+    Raises `RunError` where an earlier stage of it is not trained or was trained on other numbers, and `UsageError` for
+    a store without the motions or captions that it needs.
+    """
+    started = time.perf_counter()
+    store, device = context.open_store(), resolve_device(context.device)
+    config = with_precision_of(config, device)
+    encoder = text_encoder_of(config.conditions)
+    earlier = {name: load_stage(context.run, peer, name, device) for name in stage.builds_on}
+    corpus = open_corpus(store, config, encoder)
+    corpus = dataclasses.replace(corpus, scaling=_common_scaling(corpus, config, earlier))
+    space = PoseSpace(corpus.vectors, corpus.scaling, config.motions.framerate).to(device)
+    with seeded_initialisation(context.seed, stage.name):
+        network = stage.make_network(
+            config, space, corpus.sizes, {name: each.network for name, each in earlier.items()}
+        )
+    folder = context.begin(stage.name, config, store_fingerprint=store.fingerprint, builds_on=stage.builds_on)
+    training = PeerTraining(config, corpus, network, seed=context.seed, device=device)
+    with float32_products(config.precision):
+        figures = train_loop(
+            training, folder, steps=training.num_steps, seed=context.seed, on_progress=context.on_progress
+        )
+    tensors = prefixed("network", training.trained_tensors) | {
+        "scaling.mean": corpus.scaling.mean,
+        "scaling.scale": corpus.scaling.scale,
+        "durations": torch.from_numpy(corpus.windows.duration_seconds),
+        "nothing": corpus.text[0],
+        **described(corpus.vectors),
+    }
+    description = {
+        "format": FORMAT,
+        "version": FORMAT_VERSION,
+        "stage": stage.name,
+        "config": to_plain(config),
+        "actions": list(corpus.sizes.actions),
+        "text_fingerprint": "" if encoder is None else encoder.fingerprint,
+        "store_fingerprint": store.fingerprint,
+        "builds_on": context.run.fingerprints(stage.builds_on),
+    }
+    save_tensors(folder.model_path, tensors, description)
+    facts = {
+        "steps": training.num_steps,
+        "parameters": sum(parameter.numel() for parameter in network.parameters()),
+        "fps": config.motions.fps,
+        "windows": len(corpus),
+        "captions": int(corpus.num_captions.sum()),
+        "actions": len(corpus.sizes.actions),
+    }
+    folder.finish({**figures, **facts, "wall_seconds": round(time.perf_counter() - started, 1)})
+
+
+def check_stage(context: StageContext, config: Any) -> None:
+    """Raise what would stop a training: captions or actions that the store lacks, an encoder that is absent."""
+    text_encoder_of(config.conditions)
+    check_captioned(context.open_store(), config)
+
+
+def _common_scaling(corpus: MotionCorpus, config: PeerConfig, earlier: Mapping[str, TrainedStage]) -> VectorScaling:
+    """The numbers' scale: that of the stages before, which made what this one learns."""
+    for name, stage in earlier.items():
+        if stage.config.motions != config.motions:
+            raise RunError(
+                f"{name} was trained on other motions ({stage.config.motions}, not {config.motions}): give both stages "
+                "the same settings motions.…"
+            )
+        return VectorScaling(stage.space.mean.cpu(), stage.space.scale.cpu())
+    return corpus.scaling
+
+
+def load_stage(run: RunFolder, peer: GenerativePeer, name: str, device: torch.device | None = None) -> TrainedStage:
+    """A trained stage of a peer; raises `RunError` where it or one that it builds on is not as it was trained."""
+    stage, folder = stage_named(peer, name), run.stage(name)
+    folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    found = tuple(description.get(key) for key in ("format", "version", "stage"))
+    if found != (FORMAT, FORMAT_VERSION, name):
+        raise CheckpointError(f"{folder.model_path} is {found}, expected {(FORMAT, FORMAT_VERSION, name)}")
+    if description["builds_on"] != run.fingerprints(stage.builds_on):
+        raise RunError(
+            f"{folder.model_path} was trained upon other results of {', '.join(stage.builds_on)}, which have been "
+            f"trained again since: motionkit train --stage {name} --run {run.path.name} --overwrite"
+        )
+    where = device or torch.device("cpu")
+    earlier = {each: load_stage(run, peer, each, where).network for each in stage.builds_on}
+    with rebuilding(folder.model_path, name, tensors), seeded_initialisation(0, name):
+        config = from_plain(stage.config_type, description["config"])
+        vectors = restored(config.motions.pose_vectors, tensors)
+        scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
+        space = PoseSpace(vectors, scaling, config.motions.framerate).to(where)
+        sizes = ConditionSizes(len(tensors["nothing"]), tuple(map(str, description["actions"])))
+        network = stage.make_network(config, space, sizes, earlier)
+        network.load_state_dict(unprefixed("network", tensors))
+    return TrainedStage(
+        config=config,
+        network=network.to(where).eval().requires_grad_(False),
+        space=space,
+        sizes=sizes,
+        durations=tensors["durations"],
+        nothing=tensors["nothing"],
+        text_fingerprint=str(description["text_fingerprint"]),
+    )

@@ -1,0 +1,77 @@
+"""The generative peers at a size of seconds, on four captioned motions that are known."""
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.store.writer import StoreWriter
+from motionkit.training.config import Schedule
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import StageContext
+from peers.generative.recipes import PEERS
+from peers.generative.settings import (
+    ConditionsConfig,
+    MldNetworkConfig,
+    MldVaeNetworkConfig,
+    MotionsConfig,
+    OptimizerConfig,
+    TransformerSizes,
+)
+from peers.generative.stages import STAGES
+from tests.helpers.nerm_corpus import analytic_positions
+
+STEPS = 60
+SIZES = TransformerSizes(3, 32, 2, 64, 0.0)
+MOTIONS = MotionsConfig(max_frames=60, min_seconds=1.0, stride_seconds=1.0, mirrored=False)
+ACTIONS = ConditionsConfig(kind="action")
+SCHEDULE = Schedule(steps=STEPS, batch_size=8, learning_rate=2e-3)
+NETWORKS: dict[str, Any] = {
+    "mld-vae": MldVaeNetworkConfig(SIZES, longest=80),
+    "mld": replace(MldNetworkConfig(SIZES, time_features=32)),
+}
+
+
+def tiny_config(name: str, **changed: Any) -> Any:
+    """A stage's configuration, small; parts may be given."""
+    stage = next(each for peer in PEERS for each in peer.stages if each.name == name)
+    network = NETWORKS.get(name) or replace(stage.recipes["paper"]["network"], transformer=SIZES)
+    parts = {
+        "network": network,
+        "motions": MOTIONS,
+        "conditions": ConditionsConfig(kind="none") if name == "mld-vae" else ACTIONS,
+        "schedule": SCHEDULE,
+        "optimizer": OptimizerConfig(ema_decay=0.9) if name == "mdm-50" else OptimizerConfig(),
+    }
+    return stage.config_type(**(parts | changed))
+
+
+def write_captioned_store(path: Path, motions: int = 4, seconds: int = 4) -> Path:
+    """Takes at 60 fps of other kinds each, with a caption and an action; the last one again for testing."""
+    with StoreWriter.create(path) as writer:
+        for index in range(motions + 1):
+            kind = min(index, motions - 1)
+            grid = TimeGrid(Fraction(60), 60 * seconds + 1)
+            writer.add(
+                Motion(
+                    analytic_positions(grid.seconds(), kind),
+                    SMPL22,
+                    grid,
+                    split="test" if index == motions else "train",
+                    sequence_id=f"take-{index}",
+                    action=f"kind-{kind}",
+                    captions=(Caption(f"motion of kind {kind}"),),
+                )
+            )
+    return path
+
+
+def train_peer(name: str, store: Path, run: Path, config: Any = None, *, resume: bool = False) -> None:
+    """Train one stage of a run on the CPU."""
+    context = StageContext(store, RunFolder(run), "tiny", seed=1, resume=resume, device="cpu")
+    stage, chosen = STAGES[name], config or tiny_config(name)
+    stage.check(context, chosen)
+    stage.train(context, chosen)

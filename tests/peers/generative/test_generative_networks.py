@@ -1,0 +1,185 @@
+"""Each generative network against an independent statement of it: numbers of parameters, and one pass by hand."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.clips.pose_vectors.convention import VectorScaling
+from motionkit.clips.pose_vectors.native import NativeVectors
+from motionkit.features import native
+from motionkit.training.diffusion.settings import DiffusionConfig
+from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted
+from peers.generative.layers import diffusion_sample
+from peers.generative.mdm import Mdm
+from peers.generative.mld import Mld, MldVae
+from peers.generative.recipes import MDM, MDM_50, MLD
+from peers.generative.settings import MdmNetworkConfig, MldNetworkConfig, MldVaeNetworkConfig, TransformerSizes
+from tests.helpers.nerm_corpus import analytic_positions
+from tests.peers.generative.plain_transformer import layer, linear, long_skips, part
+
+FPS = Fraction(20)
+SIZES = TransformerSizes(3, 16, 2, 24, 0.1)
+TEXTS = ConditionSizes(6, ())
+
+
+def space(numbers: int = 263) -> PoseSpace:
+    return PoseSpace(NativeVectors(), VectorScaling(torch.zeros(numbers), torch.ones(numbers)), FPS)
+
+
+def count(network: torch.nn.Module) -> int:
+    return sum(parameter.numel() for parameter in network.parameters())
+
+
+def conditions(rows: int, dimension: int = 6) -> Conditions:
+    text = torch.randn((rows, dimension), generator=torch.Generator().manual_seed(3))
+    return Conditions(text, torch.full((rows,), -1), torch.ones(rows, dtype=torch.bool))
+
+
+# A layer of width d and inner width f: four d×d maps with biases, two norms, and d×f, f×d with biases.
+def encoder_layer_size(d: int, f: int) -> int:
+    return 4 * (d * d + d) + 2 * 2 * d + (d * f + f) + (f * d + d)
+
+
+def decoder_layer_size(d: int, f: int) -> int:
+    return encoder_layer_size(d, f) + 4 * (d * d + d) + 2 * d
+
+
+def test_published_sizes_have_the_published_numbers_of_parameters() -> None:
+    """MDM's 17.9 million (its Table 1 of sizes, without CLIP); the others follow from their layers by hand."""
+    torch.manual_seed(0)
+    for peer in (MDM, MDM_50):
+        mdm = Mdm(peer.stages[0].configs["paper"]().network, space(), ConditionSizes(512, ()), {})
+        by_hand = 2 * (512 * 263) + 512 + 263 + 3 * (512 * 512 + 512) + 8 * encoder_layer_size(512, 1024)
+        assert count(mdm) == by_hand == 17_880_327
+    vae_stage, denoiser_stage = MLD.stages
+    vae = MldVae(vae_stage.configs["paper"]().network, space(), ConditionSizes(0, ()), {})
+    skips = 4 * (512 * 256 + 256) + 2 * 256
+    both = 9 * encoder_layer_size(256, 1024) + 9 * decoder_layer_size(256, 1024) + 2 * skips
+    assert count(vae) == 2 * 263 * 256 + 256 + 263 + 2 * 256 + 2 * 500 * 256 + both
+    mld = Mld(denoiser_stage.configs["paper"]().network, space(), ConditionSizes(768, ()), {"mld-vae": vae})
+    maps = 2 * (768 * 256 + 256) + (256 * 256 + 256) + 3 * 256
+    assert count(mld) == maps + 9 * encoder_layer_size(256, 1024) + skips
+
+
+def test_recipes_have_the_published_settings() -> None:
+    mdm, mdm_50 = (peer.stages[0].configs["paper"]() for peer in (MDM, MDM_50))
+    assert (mdm.schedule.steps, mdm.schedule.batch_size, mdm.schedule.learning_rate) == (600_000, 64, 1e-4)
+    assert (mdm.network.diffusion.num_steps, mdm_50.network.diffusion.num_steps) == (1000, 50)
+    assert (mdm.optimizer.ema_decay, mdm_50.optimizer.ema_decay) == (0.0, 0.9999)
+    for each in (mdm.network.diffusion, mdm_50.network.diffusion):
+        assert (each.schedule, each.prediction, each.sampler, each.guidance_scale) == ("cosine", "latent", "ddpm", 2.5)
+        assert each.sampling_steps == each.num_steps
+    assert (mdm.motions.fps, mdm.motions.max_frames, mdm.conditions.drop) == (20.0, 196, 0.1)
+    vae, mld = (stage.configs["paper"]() for stage in MLD.stages)
+    assert (vae.schedule.epochs, vae.schedule.batch_size, mld.schedule.epochs, mld.schedule.batch_size) == (
+        *(6000, 128),
+        *(2000, 64),
+    )
+    process = mld.network.diffusion
+    assert (process.num_steps, process.sampling_steps, process.sampling_spacing) == (1000, 50, "leading")
+    assert (process.schedule, process.prediction, process.guidance_scale) == ("scaled_linear", "noise", 7.5)
+    assert mld.conditions.nothing == "empty"
+
+
+def test_a_pass_of_mdm_is_the_one_by_hand() -> None:
+    torch.manual_seed(1)
+    network = Mdm(MdmNetworkConfig(SIZES), space(), TEXTS, {}).eval()
+    lengths, steps, given = torch.tensor([5, 3]), torch.tensor([7, 900]), conditions(2)
+    noisy = torch.randn(2, 5, 263)
+    found = network(noisy, steps, given, lengths)
+    weights = network.state_dict()
+    for row in range(2):
+        own = int(lengths[row])
+
+        def position(place: int) -> torch.Tensor:
+            angles = [place / 10_000 ** (2 * i / 16) for i in range(8)]
+            return torch.tensor([f(angle) for angle in angles for f in (np.sin, np.cos)], dtype=torch.float32)
+
+        time = linear(weights, "step_in.0", position(int(steps[row])))
+        first = linear(weights, "step_in.2", time * torch.sigmoid(time)) + linear(weights, "text_in", given.text[row])
+        tokens = torch.cat((first[None], linear(weights, "frame_in", noisy[row, :own])))
+        tokens = tokens + torch.stack([position(place) for place in range(own + 1)])
+        for number in range(3):
+            tokens = layer(part(weights, f"layers.layers.{number}."), tokens, heads=2)
+        expected = linear(weights, "frame_out", tokens[1:])
+        torch.testing.assert_close(found[row, :own], expected, rtol=1e-4, atol=1e-5)
+
+
+def test_a_pass_of_mlds_vae_is_the_one_by_hand() -> None:
+    torch.manual_seed(2)
+    vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), space(), ConditionSizes(0, ()), {}).eval()
+    lengths, rows = torch.tensor([6, 4]), torch.randn(2, 6, 263)
+    batch = MotionBatch(rows, lengths, conditions(2, 0), torch.arange(2))
+    mean, log_variance = vae.encode(rows, lengths)
+    made = vae.decode(mean, batch.seen)
+    weights = vae.state_dict()
+    for row in range(2):
+        own = int(lengths[row])
+        tokens = torch.cat((weights["distribution"], linear(weights, "frame_in", rows[row, :own])))
+        tokens = long_skips(part(weights, "encoder."), tokens + weights["encoder_positions"][: own + 2], 2, 3)
+        torch.testing.assert_close(torch.stack((mean[row], log_variance[row])), tokens[:2], rtol=1e-4, atol=1e-5)
+        queries = weights["decoder_positions"][:own]
+        out = long_skips(part(weights, "decoder."), queries, 2, 3, memory=tokens[:1])
+        torch.testing.assert_close(made[row, :own], linear(weights, "frame_out", out), rtol=1e-4, atol=1e-5)
+    assert not made[1, 4:].any()
+
+
+def test_a_pass_of_mlds_denoiser_is_the_one_by_hand() -> None:
+    torch.manual_seed(3)
+    vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), space(), ConditionSizes(0, ()), {})
+    network = Mld(MldNetworkConfig(SIZES, time_features=12), space(), TEXTS, {"mld-vae": vae}).eval()
+    noisy, steps, given = torch.randn(2, 1, 16), torch.tensor([3, 500]), conditions(2)
+    found = network(noisy, steps, given)
+    weights = network.state_dict()
+    assert not [name for name in weights if "vae" in name]
+    for row in range(2):
+        angles = torch.tensor([int(steps[row]) / 10_000 ** (i / 6) for i in range(6)])
+        time = linear(weights, "step_in.0", torch.cat((angles.cos(), angles.sin())))
+        time = linear(weights, "step_in.2", time * torch.sigmoid(time))
+        text = linear(weights, "text_in.1", given.text[row].clamp(min=0))
+        tokens = torch.stack((noisy[row, 0], time, text)) + weights["positions"]
+        expected = long_skips(part(weights, "layers."), tokens, 2, 3)
+        torch.testing.assert_close(found[row, 0], expected[0], rtol=1e-3, atol=1e-4)
+
+
+def test_a_denoiser_wants_its_vaes_width() -> None:
+    vae = MldVae(MldVaeNetworkConfig(SIZES), space(), ConditionSizes(0, ()), {})
+    with pytest.raises(ValueError, match="the VAE's latent has 16 numbers, the denoiser's tokens 32"):
+        Mld(MldNetworkConfig(replace(SIZES, width=32)), space(), TEXTS, {"mld-vae": vae})
+    with pytest.raises(ValueError, match="an odd number of layers, not 4"):
+        MldVae(MldVaeNetworkConfig(replace(SIZES, layers=4)), space(), ConditionSizes(0, ()), {})
+
+
+def test_joints_are_those_of_the_vectors() -> None:
+    positions = analytic_positions(np.arange(50) / 20, 2)
+    vectors = native.vectors(positions, "smpl22", FPS)
+    mean, scale = torch.linspace(-1, 1, 263), torch.linspace(0.5, 2, 263)
+    of = PoseSpace(NativeVectors(), VectorScaling(mean, scale), FPS)
+    found = of.joints(((torch.from_numpy(vectors) - mean) / scale)[None])
+    np.testing.assert_allclose(found[0].numpy(), native.positions(vectors, "smpl22", FPS), atol=1e-5)
+
+
+@pytest.mark.parametrize("sampler", ["ddpm", "ddim"])
+def test_guidance_goes_beyond_the_condition(sampler: str) -> None:
+    """A network that answers 1 under a condition and 0 without: guided by s it is s."""
+    wanted = Wanted(
+        lengths=torch.tensor([3, 2]),
+        conditions=conditions(2),
+        unconditional=conditions(2).without(torch.ones(2, dtype=torch.bool), torch.zeros(6)),
+        generators=[torch.Generator().manual_seed(row) for row in range(2)],
+        device=torch.device("cpu"),
+    )
+
+    def output(noisy: torch.Tensor, steps: torch.Tensor, told: Conditions) -> torch.Tensor:
+        return told.given[:, None, None].float().expand(noisy.shape)
+
+    config = DiffusionConfig(
+        num_steps=8, schedule="cosine", prediction="latent", sampler=sampler, sampling_steps=8, guidance_scale=2.5
+    )
+    found = diffusion_sample(output, wanted, lambda: wanted.noise_of_frames(4), config)
+    torch.testing.assert_close(found, torch.full((2, 3, 4), 2.5, dtype=torch.float64))
+    plain = diffusion_sample(output, wanted, lambda: wanted.noise_of_frames(4), replace(config, guidance_scale=1.0))
+    torch.testing.assert_close(plain, torch.ones((2, 3, 4), dtype=torch.float64))

@@ -1,0 +1,217 @@
+"""Generative peers from a store to motion: what they learn from, that they learn it, resume, answer, and refuse."""
+
+import json
+import os
+import signal
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.core.errors import UsageError
+from motionkit.features import native
+from motionkit.fields.motion_field import to_motion
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, load_model
+from motionkit.store.reader import Store
+from motionkit.training import loop
+from motionkit.training.config import Schedule
+from motionkit.training.run import RunError, RunFolder
+from motionkit.training.schedule import step_generator
+from peers.generative.corpus import MotionCorpus, open_corpus
+from peers.generative.settings import ConditionsConfig, MotionsConfig, TransformerSizes
+from peers.generative.stages import STAGES
+from tests.helpers.nerm_corpus import analytic_positions
+from tests.helpers.tiny_peers import tiny_config, train_peer, write_captioned_store
+
+GOLDEN = Path(__file__).with_name("golden_losses.json")
+MODELS = ("mdm", "mdm-50", "mld")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_captioned_store(tmp_path_factory.mktemp("generative") / "store")
+
+
+@pytest.fixture(scope="module")
+def run(store: Path) -> Path:
+    for name in STAGES:
+        train_peer(name, store, store.parent / "run")
+    return store.parent / "run"
+
+
+def figures(run: Path, name: str) -> list[dict[str, float]]:
+    return [
+        {key: value for key, value in line.items() if key != "seconds"}
+        for line in RunFolder(run).stage(name).read_metrics()
+    ]
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_losses_are_those_that_were_recorded(name: str, run: Path, pytestconfig: pytest.Config) -> None:
+    found = figures(run, name)
+    golden = json.loads(GOLDEN.read_text()) if GOLDEN.exists() else {}
+    if pytestconfig.getoption("--record-golden"):
+        GOLDEN.write_text(json.dumps(golden | {name: found}, indent=2) + "\n")
+        return
+    for line, recorded in zip(found, golden[name], strict=True):
+        assert line == pytest.approx(recorded, rel=1e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["mdm-50", "mld"])
+def test_an_interrupted_training_equals_an_uninterrupted_one(
+    name: str, store: Path, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupting(seed: int, purpose: str, step: int) -> torch.Generator:
+        if step == 23:
+            os.kill(os.getpid(), signal.SIGINT)
+        return step_generator(seed, purpose, step)
+
+    if name == "mld":
+        train_peer("mld-vae", store, tmp_path)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(loop, "step_generator", interrupting)
+        train_peer(name, store, tmp_path)
+    train_peer(name, store, tmp_path, resume=True)
+    again, whole = (RunFolder(each).stage(name) for each in (tmp_path, run))
+    assert figures(tmp_path, name) == figures(run, name)
+    assert again.model_path.read_bytes() == whole.model_path.read_bytes()
+
+
+def test_a_summary_says_what_a_row_says(run: Path) -> None:
+    for name in STAGES:
+        summary = RunFolder(run).stage(name).read_summary()
+        assert (summary["steps"], summary["fps"], summary["windows"]) == (60, 20.0, 12)
+        assert summary["parameters"] > 1000 and summary["cpu_seconds"] >= 0
+
+
+def corpus_of(store: Path, **changed: object) -> MotionCorpus:
+    config = tiny_config("mdm", **changed)
+    return open_corpus(Store.open(store), config, None)
+
+
+def test_crops_are_vectors_at_the_peers_framerate(store: Path) -> None:
+    corpus = corpus_of(store)
+    rows = torch.arange(len(corpus))
+    batch = corpus.batch(rows, torch.Generator().manual_seed(0), drop=0.0)
+    assert set((batch.lengths % 4).tolist()) == {0} and len(set(batch.lengths.tolist())) > 1
+    vectors = corpus.scaling.invert(batch.rows)
+    for row in range(len(rows)):
+        own = int(batch.lengths[row])
+        assert not batch.rows[row, own:].any()
+        kind, begin = int(batch.conditions.action[row]), corpus.windows.start_seconds[row]
+        # Vectors of the whole take at 60 fps, of which a crop is every third.
+        whole = native.vectors(analytic_positions(np.arange(241) / 60, kind), "smpl22", Fraction(60))
+        starts = np.arange(round(begin * 60), 241 - 3 * (own - 1), 3)
+        errors = [np.abs(whole[start : start + 3 * own : 3] - vectors[row, :own].numpy()).max() for start in starts]
+        assert min(errors) < 1e-4
+
+
+def test_conditions_are_dropped_as_often_as_asked(store: Path) -> None:
+    corpus = corpus_of(store)
+    rows = torch.zeros(400, dtype=torch.int64)
+    batch = corpus.batch(rows, torch.Generator().manual_seed(0), drop=0.25)
+    assert 0.18 < float((~batch.conditions.given).float().mean()) < 0.32
+    assert (batch.conditions.action[~batch.conditions.given] == -1).all()
+    assert (batch.conditions.action[batch.conditions.given] == corpus.action[0]).all()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_model_answers_requests(run: Path, name: str) -> None:
+    model = load_model(name, run)
+    assert isinstance(model, GenerativeModel)
+    assert (model.max_training_fps, model.max_duration_seconds) == (Fraction(20), 59 / 20)
+    requests = [GenerationRequest(1.03, action="kind-2"), GenerationRequest(2.0, text="unread", action="kind-1")]
+    requests += [GenerationRequest(None), GenerationRequest(59 / 20)]
+    fields = model.generate(requests, seed=3, sampling=SamplingOptions(steps=4))
+    assert [field.end_seconds for field in fields[:2]] == [1.03, 2.0]
+    alone = model.generate(requests[1:2], seed=3, sampling=SamplingOptions(steps=4), first=1)[0]
+    instants = np.array([0.0, 0.33, 2.0])
+    np.testing.assert_allclose(
+        alone.query(instants).joint_positions, fields[1].query(instants).joint_positions, atol=2e-3
+    )
+    other = model.generate(requests[1:2], seed=4, sampling=SamplingOptions(steps=4), first=1)[0]
+    assert np.abs(alone.query(instants).joint_positions - other.query(instants).joint_positions).max() > 0.01
+
+
+def test_a_model_refuses_what_it_does_not_know(run: Path) -> None:
+    model = load_model("mdm-50", run)
+    for request, why in (
+        (GenerationRequest(3.5), "outside what MDM, 50 steps covers"),
+        (GenerationRequest(1.0, text="a word"), "was trained without texts"),
+        (GenerationRequest(1.0, action="fly"), "knows no action 'fly'; it knows kind-0"),
+    ):
+        with pytest.raises(UsageError, match=why):
+            model.generate([request], seed=0)
+    with pytest.raises(UsageError, match=r"51 sampling steps: this model's diffusion has 1 … 50"):
+        model.generate([GenerationRequest(1.0)], seed=0, sampling=SamplingOptions(steps=51))
+
+
+def test_a_denoiser_of_another_vae_is_refused(store: Path, tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"stage 'mld-vae' of run .* is not trained"):
+        train_peer("mld", store, tmp_path)
+    for name in ("mld-vae", "mld"):
+        train_peer(name, store, tmp_path)
+    config = tiny_config("mld", motions=replace(tiny_config("mld").motions, max_frames=40))
+    with pytest.raises(RunError, match="mld-vae was trained on other motions"):
+        train_peer("mld", store, tmp_path, config)
+    (tmp_path / "mld-vae" / "model.safetensors").write_bytes((tmp_path / "mld" / "model.safetensors").read_bytes())
+    with pytest.raises(RunError, match="was trained upon other results of mld-vae"):
+        load_model("mld", tmp_path)
+
+
+def test_what_a_store_lacks_is_one_line(store: Path, tmp_path: Path) -> None:
+    bare = write_captioned_store(tmp_path / "bare", motions=2)
+    for kind, where, why in (
+        ("text", "split = 'none'", "no training motion|chooses no sequence|no sequence"),
+        ("action", "split = 'none'", "no training motion|chooses no sequence|no sequence"),
+    ):
+        config = tiny_config(
+            "mdm",
+            conditions=ConditionsConfig(kind=kind, text_encoder="minilm"),
+            motions=MotionsConfig(max_frames=60, where=where),
+        )
+        with pytest.raises(UsageError, match=why) as told:
+            train_peer("mdm", bare, tmp_path / "run", config)
+        assert "\n" not in str(told.value)
+
+
+# The whole of each of four motions, so that an action means one motion and no other.
+WHOLE = MotionsConfig(max_frames=61, min_seconds=3.0, crop_multiple=1, mirrored=False)
+
+
+@pytest.mark.parametrize("name", ["mdm-50"])
+def test_four_motions_are_learnt_by_heart(name: str, tmp_path: Path) -> None:
+    store = write_captioned_store(tmp_path / "store", seconds=3)
+    sizes = TransformerSizes(3, 64, 2, 128, 0.0)
+    stages = ("mld-vae", "mld") if name == "mld" else (name,)
+    for stage in stages:
+        tiny = tiny_config(stage)
+        network = replace(tiny.network, transformer=sizes)
+        schedule = Schedule(steps=400, batch_size=16, learning_rate=2e-3, kind="cosine", warmup_fraction=0.05)
+        train_peer(stage, store, tmp_path / "run", replace(tiny, network=network, motions=WHOLE, schedule=schedule))
+    model = load_model(name, tmp_path / "run")
+    requests = [GenerationRequest(3.0, action=f"kind-{kind}") for kind in range(4)]
+    fields = model.generate(requests, seed=1, sampling=SamplingOptions(guidance_scale=1.0))
+    made = [to_motion(field, Fraction(20)).joint_positions for field in fields]
+    truth = [analytic_positions(np.arange(61) / 20, kind) for kind in range(4)]
+    errors = np.array([[_root_aligned(one, other) for other in truth] for one in made])
+    assert (errors.argmin(axis=1) == np.arange(4)).all()
+    assert (np.diag(errors) < 0.02).all()
+
+
+def _root_aligned(one: np.ndarray, other: np.ndarray) -> float:
+    """Mean distance of joints in metres, roots on each other."""
+    relative = [each - each[:, :1] for each in (one, other)]
+    return float(np.linalg.norm(relative[0] - relative[1], axis=-1).mean())
