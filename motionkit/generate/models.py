@@ -151,7 +151,13 @@ def model_of(run: Path) -> str:
         return held[0]
     if held:
         raise UsageError(f"{run} holds several models, {' and '.join(held)}: name one of them (--model {held[0]})")
-    raise UsageError(f"{run} holds none of the installed models ({', '.join(installed) or 'there is none'})")
+    if not installed:
+        raise UsageError("no model is installed")
+    first = next(iter(installed.values()))
+    raise UsageError(
+        f"{run} holds none of the installed models ({', '.join(installed)}): {first.train_command(run)} trains "
+        f"{first.title}"
+    )
 
 
 def warn_above_training(model: GenerativeModel, fps: Fraction) -> None:
