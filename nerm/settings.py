@@ -222,7 +222,8 @@ class FieldLossConfig:
 class ContactsConfig:
     """Contact as an output of the field (`nerm.field.contact`), trained after it in `steps` steps; 0: no such output.
 
-    Latents get noise of up to `noise` deviations of the numbers that the denoiser works on.
+    It is read of knots, so there is none with latents of the layout global. Latents get noise of up to `noise`
+    deviations of the numbers that the denoiser works on.
     """
 
     steps: int = 0
@@ -282,8 +283,6 @@ class FieldConfig:
         latents = self.latents
         if latents.layout == "local" and self.encoder.coordinates == "frames":
             raise ValueError("knots lie at normalised coordinates: frame numbers (Table 9) need latents.layout=global")
-        if latents.layout == "global" and self.contacts.steps:
-            raise ValueError("contacts.steps belongs to local latents: contacts are read of z's knots")
         if latents.layout == "global" and self.decoder.linear_path:
             raise ValueError("decoder.linear_path belongs to a linear model of local latents")
         if latents.has_path and self.pose_vectors != "field":

@@ -66,7 +66,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         store_fingerprint=store.fingerprint,
         vectors=vectors,
     )
-    if settings.contacts.steps:
+    if settings.contacts.steps and trained.network.local is not None:
         trained, figures["contacts"] = _with_contacts(trained, source, context)
     save_field(folder, trained)
     hours = float(windows.duration_seconds.sum()) / 3600

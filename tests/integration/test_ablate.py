@@ -35,6 +35,7 @@ TINY = (
     "codebook.schedule.batch_size=4",
     "codebook.window_frames=32",
     "field.schedule.steps=4",
+    "field.contacts.steps=10",
     "field.schedule.batch_size=4",
     "field.decoder.width=16",
     "field.decoder.num_layers=2",

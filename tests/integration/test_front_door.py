@@ -33,6 +33,7 @@ TINY = (
         "field.decoder.width=32",
         "field.decoder.num_layers=2",
         "field.schedule.steps=5",
+        "field.contacts.steps=10",
     ),
     *(
         "field.schedule.batch_size=16",

@@ -30,6 +30,7 @@ TINY = (
     "field.decoder.width=32",
     "field.decoder.num_layers=2",
     "field.schedule.steps=30",
+    "field.contacts.steps=10",
     "field.schedule.batch_size=16",
     "field.windows.mirrored=true",
     "denoiser.schedule.steps=20",

@@ -35,6 +35,7 @@ TINY = (
     "field.decoder.width=16",
     "field.decoder.num_layers=2",
     "field.schedule.steps=3",
+    "field.contacts.steps=10",
     "field.schedule.batch_size=4",
     "denoiser.schedule.steps=3",
     "denoiser.schedule.batch_size=4",

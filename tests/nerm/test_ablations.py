@@ -31,6 +31,7 @@ SMALLER = (
     "field.schedule.batch_size=8",
     "field.schedule.epochs=none",
     "field.schedule.steps=12",
+    "field.contacts.steps=10",
     "field.schedule.learning_rate=2e-3",
     "field.optimizer.latent_learning_rate=2e-2",
     "field.precision=float32",

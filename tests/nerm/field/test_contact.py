@@ -9,7 +9,6 @@ from jaxtyping import Float32
 
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import cut_windows
-from motionkit.core.errors import UsageError
 from motionkit.core.progress import ignore
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.assembly import Piece, assemble
@@ -128,8 +127,3 @@ def test_joined_motions_know_contacts_where_all_pieces_do(trained: TrainedField)
     silent = trained.as_motion_field(trained.posterior_mean[1], 4.0)
     silent = replace(silent, field=replace(trained, contacts=None))
     assert assemble([Piece(one, 0.0), Piece(silent, 3.0)]).contacts(times) is None
-
-
-def test_contacts_need_knots() -> None:
-    with pytest.raises(UsageError, match="local latents"):
-        apply_overrides(FieldConfig(), ["contacts.steps=1"])

@@ -216,6 +216,7 @@ TINY = (
     "field.decoder.width=48",
     "field.decoder.num_layers=3",
     "field.schedule.steps=120",
+    "field.contacts.steps=10",
     "field.schedule.batch_size=4",
     "field.clips.num_poses=16",
     "field.precision=float32",
