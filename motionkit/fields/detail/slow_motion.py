@@ -19,7 +19,8 @@ NUM_BANDS = len(EDGES_HZ) - 1
 BAND_REACH = 60
 ENVELOPE_REACH = 4
 
-SLOW_HZ, SLOW_REACH = 6.0, 30
+SLOW_HZ, SLOW_REACH = 4.0, 45
+"""What generated motion holds as captures do; up to 6 Hz would tell no more of captures (docs/results/detail.md)."""
 LOWEST_REACH = 120
 ENERGY_REACH = 36
 LAGS = (-10, -5, 0, 5, 10)
