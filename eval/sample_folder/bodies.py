@@ -13,6 +13,13 @@ KIT_TRUNK_AND_LEGS = (
     *(("LA", "LK"), ("LK", "LH"), ("root", "BP"), ("BP", "BT"), ("BT", "BLN"), ("BLN", "BUN")),
     *(("RA", "RK"), ("RK", "RH")),
 )
+# Of all people about the same parts of their height: real ones' median lengths are within 1.3 of the layout's, those of
+# reversed joints off by 3 and more.
+LIMBS = tuple(
+    (f"{side}_{joint}", f"{side}_{end}")
+    for side in ("left", "right")
+    for joint, end in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+)
 POSES_PER_MOTION = 8
 MOST_BONE_VARIATION = 0.25
 STILL_METRES = 1e-4
@@ -78,8 +85,23 @@ def check_bodies(folder: SampleFolder) -> tuple[str, ...]:
             f"--samples {folder.name}: the bones' lengths vary by {100 * variation:.0f} % within a motion, so these "
             "are no positions of the 22 SMPL (or 21 KIT) joints in their order"
         )
+    order = _limb_factor(poses.reshape(-1, SMPL22.num_joints, 3))
+    if order > PLAUSIBLE_FACTOR:
+        raise SampleFolderError(
+            f"--samples {folder.name}: a bone of an arm or a leg is {order:.1f} times too long or too short beside the "
+            "others, so these are no positions of the 22 SMPL (or 21 KIT) joints in their order (docs/samples.md)"
+        )
     odd = np.count_nonzero((metres > PLAUSIBLE_FACTOR * typical) | (metres * PLAUSIBLE_FACTOR < typical))
     return (f"the bodies of {odd:,} motions are {PLAUSIBLE_FACTOR} times larger or smaller than most",) if odd else ()
+
+
+def _limb_factor(joints: Float[np.ndarray, "poses joints 3"]) -> float:
+    """How far the limb that fits the layout's proportions least is off them."""
+    first, second = np.array(_chain(SMPL22, LIMBS)).T
+    lengths = np.median(np.linalg.norm(joints[:, first] - joints[:, second], axis=-1), axis=0)
+    shares = lengths / np.linalg.norm(SMPL22.offsets[second], axis=-1)
+    shares = np.maximum(shares / np.maximum(np.median(shares), 1e-9), 1e-9)
+    return float(max(shares.max(), 1 / shares.min()))
 
 
 def _size_message(metres: float) -> str:

@@ -48,7 +48,8 @@ class RealMotion:
             fastest = f"; the fastest has {float(max(self.fps)):.6g} fps" if self.fps else ""
             raise NoRealMotionError(
                 f"{self.name}: {len(chosen)} of {len(self.fps)} sequences were captured at {float(fps):.6g} fps or "
-                f"faster, at least two are needed{fastest} (--fps)"
+                f"faster, at least two are needed{fastest}: choose framerates with --fps, or hold out more takes "
+                "(motionkit split --shares train=0.7,test=0.3)"
             )
         return np.array(chosen, dtype=np.int64)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import parse_rate, read_options
+from motionkit.cli.options import of_source, parse_rate, read_options
 from motionkit.core.errors import MotionkitError, describe
 from motionkit.core.progress import task, tracked
 from motionkit.core.settings import default_path
@@ -114,9 +114,9 @@ def complete(
     compared = [choose_encoder(name.strip(), None, runs_folder) for name in compare.split(",")] if compare else []
     stderr.print(f"motionkit: completing with {chosen.explanation}")
     job = Job(request, chosen, compared, None if file_format is None else f".{file_format}", overwrite=overwrite)
-    failures = [(str(problem.path), str(problem)) for problem in problems]
-    for problem in problems:
-        stderr.print(f"motionkit: {problem}")
+    failures = [(str(problem.path), of_source(str(problem), problem)) for problem in problems]
+    for _, message in failures:
+        stderr.print(f"motionkit: {message}")
     path_of = OutputPath(out, len(sources), [Path(each) for each in clips if Path(each).is_dir()])
     done, failed = _complete_each(job, sources, path_of, as_json)
     failures += failed
@@ -144,7 +144,7 @@ def _complete_each(
                 with task(show, source.name) as frames:
                     completed = job.complete(source, path_of, frames.advance)
             except (MotionkitError, OSError) as error:
-                message = describe(error)
+                message = of_source(describe(error), error)
                 failures.append((source.name, message))
                 named = message if source.name in message else f"{source.name}: {message}"
                 stderr.print(f"motionkit: {named}")

@@ -40,6 +40,11 @@ stdout = LineConsole()
 stderr = LineConsole(LONGEST_MESSAGE, stderr=True)
 
 
+def say_next(command: str) -> None:
+    """Say which command comes next on the way from captures to a table."""
+    stdout.print(f"next: {command}")
+
+
 def print_text(text: str) -> None:
     """Print lines on stdout as they are, but for what a terminal would obey."""
     for line in text.removesuffix("\n").split("\n"):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, print_text, progress, stderr, stdout
-from motionkit.cli.options import parse_rate, read_options
+from motionkit.cli.console import print_json, print_text, progress, say_next, stderr, stdout
+from motionkit.cli.options import of_default, parse_rate, read_options
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.plain_text import printable
 from motionkit.core.progress import Task, task
@@ -157,6 +157,7 @@ def ingest(
         fps_rules=tuple(rule for path in fps_rules or () for rule in read_rules(path)),
         body_models=_body_models(body_models),
         skip_frames=skip_frames,
+        leave_out_made=True,
     )
     with progress() as show, task(show, "ingest", note="scanning") as work:
         report = ingest_sources(
@@ -168,10 +169,7 @@ def ingest(
             engine=engine,
             listener=_listener(work),
         )
-    if as_json:
-        print_json(_as_json(report))
-    else:
-        _print_summary(report)
+    print_json(_as_json(report)) if as_json else _print_summary(report, store)
     _check_success(report, on_error)
 
 
@@ -250,7 +248,7 @@ class _FirstOfEachReason:
             )
 
 
-def _print_summary(report: "IngestReport") -> None:
+def _print_summary(report: "IngestReport", store: Path | None) -> None:
     hours = report.duration_seconds / 3600
     stdout.print(
         f"stored {_counted(report.num_stored, 'sequence')} ({hours:.2f} h, {_counted(report.num_frames, 'frame')}) "
@@ -267,6 +265,29 @@ def _print_summary(report: "IngestReport") -> None:
         stdout.print(_ignored_line(report))
     if report.datasets:
         print_text(_dataset_table(report.datasets))
+    if report.num_stored:
+        of_store = of_default("--store", store)
+        stdout.print(_quality_line(report, of_store))
+        say_next(_next_command(report, of_store))
+
+
+def _quality_line(report: "IngestReport", of_store: str) -> str:
+    stored = report.stored
+    if not stored.num_flagged:
+        return f"quality: nothing looks odd in {_counted(report.num_stored, 'sequence')}"
+    flags = ", ".join(f"{count:,} {flag}" for flag, count in stored.flags.most_common())
+    return (
+        f"quality: {stored.num_flagged:,} of {_counted(report.num_stored, 'sequence')} have flags ({flags}); "
+        f"'motionkit info --quality{of_store}' lists them"
+    )
+
+
+def _next_command(report: "IngestReport", of_store: str) -> str:
+    stored = report.stored
+    if stored.num_in_splits:
+        return f"motionkit train{of_store}"
+    by = "" if stored.num_with_performer == report.num_stored else " --by sequence_id"
+    return f"motionkit split{by}{of_store}"
 
 
 def _ignored_line(report: "IngestReport") -> str:
@@ -301,6 +322,7 @@ def _as_json(report: "IngestReport") -> dict[str, Any]:
         "sequences_in_store": report.num_in_store,
         "failed": report.problems_by_reason,
         "warnings": report.warnings_by_reason,
+        "quality_flags": dict(report.stored.flags.most_common()),
         "datasets": {
             count.dataset: {"found": count.num_found, "missing": count.num_missing, "failed": count.num_failed}
             for count in report.datasets

@@ -1,15 +1,22 @@
 """What options of several commands say: framerates, and how files are read."""
 
+import re
+import shlex
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.framerate import parse_fps
 
 if TYPE_CHECKING:
     from motionkit.formats.scan.items import ReadOptions
+
+
+def of_default(option: str, given: Path | None) -> str:
+    """An option as the next command of a user who gave it needs it; empty where the default was meant."""
+    return "" if given is None else f" {option} {shlex.quote(str(given))}"
 
 
 def parse_rate(text: str | None, option: str = "--fps") -> Fraction | None:
@@ -18,6 +25,11 @@ def parse_rate(text: str | None, option: str = "--fps") -> Fraction | None:
         return None if text is None else parse_fps(text)
     except ValueError as error:
         raise UsageError(f"{option} {text}: {error}") from None
+
+
+def of_source(message: str, error: Exception) -> str:
+    """What a reader's error says, where `--fps` is the new framerate and `--source-fps` that of the file."""
+    return re.sub(r"--fps\b(?!-)", "--source-fps", message) if isinstance(error, FormatError) else message
 
 
 def read_options(

@@ -9,7 +9,7 @@ import typer
 
 from motionkit.cli.complete import ClipFormat, SkeletonMaps, SourceFps, StorePath
 from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import parse_rate, read_options
+from motionkit.cli.options import of_source, parse_rate, read_options
 from motionkit.core.errors import MotionkitError, UsageError, describe
 from motionkit.core.progress import task, tracked
 from motionkit.core.settings import default_path
@@ -65,8 +65,9 @@ def plant(
 
     With --store and no clip, all sequences of the store (or those of --where), into --out.
     """
-    from motionkit.complete.clips import PLANTED, clip_of_motion, find_clips
+    from motionkit.complete.clips import clip_of_motion, find_clips
     from motionkit.complete.job import OutputPath
+    from motionkit.formats.scan.made import PLANTED
     from motionkit.plant.job import Job
     from motionkit.store.named_motions.reading import find_stored
 
@@ -78,9 +79,9 @@ def plant(
     if where is not None or not clips:
         sources += find_stored(place, where or "true", clip_of_motion)
     job = Job(path.value, page, None if file_format is None else f".{file_format}", overwrite)
-    failures = [(str(problem.path), str(problem)) for problem in problems]
-    for problem in problems:
-        stderr.print(f"motionkit: {problem}")
+    failures = [(str(problem.path), of_source(str(problem), problem)) for problem in problems]
+    for _, message in failures:
+        stderr.print(f"motionkit: {message}")
     named = [Path(each) for each in clips or () if Path(each).is_dir()]
     done, failed = _plant_each(job, sources, OutputPath(out, len(sources), named, PLANTED), as_json)
     failures += failed
@@ -108,7 +109,7 @@ def _plant_each(
                 with task(show, source.name) as frames:
                     planted = job.plant(source, path_of, frames.advance)
             except (MotionkitError, OSError) as error:
-                message = describe(error)
+                message = of_source(describe(error), error)
                 failures.append((source.name, message))
                 named = message if source.name in message else f"{source.name}: {message}"
                 stderr.print(f"motionkit: {named}")

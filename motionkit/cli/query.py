@@ -5,6 +5,7 @@ import io
 import json
 import math
 import sys
+import textwrap
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +17,8 @@ from motionkit.core.plain_text import printable
 from motionkit.core.settings import default_path
 
 LONG_LIST = 6
-PIPE_WIDTH = 10_000
+WIDEST = 100_000
+SHORTEST = 24
 
 
 def query(
@@ -52,19 +54,32 @@ def query(
 
 
 def _print_table(names: list[str], rows: list[dict[str, Any]]) -> None:
-    from rich.console import Console
+    """A table where it fits the width, which without a terminal is 80 columns, else a block of lines for each row."""
     from rich.table import Table
     from rich.text import Text
 
     table = Table()
     for name in names:
         numeric = all(isinstance(row[name], int | float) and not isinstance(row[name], bool) for row in rows)
-        table.add_column(Text(printable(name)), justify="right" if numeric and rows else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*(Text(printable(_short(row[name]))) for name in names))
-    # In a pipe or a file nothing is folded to a terminal's width.
-    console = stdout if stdout.is_terminal else Console(width=PIPE_WIDTH)
-    console.print(table)
+        table.add_column(Text(printable(name)), justify="right" if numeric and rows else "left", no_wrap=True)
+    cells = [[printable(_short(row[name])) for name in names] for row in rows]
+    for each in cells:
+        table.add_row(*map(Text, each))
+    unlimited = stdout.options.update(max_width=WIDEST, width=WIDEST)
+    if not rows or stdout.measure(table, options=unlimited).maximum <= stdout.width:
+        stdout.print(table)
+        return
+    print_text("\n\n".join(_block(names, each, number, stdout.width) for number, each in enumerate(cells, 1)))
+
+
+def _block(names: list[str], cells: list[str], number: int, width: int) -> str:
+    margin = 2 + max(map(len, names)) + 2
+    lines = [f"row {number:,}"]
+    for name, cell in zip(names, cells, strict=True):
+        pieces = textwrap.wrap(cell, max(SHORTEST, width - margin)) or [""]
+        lines.append(f"  {printable(name):{margin - 2}}{pieces[0]}".rstrip())
+        lines += [" " * margin + piece for piece in pieces[1:]]
+    return "\n".join(lines)
 
 
 def _plain(value: Any) -> Any:

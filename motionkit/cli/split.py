@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.cli.console import print_json, stdout
+from motionkit.cli.console import print_json, say_next, stdout
+from motionkit.cli.options import of_default
 from motionkit.core.errors import UsageError
 from motionkit.core.settings import default_path
 
@@ -52,6 +53,8 @@ def split(
         print_json({**asdict(report), "store": str(report.store), "seed": seed, "dry_run": dry_run})
     else:
         _print(report, dry_run)
+        if not dry_run:
+            say_next(f"motionkit train{of_default('--store', store)}")
 
 
 def parse_shares(text: str) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """`motionkit train`: train the stages of a model from a store into a run folder."""
 
+import shlex
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -7,7 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
+from motionkit.cli.options import of_default
 from motionkit.core.errors import UsageError
 from motionkit.core.settings import default_path
 from motionkit.store.sql import conjunction
@@ -56,8 +58,13 @@ def train(
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))
     context = StageContext(store_path, folder, recipe, seed=seed, resume=resume, overwrite=overwrite, device=device)
     summaries = _train_all(list(zip(chosen, configs, strict=True)), context, as_json)
-    if as_json and summaries is not None:
+    if summaries is None:
+        return
+    if as_json:
         print_json({"run": str(folder.path), "stages": summaries})
+    elif stage == "all":
+        named = "" if folder.path.name == "nano" else f" --run {shlex.quote(folder.path.name)}"
+        say_next(f"motionkit eval --table 2{of_default('--store', store)}{of_default('--runs', runs)}{named}")
 
 
 def _train_all(jobs: list[tuple[Stage[Any], Any]], context: StageContext, as_json: bool) -> list[dict[str, Any]] | None:

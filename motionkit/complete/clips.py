@@ -3,8 +3,7 @@
 BVH files are read and written piece by piece; clips of other forms are held in memory, they and their results.
 """
 
-import re
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -32,8 +31,6 @@ from motionkit.store.named_motions.holes import ReadClip, read_vectors, read_wit
 from motionkit.store.named_motions.reading import Found, Readers, find_motions
 
 FRAMES_AT_ONCE = 2048
-COMPLETED, PLANTED = "completed", "planted"
-MADE_FOLDER = re.compile(rf"({COMPLETED}|{PLANTED})-[\d.-]+fps")
 
 Progress = Callable[[int], None]
 
@@ -74,20 +71,8 @@ def find_clips(names: Sequence[str], options: ReadOptions, store: Path) -> tuple
     Raises `UsageError` for a name that says nothing.
     """
     readers = Readers(partial(_read, options=options), partial(_vectors, options=options), clip_of_motion)
-    found, problems = find_motions(names, options, store, readers)
-    named = {Path(name) for name in names}
-    return [clip for clip in found if clip.name in names or not _is_made(clip.beside, named)], problems
-
-
-def folder_of_made(fps: str, made: str = COMPLETED) -> str:
-    """The name of the folder for completed or planted arrays of a framerate, beside those that they were made of."""
-    return f"{made}-{fps.replace('/', '-')}fps"
-
-
-def _is_made(path: Path, named: Set[Path]) -> bool:
-    # Whoever names a folder of completed clips means them.
-    in_made = path.parent not in named and MADE_FOLDER.fullmatch(path.parent.name) is not None
-    return in_made or path.name.endswith((f".{COMPLETED}", f".{PLANTED}"))
+    found, problems = find_motions(names, replace(options, leave_out_made=True), store, readers)
+    return found, problems
 
 
 def _read(item: SourceItem, options: ReadOptions) -> Clip:
@@ -97,12 +82,13 @@ def _read(item: SourceItem, options: ReadOptions) -> Clip:
     read = read_with_holes(item, options)
     if item.path.parent.name == VECTORS_FOLDER:
         return _in_memory(read, ".npy", write_vectors)
-    return _as_it_came(read, item.path.suffix.lower(), f"{item.format} cannot be written")
+    return _as_it_came(read, item)
 
 
-def _as_it_came(read: ReadClip, suffix: str, why_not: str) -> Clip:
+def _as_it_came(read: ReadClip, item: SourceItem) -> Clip:
     """A motion as arrays where it came as such; else as .bvh where it has rotations, as .npz where it has none."""
-    if suffix == ".npz" or (suffix == ".npy" and read.motion.skeleton in STANDARD_SKELETONS.values()):
+    suffix, why_not = item.path.suffix.lower(), f"{item.format} cannot be written"
+    if item.format == "npz" or (suffix == ".npy" and read.motion.skeleton in STANDARD_SKELETONS.values()):
         return _in_memory(read, suffix, _write_of(suffix))
     other = ".npz" if read.motion.local_rotations is None else ".bvh"
     return _in_memory(read, other, _write_of(other), f"{why_not}: its result is a {other[1:]} file")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from motionkit.complete.clips import COMPLETED, Clip, ClipSource, Progress, as_format, folder_of_made
+from motionkit.complete.clips import Clip, ClipSource, Progress, as_format
 from motionkit.complete.encoders import ChosenEncoder
 from motionkit.complete.request import ClipRequest, CompletionRequest
 from motionkit.core.errors import MotionkitError
@@ -21,6 +21,7 @@ from motionkit.fields.anchoring import anchored
 from motionkit.fields.completion import Completion, begin_observed, begin_uneven
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionEncoder
+from motionkit.formats.scan.made import COMPLETED, folder_of_made
 
 # Beyond this no constant velocity is a motion.
 LONGEST_PLAUSIBLE_SECONDS = 0.5

@@ -141,7 +141,7 @@ def load_model(name: str, run: Path) -> GenerativeModel:
 def model_of(run: Path) -> str:
     """The name of the installed model that a run holds; of the one that is installed, whatever the run holds.
 
-    Raises `UsageError` where the run holds none of several models, or more than one.
+    Raises `UsageError` where the run holds none of several models, naming the runs that hold one, or more than one.
     """
     installed = installed_models()
     if len(installed) == 1:
@@ -154,9 +154,12 @@ def model_of(run: Path) -> str:
     if not installed:
         raise UsageError("no model is installed")
     first = next(iter(installed.values()))
+    beside = [each for each in run.parent.iterdir() if each.is_dir()] if run.parent.is_dir() else []
+    others = sorted(each.name for each in beside if any(model.begun_in(each) for model in installed.values()))
+    there = f"; there are {', '.join(others)} (--run {others[0]})" if others else ""
     raise UsageError(
         f"{run} holds none of the installed models ({', '.join(installed)}): {first.train_command(run)} trains "
-        f"{first.title}"
+        f"{first.title}{there}"
     )
 
 

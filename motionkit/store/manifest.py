@@ -138,6 +138,11 @@ def read_manifest(store: Path) -> Manifest:
         raise StoreError(
             f"there is no store at {store}: make one with 'motionkit ingest SOURCE --store {store}'"
         ) from None
+    except NotADirectoryError:
+        raise StoreError(
+            f"{store} is a file, and a store is a folder: 'motionkit ingest {store}' puts a motion into one, "
+            f"'motionkit view {store}' shows it"
+        ) from None
     except (OSError, DamagedFileError) as error:
         raise StoreError(describe(error)) from None
     if document.get("format") != FORMAT_NAME:

@@ -29,7 +29,7 @@ from motionkit.store.schema import (
     table_schema,
     upgraded,
 )
-from motionkit.store.sql import query
+from motionkit.store.sql import UnknownTable, query
 from motionkit.store.table_checks import require_sound
 
 
@@ -252,6 +252,8 @@ class Store:
             if "segments" in sql.lower():
                 views["segments"] = self._segments_dataset()
             return query(views, sql)
+        except UnknownTable as error:
+            raise UsageError(f"{error}; the tables of a store are sequences, segments and skeletons") from None
         except FileNotFoundError as error:
             check_still_there(self.path, self.manifest.parts)
             raise StoreError(f"{error}: 'motionkit validate --store {self.path}' says what is missing") from None
@@ -306,8 +308,15 @@ class Store:
         indices = self.select(where)
         if not len(indices):
             fault = f"no sequence of {self.path} satisfies {where!r}" if where else f"{self.path} is empty"
-            raise UsageError(f"{fault} (motionkit info --store {self.path} says what it holds)")
+            raise UsageError(f"{fault} ({self._remedy(where or '')})")
         return indices
+
+    def _remedy(self, where: str) -> str:
+        # A store of captures that came without splits is asked for one by every recipe.
+        if "split" in where and not any(self.sequences_table["split"].unique().to_pylist()):
+            by = "" if all(self.sequences_table["subject"].unique().to_pylist()) else " --by sequence_id"
+            return f"none is in a split yet: motionkit split{by} --store {self.path} makes train, val and test"
+        return f"motionkit info --store {self.path} says what it holds"
 
     def __repr__(self) -> str:
         counts = self.manifest

@@ -19,6 +19,10 @@ Views = Mapping[str, Any]
 INTERRUPT_SECONDS = 0.05
 
 
+class UnknownTable(UsageError):
+    """A statement names a table that is none of the views."""
+
+
 def query(views: Views, sql: str) -> "pa.Table":
     """Result of one SQL statement over the views as an Arrow table; a name that comes again gets _1, _2 …
 
@@ -55,6 +59,10 @@ def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> "
         said = " ".join(str(error).split())
         if any(words in said for words in _OF_DAMAGED_VIEWS):
             raise OSError(said) from None
+        if isinstance(error, duckdb.CatalogException) and said.startswith("Catalog Error: Table with name"):
+            # What duckdb suggests are tables of its own.
+            wanted = said.removeprefix("Catalog Error: Table with name ").split(" ")[0]
+            raise UnknownTable(f"there is no table {wanted}") from None
         raise UsageError(f"duckdb: {said}") from None
 
 

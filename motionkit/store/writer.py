@@ -17,6 +17,7 @@ from motionkit.core.interrupts import held_back
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.store import codec
+from motionkit.store.alike import AlikeSkeletons
 from motionkit.store.codec import EncodedMotion, RefusedMotion, encode, table_of
 from motionkit.store.commit import (
     EMPTY,
@@ -115,6 +116,7 @@ class StoreWriter:
         self._held = ExitStack()
         self._known = KnownSequences()
         self._skeletons: dict[str, Skeleton] = {}
+        self._alike = AlikeSkeletons()
 
     @classmethod
     def create(cls, path: Path | str, *, overwrite: bool = False, part_bytes: int = PART_BYTES) -> "StoreWriter":
@@ -155,6 +157,7 @@ class StoreWriter:
         sequences = self._base_table(SEQUENCES_FILE, (*CHECKED_COLUMNS, "source_sha256"))
         skeletons = self._base_table(SKELETONS_FILE)
         self._skeletons = require_sound(self.path, self._base, sequences, skeletons)
+        self._alike = AlikeSkeletons(self._skeletons.values())
         for batch in sequences.select(["sequence_id", "source_sha256"]).to_batches(SEQUENCES_PER_ROW_GROUP):
             self._known.add_all(zip(*(column.to_pylist() for column in batch.columns), strict=True))
 
@@ -175,8 +178,8 @@ class StoreWriter:
         return tuple(self._skeletons.values())
 
     def knows_skeleton(self, skeleton: Skeleton) -> bool:
-        """Whether the store will hold a skeleton that is equal but for its name."""
-        return skeleton.fingerprint in self._skeletons
+        """Whether the store will hold a skeleton that is equal but for its name, and lengths by less than 1 µm."""
+        return self._alike.first_of(skeleton).fingerprint in self._skeletons
 
     @property
     def next_sequence_index(self) -> int:
@@ -223,7 +226,8 @@ class StoreWriter:
     def add_row(self, row: codec.Row, skeleton: Skeleton) -> None:
         """Add a sequence whose segments are written: its row of the table, whole, with an index above all others."""
         self._require_new(row["sequence_id"])
-        self._rows.append(row)
+        skeleton = self._alike.first_of(skeleton)
+        self._rows.append({**row, "skeleton": skeleton.fingerprint})
         self._known.add(row["sequence_id"], row["source_sha256"])
         self._skeletons.setdefault(skeleton.fingerprint, skeleton)
         self._num_sequences += 1

@@ -98,6 +98,6 @@ def _encoder(settings: DenoiserConfig) -> TextEncoder | None:
 def _without_captions(who: str, settings: DenoiserConfig) -> UsageError:
     return UsageError(
         f"{who} has a caption, and denoiser.conditions.text_encoder={settings.conditions.text_encoder} learns from "
-        "texts: ingest with --captions, or train on actions and unconditionally "
-        "(--set denoiser.conditions.text_encoder=none)"
+        "texts: ingest again with a table of captions (--captions captions.csv --overwrite), or train on actions and "
+        "unconditionally: motionkit train --set denoiser.conditions.text_encoder=none"
     )

@@ -10,6 +10,7 @@ import pytest
 from eval.commands.samples import samples as command
 from eval.sample_folder.manifest import READERS, manifest_text, read_manifest
 from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.synthetic import make_body, perform
 from tests.helpers import published_layouts as published
 from tests.helpers.repository import REPOSITORY
 
@@ -116,3 +117,15 @@ def test_the_manifests_of_the_page_are_manifests(tmp_path):
         assert read_manifest(tmp_path).fps == 20
     whole = set(re.findall(r"^(\w+) = ", blocks[0], re.MULTILINE)) | {"exclude"}
     assert whole == set(READERS)
+
+
+@pytest.mark.parametrize("order", [np.arange(22)[::-1], np.roll(np.arange(22), 9)])
+def test_joints_in_another_order_are_refused(samples, tmp_path, order):
+    positions = perform(np.random.default_rng(0), make_body("test"), ["walk"], 2.0).query(np.arange(60) / 30)
+    for index in range(3):
+        np.save(tmp_path / f"{index}.npy", positions.joint_positions.astype(np.float32))
+    assert "motions" in samples(tmp_path, fps="30")
+    for index in range(3):
+        np.save(tmp_path / f"{index}.npy", positions.joint_positions[:, order].astype(np.float32))
+    with pytest.raises(MotionkitError, match="positions of the 22 SMPL"):
+        samples(tmp_path, fps="30")

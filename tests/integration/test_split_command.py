@@ -28,9 +28,10 @@ def run(*arguments):
 def test_people_are_held_out(store):
     outcome = run("--shares", "train=2,test=1", "--store", store)
     assert outcome.exit_code == 0
-    head, *lines, last = outcome.stdout.splitlines()
+    head, *lines, last, following = outcome.stdout.splitlines()
     assert head.split() == ["split", "share", "asked", "hours", "groups", "sequences", "wordings", "seen"]
     assert [line.split()[0] for line in lines] == ["train", "test"]
+    assert following == f"next: motionkit train --store {store}"
     assert last == f"changed the split of 3 sequences of {store}, by performer"
     rows = Store.open(store).sequences
     assert sorted(rows.groupby("subject")["split"].nunique()) == [1, 1]

@@ -110,3 +110,39 @@ def test_migrate(motionkit, takes, tmp_path):
     assert motionkit("ingest", takes, "--store", store, "--workers", 1).code == 0
     assert len(ids(store)) == 5
     assert motionkit("validate", "--store", store).code == 0
+
+
+def test_what_is_asked_of_no_store(motionkit, takes, tmp_path):
+    outcome = motionkit("info", "--store", takes / "alpha.bvh")
+    assert outcome.code == 1 and "is a file, and a store is a folder" in outcome.stderr
+    assert motionkit("ingest", takes, "--store", tmp_path / "store").code == 0
+    outcome = motionkit("query", "SELECT * FROM takes", "--store", tmp_path / "store")
+    assert outcome.code == 2
+    assert outcome.stderr.strip() == (
+        "motionkit: there is no table takes; the tables of a store are sequences, segments and skeletons"
+    )
+
+
+def test_wide_rows_are_blocks_within_80_columns(motionkit, takes, tmp_path):
+    store = tmp_path / "store"
+    motionkit("ingest", takes, "--store", store)
+    lines = motionkit("query", "SELECT * FROM sequences ORDER BY 1", "--store", store).stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert [line for line in lines if line.startswith("row ")] == ["row 1", "row 2", "row 3"]
+    assert [line.split() for line in lines if line.startswith("  sequence_id ")] == [
+        ["sequence_id", f"takes/{name}"] for name in ("alpha", "beta", "gamma")
+    ]
+    narrow = motionkit("query", "SELECT sequence_id, num_frames FROM sequences ORDER BY 1", "--store", store).stdout
+    assert len(narrow.splitlines()) == 7 and "takes/alpha" in narrow
+
+
+def test_lengths_that_differ_by_rounding_are_one_skeleton(motionkit, takes, tmp_path):
+    """LaFAN1 writes one body's lengths as 43.500000 and 43.499996; a body that is a millimetre taller is another."""
+    text = (takes / "alpha.bvh").read_text()
+    (takes / "alpha.bvh").write_text(text.replace("OFFSET 0 40 0", "OFFSET 0 40.000004 0"))
+    (takes / "delta.bvh").write_text(text.replace("OFFSET 0 40 0", "OFFSET 0 40.1 0"))
+    motionkit("ingest", takes, "--store", tmp_path / "store")
+    store = Store.open(tmp_path / "store")
+    kinds = dict(zip(store.sequences["sequence_id"], store.sequences["skeleton"], strict=True))
+    assert kinds["takes/alpha"] == kinds["takes/beta"] == kinds["takes/gamma"] != kinds["takes/delta"]
+    assert len(store.skeletons) == 2 and motionkit("validate", "--store", store.path).code == 0

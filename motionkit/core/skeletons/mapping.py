@@ -4,7 +4,7 @@ A family of skeletons (`motionkit.core.skeletons.families`) gives every joint of
 family's joints (`X.tip` is the End Site of X). Toes that a skeleton lacks altogether are put in front of the ankle.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
@@ -14,6 +14,7 @@ from jaxtyping import Float32
 from motionkit.core import kinematics
 from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Motion
+from motionkit.core.plain_text import shortened
 from motionkit.core.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.families import (
     canonical_names,
@@ -32,12 +33,16 @@ TOES = {"left_foot": ("left_ankle", "left_knee"), "right_foot": ("right_ankle", 
 EndSites = tuple[tuple[int, tuple[float, float, float]], ...]
 
 
+# Of the names in a message.
+SHOWN_JOINTS, SHOWN_MISSING, LONGEST_NAME = 6, 3, 40
+
+
 class SkeletonMapError(MotionkitError):
     """A skeleton that cannot be brought into a layout; `missing` names the layout's joints that found no source."""
 
     def __init__(self, skeleton: Skeleton, layout: str, missing: tuple[str, ...]) -> None:
         self.skeleton_name, self.layout, self.missing = skeleton.name, layout, missing
-        shown = ", ".join(skeleton.joint_names[:12]) + (" …" if skeleton.num_joints > 12 else "")
+        shown = _some(skeleton.joint_names, SHOWN_JOINTS)
         table = (
             f"its own map {parse_layout_map(skeleton.layout_map).name!r} names" if skeleton.layout_map else "there is"
         )
@@ -47,12 +52,17 @@ class SkeletonMapError(MotionkitError):
             else "`motionkit ingest --skeleton-map my-rig.toml` teaches a new one (docs/formats.md)"
         )
         super().__init__(
-            f"skeleton {skeleton.name!r} cannot be mapped to {layout}: {table} nothing for {', '.join(missing)} among "
-            f"its joints ({shown}); {remedy}"
+            f"skeleton {skeleton.name!r} cannot be mapped to {layout}: {table} nothing for "
+            f"{_some(missing, SHOWN_MISSING)} among its joints ({shown}); {remedy}"
         )
 
     def __reduce__(self) -> tuple[object, ...]:
         return _rebuild_error, (self.args[0], self.skeleton_name, self.layout, self.missing)
+
+
+def _some(names: Sequence[str], most: int) -> str:
+    more = f" and {len(names) - most:,} more" if len(names) > most else ""
+    return ", ".join(shortened(name, LONGEST_NAME) for name in names[:most]) + more
 
 
 def _rebuild_error(message: str, skeleton_name: str, layout: str, missing: tuple[str, ...]) -> SkeletonMapError:

@@ -36,7 +36,8 @@ class ReadOptions:
     `skeletons.families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along.
     `fps_rules` are the user's corrections of framerates, before the shipped ones (`framerate_rules`). `body_models` is
     the user's folder of SMPL-family models. `index` picks stretches of a source's files. `skip_frames` at the start of
-    every whole file are left out, where its annotations don't say how many.
+    every whole file are left out, where its annotations don't say how many. Of folders, `leave_out_made` leaves out the
+    files that `motionkit complete` and `motionkit plant` have put there (`made`).
     """
 
     format: str = "auto"
@@ -48,6 +49,7 @@ class ReadOptions:
     body_models: Path | None = None
     index: IndexOptions | None = None
     skip_frames: int = 0
+    leave_out_made: bool = False
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from motionkit.formats.scan import annotations, unread
 from motionkit.formats.scan.annotations import Annotation, AnnotationTable
 from motionkit.formats.scan.folders import dangling, walk
 from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem, Spare
+from motionkit.formats.scan.made import is_made
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
@@ -100,8 +101,11 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     licences: dict[Path, str] = {}
     lost: list[FormatError] = []
     seen: list[Path] = []
+    made: list[Path] = []
     one = [(root, [root / source.name])] if source.is_file() else None
     for folder, files in one or walk(root, _is_claimed, lost.append):
+        if options.leave_out_made and one is None:
+            files = [path for path in files if not _left_out(path, root, made)]
         licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
         if given is None:
             tables_here, broken = annotations.tables_in(folder)
@@ -128,9 +132,30 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     captioned += [table.path.parent for table in beside if table.has_captions]
     reported = {warning.path for warning in warnings if warning.reason == "no-caption"}
     silent = [item for item in items if not item.captions and item.path not in reported]
+    warnings += _made_files(root, made)
     ignored = unread.ignored(seen, found, (table.path.resolve() for table in tables))
     warnings += _motions_without_caption(silent, captioned)
     return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=ignored)
+
+
+def _left_out(path: Path, root: Path, made: list[Path]) -> bool:
+    # Whoever names a folder of completed clips means them.
+    known = any(_takes(entry, path) for entry in readers().values())
+    if known and is_made(path if path.parent != root else Path(path.name)):
+        made.append(path)
+        return True
+    return False
+
+
+def _made_files(root: Path, made: Sequence[Path]) -> list[FormatError]:
+    if not made:
+        return []
+    which = made[0].name + (" …" if len(made) > 1 else "")
+    message = (
+        f"{len(made):,} of its files ({which}) were made by 'motionkit complete' or 'motionkit plant' and are left "
+        "out: name such files one by one to store them"
+    )
+    return [FormatError(message, path=root, reason="made")]
 
 
 def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> list[FormatError]:

@@ -3,8 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
-from fractions import Fraction
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
@@ -16,13 +15,12 @@ from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
 from motionkit.engines import LOCAL, check_engine, make_engine
 from motionkit.engines.parallel import Engine, WorkerDied, map_in_order, usable_cores
-from motionkit.formats.scan.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem, Spare
 from motionkit.formats.scan.scanner import scan
 from motionkit.formats.scan.unread import kinds_of
-from motionkit.formats.smpl.body import substituted_body
-from motionkit.store.codec import RefusedMotion, Row
+from motionkit.store.codec import RefusedMotion
 from motionkit.store.ingest import PRELOADED
+from motionkit.store.ingest.stored import StoredCounts, warnings_of
 from motionkit.store.ingest.stretches import NumberedItem, ReadSequence, ReadStretch, cut, read_stretch
 from motionkit.store.manifest import read_manifest
 from motionkit.store.reports.summary import BodySizes
@@ -47,7 +45,7 @@ class IngestReport:
     """What an ingest did: sequences stored, those the store already held, problems that cost a sequence, warnings.
 
     `datasets` says it by dataset where the sequences are an index's. `ignored` are the files of the sources' folders
-    that are no sequences and belong to none.
+    that are no sequences and belong to none, `stored` counts what was stored by what is known of it.
     `committed` is False where the store was left as it was: after a problem under `stop`, or with nothing to store.
     """
 
@@ -62,6 +60,7 @@ class IngestReport:
     warnings: tuple[FormatError, ...]
     datasets: tuple[DatasetCount, ...] = ()
     ignored: tuple[Path, ...] = ()
+    stored: StoredCounts = field(default_factory=StoredCounts)
 
     @property
     def problems_by_reason(self) -> dict[str, int]:
@@ -119,10 +118,6 @@ def ingest(
     return run.ingest(sources, overwrite)
 
 
-# Before its second frame a jump may be seen one frame late.
-FIRST_FRAMES = 2
-
-
 class _Stopped(Exception):
     """A problem under `stop`, or nothing to store: leave the writer without a commit."""
 
@@ -155,6 +150,7 @@ class _Run:
         self._num_frames = 0
         self._num_already_stored = 0
         self._duration_seconds = 0.0
+        self._counts = StoredCounts()
 
     def ingest(self, sources: Sequence[Path], overwrite: bool) -> IngestReport:
         appends = (self._store / MANIFEST_FILE).exists() and not overwrite
@@ -192,6 +188,7 @@ class _Run:
             warnings=tuple(self._warnings),
             datasets=self._datasets(found) if self._options.index else (),
             ignored=tuple(path for path in found.ignored if not path.is_relative_to(self._store.resolve())),
+            stored=self._counts if committed else StoredCounts(),
         )
 
     def _write(self, writer: StoreWriter, found: ScanResult) -> None:
@@ -280,6 +277,7 @@ class _Run:
         self._num_stored += 1
         self._num_frames += read.row["num_frames"]
         self._duration_seconds += read.row["duration_seconds"]
+        self._counts.add(read.row)
 
     def _check_rig(self, item: SourceItem, skeleton: Skeleton) -> None:
         # Joints that no layout knows are reported once, whatever the lengths of their bones; the motions are kept.
@@ -323,40 +321,3 @@ class _Run:
         self._listener.on_problem(problem)
         if self._on_error == "stop":
             raise _Stopped
-
-
-def warnings_of(item: SourceItem, row: Row) -> Iterator[FormatError]:
-    """Warnings about a motion that is kept; `row` is its row in the table of sequences.
-
-    `neutral-body`: no model of the subject's gender; `first-frame`: a jump after the first frame; `shortened`, or
-    `duration` of a whole file: a file is not as long as its index has it.
-    """
-    substitute = substituted_body(row["operations"])
-    if substitute:
-        yield FormatError(substitute, path=item.path, reason="neutral-body")
-    if item.cut is None:
-        yield from _jump_at_start(item, row)
-        return
-    fps = Fraction(row["fps_numerator"], row["fps_denominator"])
-    seconds = row["duration_seconds"]
-    missing = missing_seconds(item.cut, item.path, row["num_frames"], fps, row["stated_fps"])
-    if missing > 0.0:
-        message = f"ends {missing:.3g} s before {item.sequence_id} does; {seconds:.3g} s of it are kept"
-        yield FormatError(message, path=item.path, reason="shortened")
-    elif unlike_stated_seconds(item.cut, row["num_frames"], fps):
-        message = (
-            f"lasts {seconds:.4g} s at {float(fps):g} fps, which is not what the index says of {item.sequence_id}; "
-        )
-        message += "its captions' seconds won't fit: is the framerate wrong (--fps-rules)?"
-        yield FormatError(message, path=item.path, reason="duration")
-
-
-def _jump_at_start(item: SourceItem, row: Row) -> Iterator[FormatError]:
-    # Converters put a T-pose before the motion.
-    jump, frame = row["first_teleport_seconds"], row["seconds_between_frames"]
-    if jump is not None and jump < (FIRST_FRAMES + 0.5) * frame:
-        message = (
-            f"jumps at {jump:.3g} s: does it begin with a reference pose? --skip-frames N leaves out the first frames "
-            "of every file, a column skip_frames of the annotation table those of one"
-        )
-        yield FormatError(message, path=item.path, reason="first-frame")

@@ -246,15 +246,17 @@ def _require_groups(
         without = f"{len(nameless):,} of {len(chosen):,} sequences of {store.path} (sources: {_some(sources)}) "
         if by == PERFORMER:
             raise UsageError(
-                f"{without}have no performer: leave them out (--where \"subject <> ''\"), say who they are in a column "
-                f"'subject' beside the files and ingest again, or hold out something else (--by source, --by "
-                f"source_path, or any SQL over their ids)"
+                f"{without}have no performer: 'motionkit split --by sequence_id' holds out takes, whoever performs "
+                f"them; or say who does in a column 'performer' of a table beside the files (docs/formats.md) and "
+                f"ingest again with --overwrite; or leave them out (--where \"subject <> ''\"), or hold out something "
+                f"else (--by source, or any SQL over their ids)"
             )
         raise UsageError(f"{without}have no value of {by!r}: leave them out with --where")
     if len(groups) < len(shares):
         raise UsageError(
             f"{len(chosen):,} sequences of {store.path} have {len(groups)} different values of {by!r}, which cannot "
-            f"fill {len(shares)} splits: ask for fewer in --shares, or for another --by"
+            f"fill {len(shares)} splits: ask for fewer (motionkit split --shares train=0.8,test=0.2), or for another "
+            "--by, such as --by sequence_id"
         )
 
 

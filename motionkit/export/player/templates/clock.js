@@ -31,3 +31,9 @@ function frameAt(take, seconds) {
   const here = secondsOf(take, frame), part = (seconds - here) / (secondsOf(take, frame + 1) - here);
   return { frame, part: part < 1e-3 ? 0 : Math.min(part, 1), state };
 }
+
+// The take's own instant where each begins again at its end, as long as the longest plays.
+function againAt(take, seconds) {
+  const start = secondsOf(take, 0), length = endOf(take) - start;
+  return seconds < start ? seconds : start + Math.max(0, (seconds - start + SAME_SECONDS) % length - SAME_SECONDS);
+}

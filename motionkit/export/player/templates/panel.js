@@ -184,7 +184,7 @@ function drawPanel(panel, seconds, settings, commonSize) {
   const held = frameAt(take, seconds), frame = held.frame, part = settings.linear ? held.part : 0;
   const next = Math.min(frame + 1, take.numFrames - 1), size = commonSize || take.size;
   // Where the camera is goes by the take itself, or for all by one.
-  const leader = settings.leader || take, yaw = view.yaw + leader.yaw, centre = settings.follow ? placeAt(leader, seconds, settings.linear) : leader.still;
+  const leader = settings.leader || take, yaw = view.yaw + leader.yaw, centre = settings.follow ? placeAt(leader, settings.leader ? settings.leaderSeconds : seconds, settings.linear) : leader.still;
   const project = projection(width, height, centre, settings.follow ? size : Math.max(size, leader.span), yaw);
   const spacing = gridSpacing(size);
   drawGround(pen, project, take, centre, settings.follow ? 2.4 * size / Math.min(1, view.zoom) : 0.6 * leader.span + size, spacing);

@@ -19,14 +19,17 @@ panels.forEach(({ take }, number) => {
   if (take.fps[0] * best.fps[1] > best.fps[0] * take.fps[1]) marked = number;
 });
 
+// Of motions of unequal length each may begin again at its own end.
+function instantOf(take) { return find("again").checked ? againAt(take, seconds) : seconds; }
+
 function show() {
   waiting = false;
   inks.clear();
   const settings = { linear: find("between").value === "linear", follow: find("follow").checked, trails: find("trails").checked,
-    leader: find("shared").checked ? panels[marked].take : null };
-  for (const panel of panels) drawPanel(panel, seconds, settings, commonSize);
+    leader: find("shared").checked ? panels[marked].take : null, leaderSeconds: instantOf(panels[marked].take) };
+  for (const panel of panels) drawPanel(panel, instantOf(panel.take), settings, commonSize);
   drawTimeline(panels, marked, seconds);
-  const { take } = panels[marked], held = frameAt(take, seconds), input = find("frame");
+  const { take } = panels[marked], held = frameAt(take, instantOf(take)), input = find("frame");
   if (document.activeElement !== input || playing) input.value = take.firstFrame + held.frame;
   find("clock").textContent = `${seconds.toFixed(3)} s of ${page.end.toFixed(2)}`;
   timeline.canvas.setAttribute("aria-valuenow", seconds.toFixed(3));
@@ -64,7 +67,7 @@ function goToFrame(frame) {
   seek(secondsOf(take, Math.max(0, Math.min(take.numFrames - 1, frame))));
 }
 
-function step(frames) { goToFrame(frameAt(panels[marked].take, seconds).frame + frames); }
+function step(frames) { const { take } = panels[marked]; goToFrame(frameAt(take, instantOf(take)).frame + frames); }
 
 function mark(number) {
   marked = number;
@@ -86,6 +89,7 @@ document.querySelector("h1").textContent = panels.length > 1 ? data.title : "";
 find("note").textContent = data.note;
 find("shared").checked = data.oneCamera;
 find("shared-label").hidden = panels.length === 1;
+find("again-label").hidden = panels.every(({ take }) => endOf(take) >= page.end - SAME_SECONDS);
 find("panels").append(...panels.map((panel) => panel.figure));
 find("panels").classList.toggle("many", panels.length > 2);
 timeline.canvas.setAttribute("aria-valuemin", page.start.toFixed(3));
@@ -97,7 +101,7 @@ find("next").onclick = () => step(1);
 find("frame").onfocus = () => setPlaying(false);
 find("frame").oninput = (event) => { if (event.target.value !== "") goToFrame(Number(event.target.value) - panels[marked].take.firstFrame); };
 find("reset").onclick = () => { Object.assign(view, FIRST_VIEW); refresh(); };
-for (const id of ["between", "follow", "trails", "shared"]) find(id).onchange = refresh;
+for (const id of ["between", "follow", "trails", "shared", "again"]) find(id).onchange = refresh;
 
 const scrub = (event) => {
   const box = timeline.canvas.getBoundingClientRect();
@@ -119,6 +123,7 @@ const KEYS = {
   f: () => toggle("follow"),
   c: () => toggle("shared"),
   t: () => toggle("trails"),
+  l: () => toggle("again"),
   i: () => { find("between").value = find("between").value === "hold" ? "linear" : "hold"; refresh(); },
   r: () => find("reset").onclick(),
 };

@@ -102,6 +102,9 @@ point(canvas, "pointerdown", 1, 50, 50); point(canvas, "pointermove", 1, 80, 50)
 point(canvas, "pointerdown", 2, 180, 50); point(canvas, "pointermove", 2, 280, 50); say("pinched");
 point(canvas, "pointerup", 1, 80, 50); point(canvas, "pointerup", 2, 280, 50);
 press("r"); say("reset");
+const words = () => [...document.querySelectorAll(".state")].map((each) => each.textContent);
+seek(0.55); press("l"); show(); states.looped = words(); press("l"); say("not looped");
+seek(states.scrubbed[1]); show();
 document.body.append(Object.assign(document.createElement("pre"), { textContent: JSON.stringify(states) }));
 </script>
 """
@@ -123,6 +126,8 @@ def test_a_browser_shows_the_frame_of_the_address_and_does_what_it_is_told(tmp_p
     if ran.returncode:
         pytest.skip(f"this browser does not start here: {ran.stderr[-200:]}")
     states = json.loads(re.findall(r"<pre>(.*?)</pre>", ran.stdout, re.DOTALL)[0])
+    # The short one, of a tenth of a second, is in the middle of its sixth time.
+    assert [words.partition(" +")[0] for words in states.pop("looped")] == ["frame 66", "frame 23", "frame 1"]
     frames = {name: int(each[0]) for name, each in states.items()}
     assert [frames[name] for name in ("opened", "on", "ten back", "end", "slow on")] == [60, 61, 51, 119, 8]
     assert states["scrubbed"][1] == pytest.approx(2 / 3, abs=1e-3) and frames["scrubbed"] == 7 + 20

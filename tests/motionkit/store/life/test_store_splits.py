@@ -185,7 +185,9 @@ def test_a_store_without_performers_is_told_what_to_do(tmp_path, make_motion):
     named = [taken_by(make_motion, f"n{take}", "anna", source="known") for take in range(3)]
     nameless = [taken_by(make_motion, f"x{take}", "", source="unknown") for take in range(3)]
     path = write(tmp_path / "store", [*named, *nameless])
-    with pytest.raises(UsageError, match=r"3 of 6 sequences of .* \(sources: 'unknown'\) have no performer: leave"):
+    with pytest.raises(
+        UsageError, match=r"3 of 6 sequences of .* \(sources: 'unknown'\) have no performer: 'motionkit split --by"
+    ):
         split(path)
     split(path, {"train": 1.0}, where="subject = ''")
     with pytest.raises(StoreError, match="there is no store"):
