@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from motionkit.core.timegrid import TimeGrid
     from motionkit.fields.resample import resample
     from motionkit.formats.catalogue import write
+    from motionkit.generate.constraints import Constraint
     from motionkit.generate.models import SamplingOptions
     from motionkit.generate.motion import MotionModel, generate, load_model
     from motionkit.plant.motion import plant
@@ -34,6 +35,7 @@ __all__ = [
     "KIT21",
     "SMPL22",
     "Caption",
+    "Constraint",
     "FormatError",
     "Motion",
     "MotionModel",
@@ -60,6 +62,7 @@ give_names(
     __name__,
     {
         "Caption": "motionkit.core.motion",
+        "Constraint": "motionkit.generate.constraints",
         "FormatError": "motionkit.core.errors",
         "KIT21": "motionkit.core.skeleton",
         "Motion": "motionkit.core.motion",

@@ -17,14 +17,18 @@ from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, num_frames_within
+from motionkit.fields.assembly import laid
+from motionkit.fields.contact.bones_field import with_lengths
 from motionkit.fields.motion_field import FramerateConditioned, MotionField
-from motionkit.generate.models import GenerationRequest, SamplingOptions
+from motionkit.generate.constraints import KINDS, ConstraintKind
+from motionkit.generate.models import GenerationRequest, SamplingOptions, check_constraints
 from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.text import TextEncoder, load_text_encoder
 from nerm.conditions import Conditions, unit_rows
+from nerm.denoiser.constrained import sample_held
 from nerm.denoiser.trained import TrainedDenoiser, load_denoiser
-from nerm.field.trained import load_field
+from nerm.field.trained import TrainedField, load_field
 from nerm.names import row_name
 
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
@@ -104,7 +108,7 @@ class NermModel:
         """One field per request, in order; request i follows from (seed, `first` + i) and itself alone.
 
         Raises `UsageError` for a duration outside (0, l_max], an unknown action, a text alone where it was trained
-        without texts, or sampling options that there are not.
+        without texts, sampling options that there are not, or constraints that it cannot follow.
         """
         if not requests:
             return []
@@ -118,15 +122,41 @@ class NermModel:
             action=torch.tensor([self.denoiser.layout.action_index(action) for action in actions]),
             duration=torch.tensor(durations, dtype=torch.float32) / self.max_duration_seconds,
         )
-        latents = self.denoiser.sample(conditions, seed=seed, sampling=sampling, first=first)
-        return [
-            self.field.as_motion_field(latent, duration) for latent, duration in zip(latents, durations, strict=True)
-        ]
+        if not any(request.constraints for request in requests):
+            latents = self.denoiser.sample(conditions, seed=seed, sampling=sampling, first=first)
+            return [self.field.as_motion_field(*drawn) for drawn in zip(latents, durations, strict=True)]
+        # One by one, so that a motion doesn't depend on how many are asked for together.
+        assert isinstance(self.field, TrainedField)
+        made: list[MotionField] = []
+        for row, request in enumerate(requests):
+            own = conditions.rows(slice(row, row + 1))
+            if not request.constraints:
+                latent = self.denoiser.sample(own, seed=seed, sampling=sampling, first=first + row)[0]
+                made.append(self.field.as_motion_field(latent, durations[row]))
+                continue
+            held = sample_held(
+                *(self.denoiser, self.field, own, request.constraints),
+                seed=seed,
+                number=first + row,
+                sampling=sampling,
+            )
+            motion: MotionField = self.field.as_motion_field(held.latent, durations[row])
+            if held.bones is not None:
+                motion = with_lengths(motion, held.bones.numpy())
+            yaw, x, z = held.place.tolist()
+            made.append(laid(motion, yaw, (x, z)))
+        return made
+
+    @property
+    def constraint_kinds(self) -> frozenset[ConstraintKind]:
+        """All, where its field's joints are a differentiable function of the latent at each instant; else none."""
+        return KINDS if isinstance(self.field, TrainedField) and self.field.has_joints else frozenset()
 
     def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
         """Raise `UsageError` for a duration outside (0, l_max], an unknown action, a text where it knows no texts, or
         sampling options that there are not."""
         self.denoiser.with_sampling(sampling)
+        check_constraints(self, request)
         seconds = request.duration_seconds
         if seconds is not None and not 0 < seconds <= self.max_duration_seconds + 1e-9:
             raise UsageError(

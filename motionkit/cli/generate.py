@@ -30,6 +30,24 @@ Join = Annotated[bool, typer.Option("--join", help="One motion of all texts or a
 Overlap = Annotated[
     float, typer.Option(help="Seconds by which the parts of a joined or long motion go over into one another.")
 ]
+PathFile = Annotated[
+    Path | None, typer.Option(help="A CSV of x, z in metres, perhaps seconds and heading_degrees: where the body goes.")
+]
+PoseFiles = Annotated[
+    list[str] | None, typer.Option(metavar="S=FILE[@S]", help="A pose at a second (2.0=clip.bvh@1.5); may be repeated.")
+]
+JointPlaces = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME@S[-S]=X,Y,Z", help="A joint at a place (left_foot@1.0-1.4=0.2,0.05,1); may be repeated."
+    ),
+]
+PoseJoints = Annotated[
+    str | None, typer.Option(metavar="NAME,NAME,…", help="The joints of poses that count (else all).")
+]
+PosePlaced = Annotated[
+    bool, typer.Option("--pose-placed", help="Poses stand and face where their files say, not anywhere on the floor.")
+]
 Times = Annotated[str | None, typer.Option(metavar="S,S,…", help="Poses at these seconds only, instead of --fps.")]
 Count = Annotated[int, typer.Option("-n", "--count", min=1, help="Motions per text or action.")]
 OutFolder = Annotated[Path, typer.Option(help="New or empty folder for the files.")]
@@ -65,6 +83,11 @@ def generate(
     join: Join = False,
     overlap: Overlap = 0.5,
     times: Times = None,
+    path: PathFile = None,
+    pose: PoseFiles = None,
+    joint: JointPlaces = None,
+    pose_joints: PoseJoints = None,
+    pose_placed: PosePlaced = False,
     count: Count = 1,
     out: OutFolder = Path("generated"),
     file_format: FileFormat = "npz",
@@ -82,30 +105,26 @@ def generate(
     as_json: AsJson = False,
 ) -> None:
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants."""
+    from motionkit.generate.constraint_files import path_and_seconds, wanted_constraints
     from motionkit.generate.files import output_format
-    from motionkit.generate.models import SamplingOptions
     from motionkit.generate.request import MotionsRequest, parse_times, wanted_prompts
 
-    if resume and overwrite:
-        raise UsageError("--resume and --overwrite exclude each other")
+    _check_together(resume and overwrite, bool(times and fps), detail and file_format == "bvh")
+    table, seconds = path_and_seconds(path, seconds)
     wanted = wanted_prompts(prompts, texts or [], action or [], unconditional, seconds)
-    if times is not None and fps is not None:
-        raise UsageError("--times and --fps exclude each other")
     rate, instants = parse_rate(fps), parse_times(times)
     output = output_format(file_format, instants)
-    if detail and output.name == "bvh":
-        raise UsageError("--detail is for measuring and training: it trembles as captures do, and isn't written as BVH")
-    request = MotionsRequest(tuple(wanted), count, instants, rate, join, overlap)
+    held = wanted_constraints(table, join, wanted, pose, joint, joints=pose_joints, placed=pose_placed)
+    request = MotionsRequest(tuple(wanted), count, instants, rate, join, overlap, held)
 
     from motionkit.clips.detail.stage import load_detail
     from motionkit.generate.folder import begin_folder, replace_folder, resume_folder
     from motionkit.generate.job import Job
-    from motionkit.generate.models import load_model, model_of, warn_above_training
+    from motionkit.generate.models import SamplingOptions, load_model, model_of, warn_above_training
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)
-    sampling = SamplingOptions(guidance, sampler, sampling_steps)
-    learnt = load_detail(place) if detail else None
+    sampling, learnt = SamplingOptions(guidance, sampler, sampling_steps), load_detail(place) if detail else None
     job = Job(request, loaded, place, output, seed, sampling, plant, learnt)
     warn_above_training(loaded, job.fps)
     _say_joined(job)
@@ -114,6 +133,16 @@ def generate(
         report = _write_all(job, folder, as_json)
     if as_json:
         print_json({"model": loaded.name, "run": run, "seed": seed, "folder": str(out), **report})
+
+
+def _check_together(resumed_and_replaced: bool, at_times_and_fps: bool, detail_as_bvh: bool) -> None:
+    """Raise `UsageError` for options that don't go together."""
+    if resumed_and_replaced:
+        raise UsageError("--resume and --overwrite exclude each other")
+    if at_times_and_fps:
+        raise UsageError("--times and --fps exclude each other")
+    if detail_as_bvh:
+        raise UsageError("--detail is for measuring and training: it trembles as captures do, and isn't written as BVH")
 
 
 def _write_all(job: "Job", folder: "GeneratedFolder", as_json: bool) -> dict[str, Any]:
@@ -137,10 +166,14 @@ def _write_all(job: "Job", folder: "GeneratedFolder", as_json: bool) -> dict[str
 
 
 def _say_joined(job: "Job") -> None:
-    """Say on stderr where motions are made in pieces, of which none knows the others."""
+    """Say on stderr where motions are made in pieces."""
+    from motionkit.generate.long_motions import goes_on
+
     if job.num_joined:
         stderr.print(
             f"motionkit: {job.num_joined:,} of {len(job.request.motions):,} motions are joined from several of up to "
-            f"{job.model.max_duration_seconds:g} s, the longest that the model makes at once; each is laid over the "
-            f"last {job.request.overlap_seconds:g} s of the one before, of which it knows nothing",
+            f"{job.model.max_duration_seconds:g} s, the longest that the model makes at once; each "
+            + ("begins as" if goes_on(job.model) else "is laid over")
+            + f" the last {job.request.overlap_seconds:g} s of the one before"
+            + (" go" if goes_on(job.model) else ", of which it knows nothing"),
         )

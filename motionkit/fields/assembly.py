@@ -179,6 +179,13 @@ def assemble(pieces: Sequence[Piece], fade_seconds: float | None = None) -> Asse
     return AssembledField(tuple(pieces), centre - half, centre + half)
 
 
+def laid(field: MotionField, yaw: float, origin: tuple[float, float]) -> MotionField:
+    """A motion turned about +Y and moved on the floor; itself where that is nothing."""
+    if yaw == 0.0 and origin == (0.0, 0.0):
+        return field
+    return assemble([Piece(field, field.start_seconds, yaw, origin)])
+
+
 def chain(fields: Sequence[MotionField], overlap_seconds: float) -> AssembledField:
     """Separate motions one after the other: each is turned and moved so that it goes on where the last one ends.
 

@@ -36,6 +36,12 @@ FORMAT = "motionkit-generation"
 TABLE_CHECKSUMS = "table_checksums"
 # What may differ between a call and the one that it resumes.
 MAY_DIFFER = ("versions", TABLE_CHECKSUMS)
+# What older versions didn't write, for they did not do it, and how their folders are gone on with.
+PLANTED, JOINS, CONSTRAINTS = "planted", "joins", "constraints"
+OF_OLDER_VERSIONS = {
+    PLANTED: "an older version made it, which planted nothing: --no-plant goes on with it",
+    JOINS: "an older version made it, which joined motions otherwise: --overwrite makes all again",
+}
 ANOTHER = "name another folder with --out"
 
 
@@ -195,9 +201,12 @@ def resume_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
         return begin_folder(path, manifest)
     _refuse_links(path)
     found, asked = _read_manifest(path), json.loads(json.dumps(dict(manifest)))
+    found = {**_of_older_versions(found), **found}
     differing = [name for name in {**asked, **found} if name not in MAY_DIFFER and found.get(name) != asked.get(name)]
     if differing:
         name = differing[0]
+        if name in OF_OLDER_VERSIONS and name not in _read_manifest(path):
+            raise UsageError(f"{path} cannot be gone on with by this call: {OF_OLDER_VERSIONS[name]}")
         raise UsageError(
             f"{path} was begun with another {name} ({_short(found.get(name))}, now {_short(asked.get(name))}): repeat "
             "the same call, or name another folder with --out"
@@ -320,6 +329,12 @@ def _is_unfinished_manifest(path: Path) -> bool:
     return name == temporary_name(path.with_name(MANIFEST)).name or (
         name.startswith(f".{MANIFEST}.") and name.endswith(".tmp")
     )
+
+
+def _of_older_versions(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """What calls did whose generation.json doesn't say it."""
+    joins = None if manifest.get("overlap_seconds") is None else "cross-faded"
+    return {PLANTED: False, "with_detail": False, JOINS: joins, CONSTRAINTS: []}
 
 
 def _short(value: Any) -> str:

@@ -14,10 +14,10 @@ from motionkit.fields.detail.detailed import detailed
 from motionkit.fields.detail.model import Detail
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.files import OutputFormat
-from motionkit.generate.folder import FORMAT, GeneratedFolder
-from motionkit.generate.long_motions import check_script, generate_scripts, is_joined
+from motionkit.generate.folder import CONSTRAINTS, FORMAT, JOINS, GeneratedFolder
+from motionkit.generate.long_motions import check_script, generate_scripts, goes_on, is_joined
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
-from motionkit.generate.request import MotionsRequest, requests_of
+from motionkit.generate.request import MotionsRequest
 from motionkit.generate.samples import GeneratedSample, motion_name, sample_field, standing
 from motionkit.training.run import versions, weights_sha256
 
@@ -43,7 +43,7 @@ class Job:
     def __post_init__(self) -> None:
         for prompts in self.request.scripts:
             try:
-                check_script(self.model, requests_of(prompts), self.sampling, self.request.overlap_seconds)
+                check_script(self.model, self.request.script_of(prompts), self.sampling, self.request.overlap_seconds)
             except UsageError as error:
                 where = prompts[0].where if len(prompts) == 1 else ""
                 raise UsageError(f"{where}: {error}" if where else str(error)) from None
@@ -78,6 +78,8 @@ class Job:
             "conditions": [_described(prompt.request) for prompts in request.scripts for prompt in prompts],
             "joined": any(len(script) > 1 for script in request.scripts),
             "overlap_seconds": request.overlap_seconds if self.num_joined else None,
+            JOINS: None if not self.num_joined else "in phase" if goes_on(self.model) else "cross-faded",
+            CONSTRAINTS: [each.plain() for each in request.constraints],
             "versions": versions(),
         }
 
@@ -97,7 +99,7 @@ class Job:
         for index, field in enumerate(fields, start=num_done):
             name = motion_name(index, motions[index])
             seconds = np.array(times, dtype=np.float64) if times else None
-            shown = standing(field) if self.plant else field
+            shown = standing(field, motions[index]) if self.plant else field
             if self.detail is not None:
                 shown = detailed(shown, self.detail, seed=self.seed, number=index)
             yield field, sample_field(shown, name, motions[index], self.fps, seconds)

@@ -15,6 +15,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.progress import warn
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
+from motionkit.generate.constraints import Constraint, ConstraintKind
 from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
 
 
@@ -23,12 +24,14 @@ class GenerationRequest:
     """One motion wanted: a duration, and a text, an action or neither as its condition.
 
     Where both are given, a model uses the text if it was trained with texts, and the action otherwise.
-    Where the duration is None, the model draws one from those of its training data.
+    Where the duration is None, the model draws one from those of its training data. Constraints are for models that
+    follow such (`FollowsConstraints`), and need a duration; their clock begins with the motion.
     """
 
     duration_seconds: float | None
     text: str = ""
     action: str = ""
+    constraints: tuple[Constraint, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -94,6 +97,30 @@ class ChecksRequests(Protocol):
     def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
         """Raise `UsageError` for a duration, an action, a text or a way of sampling that this model does not know."""
         ...
+
+
+@runtime_checkable
+class FollowsConstraints(Protocol):
+    """A model whose motions can be held to constraints of some kinds; of others none is asked."""
+
+    @property
+    def constraint_kinds(self) -> frozenset[ConstraintKind]:
+        """The kinds that it follows."""
+        ...
+
+
+def check_constraints(model: GenerativeModel, request: GenerationRequest) -> None:
+    """Raise `UsageError` for constraints that a model doesn't follow, and for those outside the motion's length."""
+    kinds = model.constraint_kinds if isinstance(model, FollowsConstraints) else frozenset()
+    length = request.duration_seconds
+    for each in request.constraints:
+        if each.kind not in kinds:
+            follows = f"follows {' and '.join(sorted(kinds))} alone" if kinds else "follows no constraints"
+            raise UsageError(f"{each.name}: the model {model.name!r} {follows}: it cannot be held to a {each.kind}")
+        if length is None:
+            raise UsageError(f"{each.name}: --seconds is needed: it is held to instants of a motion of a given length")
+        if each.seconds.max() > length + 1e-9:
+            raise UsageError(f"{each.name}: {each.seconds.max():g} s lies outside the motion's 0 … {length:g} s")
 
 
 @runtime_checkable

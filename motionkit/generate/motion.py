@@ -1,7 +1,7 @@
 """A trained generative model, in Python: texts or actions in, motions out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, overload
@@ -13,6 +13,7 @@ from motionkit.core.settings import default_path
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate import models
+from motionkit.generate.constraints import Constraint
 from motionkit.generate.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, model_of, warn_above_training
 from motionkit.generate.samples import motion_name, sample_field, standing
@@ -43,6 +44,7 @@ class MotionModel:
 
     model: GenerativeModel
     run: Path
+    constraints: tuple[Constraint, ...] = ()
 
     @property
     def name(self) -> str:
@@ -63,6 +65,10 @@ class MotionModel:
     def max_duration_seconds(self) -> float:
         """Longest motion that it makes at once; longer ones are joined from several."""
         return self.model.max_duration_seconds
+
+    def constrained(self, *constraints: Constraint) -> "MotionModel":
+        """The same model, whose motions are held to constraints too: a path, poses, joints at given instants."""
+        return replace(self, constraints=constraints)
 
     @overload
     def generate(self, text: str | None = None, *, n: None = None, **options: Unpack[Options]) -> Motion: ...
@@ -99,10 +105,10 @@ class MotionModel:
         """
         rate = self.max_training_fps if fps is None else parse_fps(fps)
         warn_above_training(self.model, rate)
-        scripts = _scripts(text, action, seconds, n)
+        scripts = self._scripts(text, action, seconds, n)
         fields = self.draw(scripts, seed, sampling or SamplingOptions())
         motions = [
-            sample_field(standing(field) if plant else field, motion_name(number, script), script, rate)
+            sample_field(standing(field, script) if plant else field, motion_name(number, script), script, rate)
             .motion()
             .logged(f"generate motion {number} of seed {seed} at {format_fps(rate)} fps ({self.name}, {self.run})")
             for number, (script, field) in enumerate(zip(scripts, fields, strict=True))
@@ -126,14 +132,31 @@ class MotionModel:
         >>> field.query(np.array([0.5, 1.25])).joint_positions.shape
         (2, 22, 3)
         """
-        fields = self.draw(_scripts(text, action, seconds, n), seed, sampling or SamplingOptions())
-        return [standing(field) for field in fields] if plant else fields
+        scripts = self._scripts(text, action, seconds, n)
+        fields = self.draw(scripts, seed, sampling or SamplingOptions())
+        return list(map(standing, fields, scripts)) if plant else fields
 
     def draw(self, scripts: Sequence[Script], seed: int, sampling: SamplingOptions) -> list[MotionField]:
         """The motions of scripts, one or several requests in a row each; all are checked before the first is made."""
         for script in dict.fromkeys(scripts):
             check_script(self.model, script, sampling, OVERLAP_SECONDS)
         return list(generate_scripts(self.model, scripts, seed=seed, sampling=sampling))
+
+    def _scripts(
+        self, text: str | Several | None, action: str | None, seconds: int | float | None, n: int | None
+    ) -> list[Script]:
+        """What is asked for, n times each; raises `UsageError` for an empty text or action and for fewer than one."""
+        texts = [""] if text is None else [text] if isinstance(text, str) else list(text)
+        if (text is not None and not all(each.strip() for each in texts)) or (
+            action is not None and not action.strip()
+        ):
+            raise UsageError("a text or action is empty; without either the motion is of no stated kind")
+        if not texts or (n is not None and n < 1):
+            raise UsageError("nothing is asked for: at least one text, and n of 1 or more")
+        length = None if seconds is None else float(seconds)
+        return [
+            (GenerationRequest(length, each, action or "", self.constraints),) for each in texts for _ in range(n or 1)
+        ]
 
     def __repr__(self) -> str:
         return (
@@ -199,16 +222,3 @@ def generate(
         text, action=action, fps=fps, seconds=seconds, n=n, seed=seed, sampling=sampling, plant=plant
     )
     return made
-
-
-def _scripts(
-    text: str | Several | None, action: str | None, seconds: int | float | None, n: int | None
-) -> list[Script]:
-    """What is asked for, n times each; raises `UsageError` for an empty text or action and for fewer than one."""
-    texts = [""] if text is None else [text] if isinstance(text, str) else list(text)
-    if (text is not None and not all(each.strip() for each in texts)) or (action is not None and not action.strip()):
-        raise UsageError("a text or action is empty; without either the motion is of no stated kind")
-    if not texts or (n is not None and n < 1):
-        raise UsageError("nothing is asked for: at least one text, and n of 1 or more")
-    length = None if seconds is None else float(seconds)
-    return [(GenerationRequest(length, each, action or ""),) for each in texts for _ in range(n or 1)]

@@ -12,13 +12,14 @@ Empty lines are skipped. A line has a text or an action; without `seconds` its l
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from motionkit.core.errors import UsageError
 from motionkit.core.plain_text import parse_json, shown
+from motionkit.generate.constraints import Constraint
 from motionkit.generate.long_motions import OVERLAP_SECONDS, Script
 from motionkit.generate.models import GenerationRequest
 
@@ -36,7 +37,7 @@ class Prompt:
 
 @dataclass(frozen=True)
 class MotionsRequest:
-    """What to make: `count` motions of each prompt, or with `join` of all prompts in a row.
+    """What to make: `count` motions of each prompt, or with `join` of all prompts in a row, held to `constraints`.
 
     Poses are wanted at `times`, or at `fps` (None: the format's or the model's own). Motions that are joined from
     several overlap by `overlap_seconds`. Raises `UsageError` for instants outside a motion's length, and for prompts
@@ -49,6 +50,7 @@ class MotionsRequest:
     fps: Fraction | None = None
     join: bool = False
     overlap_seconds: float = OVERLAP_SECONDS
+    constraints: tuple[Constraint, ...] = ()
 
     def __post_init__(self) -> None:
         for prompt in self.prompts if self.join else ():
@@ -73,12 +75,12 @@ class MotionsRequest:
     @property
     def motions(self) -> list[Script]:
         """What each motion shows: motion i is of script i // count."""
-        return [requests_of(prompts) for prompts in self.scripts for _ in range(self.count)]
+        return [self.script_of(prompts) for prompts in self.scripts for _ in range(self.count)]
 
-
-def requests_of(prompts: Sequence[Prompt]) -> Script:
-    """What a model is asked for."""
-    return tuple(prompt.request for prompt in prompts)
+    def script_of(self, prompts: Sequence[Prompt]) -> Script:
+        """What a model is asked for: what a whole motion is held to is said with the first of its requests."""
+        first, *others = (prompt.request for prompt in prompts)
+        return (replace(first, constraints=self.constraints), *others)
 
 
 def parse_times(times: str | None) -> tuple[float, ...]:

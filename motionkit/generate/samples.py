@@ -16,7 +16,8 @@ from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, at_fps
-from motionkit.generate.long_motions import Script, captions_of
+from motionkit.generate.constraints import Followed, followed
+from motionkit.generate.long_motions import Script, captions_of, constraints_of
 
 SLUG_LENGTH = 40
 
@@ -33,6 +34,7 @@ class GeneratedSample:
     skeleton: Skeleton
     captions: tuple[Caption, ...]
     action: str
+    followed: tuple[Followed, ...] = ()
 
     def plain(self, file: str) -> dict[str, Any]:
         """What was made and where it lies, as JSON."""
@@ -47,7 +49,7 @@ class GeneratedSample:
             "duration_seconds": self.duration_seconds,
             "fps": None if self.fps is None else str(self.fps),
             "num_frames": len(self.seconds),
-        }
+        } | ({"constraints": [each.plain() for each in self.followed]} if self.followed else {})
 
     def motion(self) -> Motion:
         """The poses as a motion; raises `UsageError` for poses without a uniform framerate."""
@@ -92,16 +94,18 @@ def sample_field(
         skeleton=field.skeleton,
         captions=captions_of(script),
         action=script[0].action if len({request.action for request in script}) == 1 else "",
+        followed=tuple(followed(field, each) for each in constraints_of(script)),
     )
 
 
-def standing(field: MotionField) -> MotionField:
+def standing(field: MotionField, script: Script) -> MotionField:
     """A generated field with feet that stand and bones of one length (`motionkit.fields.contact`).
 
-    Itself, with a warning, where its skeleton's legs aren't known.
+    What is held to places of the world stays there. Itself, with a warning, where its skeleton's legs aren't known.
     """
+    is_placed = any(each.frame == "world" for request in script for each in request.constraints)
     try:
-        return planted(field, "free")
+        return planted(field, "kept" if is_placed else "free")
     except SkeletonMapError as error:
         warn(f"not planted: {error}")
         return field

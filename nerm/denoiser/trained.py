@@ -12,6 +12,7 @@ from motionkit.core.errors import UsageError
 from motionkit.generate.models import SamplingOptions
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.diffusion.process import (
+    Adjust,
     cumulative_alphas,
     predicted_noise,
     sample_ddim,
@@ -61,8 +62,9 @@ class TrainedDenoiser:
         seed: int,
         sampling: SamplingOptions = SamplingOptions(),
         first: int = 0,
+        adjust: Adjust | None = None,
     ) -> Float32[Tensor, "batch latent"]:
-        """One latent of the field per row of `conditions`.
+        """One latent of the field per row of `conditions`; `adjust` may change what each step predicts.
 
         Row i draws from (seed, `first` + i) alone, so it doesn't depend on how many rows there are (but for the
         rounding of batched sums). Numbers that a motion of the row's duration doesn't depend on are the training data's
@@ -73,7 +75,7 @@ class TrainedDenoiser:
         found = []
         for start in range(0, len(generators), SAMPLES_PER_BATCH):
             rows = slice(start, start + SAMPLES_PER_BATCH)
-            found.append(self._sample_batch(config, conditions.rows(rows), generators[rows]))
+            found.append(self._sample_batch(config, conditions.rows(rows), generators[rows], adjust))
         latents = torch.cat(found)
         if not torch.isfinite(latents).all():
             scale = config.diffusion.guidance_scale
@@ -85,9 +87,13 @@ class TrainedDenoiser:
         diffusion = self.config.diffusion.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
         return replace(self.config, diffusion=diffusion)
 
-    @torch.inference_mode()
+    @torch.no_grad()
     def _sample_batch(
-        self, config: DenoiserConfig, conditions: Conditions, generators: Sequence[torch.Generator]
+        self,
+        config: DenoiserConfig,
+        conditions: Conditions,
+        generators: Sequence[torch.Generator],
+        adjust: Adjust | None,
     ) -> Float32[Tensor, "batch latent"]:
         def draw_noise() -> Float64[Tensor, "batch latent"]:
             drawn = [torch.randn(self.latent_dimension, generator=g, dtype=torch.float64) for g in generators]
@@ -105,9 +111,9 @@ class TrainedDenoiser:
             return predicted_noise(diffusion.prediction, output.to("cpu", torch.float64), latents, alpha)
 
         if diffusion.sampler == "ddim":
-            latents = sample_ddim(predict_noise, draw_noise(), alphas, steps)
+            latents = sample_ddim(predict_noise, draw_noise(), alphas, steps, adjust)
         else:
-            latents = sample_ddpm(predict_noise, draw_noise(), alphas, steps, draw_noise)
+            latents = sample_ddpm(predict_noise, draw_noise(), alphas, steps, draw_noise, adjust)
         used = in_use(self.denoiser.first_read.to("cpu"), conditions.duration)
         return self.space.restore(latents.to(torch.float32) * used)
 

@@ -13,6 +13,7 @@ from jaxtyping import Float, Float32, Float64
 
 from motionkit.clips.pose_vectors.convention import PoseVectors, VectorScaling, described, restored
 from motionkit.clips.pose_vectors.field import FIELD_VECTORS
+from motionkit.clips.pose_vectors.joints import has_joints
 from motionkit.clips.windows import Windows
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import normalise_seconds
@@ -87,6 +88,11 @@ class TrainedField:
             return self.config.clips.fixed_framerate
         fastest = int(np.argmax(self.windows.fps))
         return self.windows.exact_fps(fastest)
+
+    @property
+    def has_joints(self) -> bool:
+        """Whether each pose's joints are a differentiable function of the latent, and of nothing else."""
+        return has_joints(self.vectors) and self.config.decoder.kind != "transformer"
 
     @property
     def device(self) -> torch.device:

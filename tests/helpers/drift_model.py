@@ -49,6 +49,24 @@ class DriftModel:
         ]
 
 
+class GoesOn(DriftModel):
+    """Goes on from the place of the first pose that it is held to, or along a path."""
+
+    constraint_kinds = frozenset(("path", "pose"))
+
+    def __init__(self):
+        super().__init__()
+        self.asked = []
+
+    def generate(self, requests, *, seed, sampling=None, first=0):
+        self.asked += [(first + row, request) for row, request in enumerate(requests)]
+        made = super().generate(requests, seed=seed, first=first)
+        for row, request in enumerate(requests):
+            for each in request.constraints:
+                made[row] = Drift(float(each.positions[0, 0, 2]), made[row].end_seconds)
+        return made
+
+
 def names(folder):
     return sorted(path.name for path in folder.iterdir())
 

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from motionkit.cli.app import build_app
 from motionkit.core.errors import UsageError
 from motionkit.fields.motion_field import to_motion
+from motionkit.generate.constraints import Constraint
 from motionkit.generate.long_motions import generate_joined
 from motionkit.generate.models import GenerationRequest, load_model
 from motionkit.generate.samples import standing
@@ -116,7 +117,7 @@ def test_feet_stand_and_bones_keep_their_length(trained: Path) -> None:
     ]
     assert spread[0] < 1e-5 < spread[1]
     [field] = model.generate([GenerationRequest(2.0, text="a person walks")], seed=3)
-    expected = standing(field).at_fps(Fraction(30)).query(np.arange(60) / 30).joint_positions
+    expected = standing(field, (GenerationRequest(2.0),)).at_fps(Fraction(30)).query(np.arange(60) / 30).joint_positions
     np.testing.assert_allclose(positions(planted), expected, atol=1e-5)
     [written] = generate(trained, "animation", *call, "--format", "bvh")
     text = Path(str(written["file"])).read_text()
@@ -158,6 +159,38 @@ def test_a_long_motion_of_several_texts_is_one_at_every_framerate(trained: Path)
     # What the field itself answers differently, and nothing else.
     assert apart.max() <= np.linalg.norm(told[1] - told[0], axis=-1).max() + 1e-4
     assert 0 < apart.mean() < 0.05
+
+
+def test_a_path_and_a_pose_are_kept_to(trained: Path, tmp_path: Path) -> None:
+    """At every framerate, planted, whatever else is asked for; and the next call does the same."""
+    points = tmp_path / "points.csv"
+    points.write_text("seconds,x,z\n0,3,1\n1.5,3,2\n3,4,2\n")
+    [drawn] = generate(trained, "drawn", "a person jumps", "--seconds", "2", "--fps", "30")
+    call = ("a person walks", "--path", str(points), "--pose", f"2.0={drawn['file']}@1.0")
+    [slow] = generate(trained, "held-slow", *call, "--fps", "30")
+    [fast] = generate(trained, "held-fast", *call, "--fps", "60")
+    path, pose = slow["constraints"]  # type: ignore[misc]
+    # A field of 30 steps knows few poses.
+    assert (path["mean_metres"] < 0.1, pose["mean_metres"] < 0.1) == (True, True), (path, pose)
+    model = load_model("nerm", trained / "runs" / "nano")
+    held = GenerationRequest(3.0, "a person walks", constraints=(Constraint.path([(3, 1), (4, 2)], [0, 3]),))
+    one = model.generate([held], seed=4, first=1)[0]
+    free, same = model.generate([GenerationRequest(3.0, "a person walks"), held], seed=4)
+    instants = np.arange(90) / 30
+    expected = one.query(instants).joint_positions
+    np.testing.assert_array_equal(same.query(instants).joint_positions, expected)
+    [alone] = model.generate([GenerationRequest(3.0, "a person walks")], seed=4)
+    np.testing.assert_allclose(free.query(instants).joint_positions, alone.query(instants).joint_positions, atol=1e-4)
+    assert np.linalg.norm(positions(fast)[::2] - positions(slow), axis=-1).mean() < 0.05
+
+
+def test_a_long_motion_goes_on_where_a_piece_ends(trained: Path) -> None:
+    model = load_model("nerm", trained / "runs" / "nano")
+    field = generate_joined(model, (GenerationRequest(14.0, text="a person walks"),), seed=2)
+    before, after = field.pieces  # type: ignore[attr-defined]
+    instants = np.linspace(after.start_seconds, before.end_seconds, 9)
+    apart = np.linalg.norm(after.query(instants).joint_positions - before.query(instants).joint_positions, axis=-1)
+    assert apart.mean() < 0.05
 
 
 def test_numbers_of_a_seed_do_not_depend_on_the_batch(trained: Path) -> None:

@@ -12,12 +12,16 @@ from motionkit.fields.contact.detection import Contacts, Ground, find_contacts, 
 from motionkit.fields.contact.legs import Legs
 from motionkit.fields.contact.offsets import Costs, Wishes, solve_offsets
 
-Path = Literal["near", "free"]
-"""Whether a body comes back to the path it had, or may end elsewhere, for its feet didn't carry it there."""
+Path = Literal["near", "free", "kept"]
+"""Whether a body comes back to the path it had, may end elsewhere, for its feet didn't carry it there, or stays on it.
+
+On a path that is `kept`, to a few centimetres, feet slide by what legs cannot take.
+"""
 
 LEVEL_COSTS = {
     "near": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=0.02, body_sudden=3e-3),
     "free": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=1e-6, body_sudden=3e-3),
+    "kept": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=3.0, body_sudden=3e-3),
 }
 HEIGHT_COSTS = Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=0.3, body_sudden=3e-3)
 KEPT_SHARE = 0.02

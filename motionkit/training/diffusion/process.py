@@ -16,6 +16,9 @@ from motionkit.training.diffusion.settings import DiffusionConfig, LossMeasure, 
 NoisePredictor = Callable[[Tensor, Tensor], Tensor]
 """(z_k [batch, latent], k [batch]) → predicted noise [batch, latent]."""
 
+Adjust = Callable[[Tensor, int, float], Tensor]
+"""(predicted clean z [batch, latent], which of the visited steps, its ᾱ) → the clean z to go on with."""
+
 LARGEST_COSINE_BETA = 0.999
 MIN_SNR_GAMMA = 5.0
 
@@ -117,16 +120,22 @@ def sample_ddim(
     start: Float64[Tensor, "batch latent"],
     alphas: Float64[Tensor, "num_steps"],
     steps: Sequence[int],
+    adjust: Adjust | None = None,
 ) -> Float64[Tensor, "batch latent"]:
     """Deterministic sampling (DDIM, η = 0; Song et al. 2021, Eq. 12) from z_K over decreasing steps.
 
-    The last update goes to ᾱ = 1, so what is returned is the last prediction of the clean latent.
+    The last update goes to ᾱ = 1, so what is returned is the last prediction of the clean latent, as `adjust` leaves
+    it; the noise is then the one that the adjusted latent implies.
     """
     latents = start
     targets = [float(alphas[k]) for k in steps[1:]] + [1.0]
-    for k, target in zip(steps, targets, strict=True):
+    for index, (k, target) in enumerate(zip(steps, targets, strict=True)):
+        alpha = float(alphas[k])
         noise = predict_noise(latents, torch.full((len(latents),), k, dtype=torch.int64))
-        clean = predicted_latents(latents, noise.to(torch.float64), float(alphas[k]))
+        clean = predicted_latents(latents, noise.to(torch.float64), alpha)
+        if adjust is not None:
+            clean = adjust(clean, index, alpha)
+            noise = predicted_noise("latent", clean, latents, alpha)
         latents = target**0.5 * clean + (1 - target) ** 0.5 * noise
     return latents
 
@@ -137,18 +146,22 @@ def sample_ddpm(
     alphas: Float64[Tensor, "num_steps"],
     steps: Sequence[int],
     draw_noise: Callable[[], Tensor],
+    adjust: Adjust | None = None,
 ) -> Float64[Tensor, "batch latent"]:
     """Ancestral sampling (Ho et al. 2020, Eq. 7) from z_K over decreasing steps.
 
     `draw_noise` returns fresh N(0, I) numbers of the shape of `start`; the last update adds none. The variance is that
-    of the true posterior q(z_{k−1} | z_k, z_0), for steps that are skipped too.
+    of the true posterior q(z_{k−1} | z_k, z_0), for steps that are skipped too. `adjust` may change each prediction of
+    the clean latent.
     """
     latents = start
     targets = [float(alphas[k]) for k in steps[1:]] + [1.0]
-    for k, target in zip(steps, targets, strict=True):
+    for index, (k, target) in enumerate(zip(steps, targets, strict=True)):
         alpha = float(alphas[k])
         noise = predict_noise(latents, torch.full((len(latents),), k, dtype=torch.int64))
         clean = predicted_latents(latents, noise.to(torch.float64), alpha)
+        if adjust is not None:
+            clean = adjust(clean, index, alpha)
         kept = alpha / target
         latents = (target**0.5 * (1 - kept) * clean + kept**0.5 * (1 - target) * latents) / (1 - alpha)
         if target < 1.0:

@@ -17,7 +17,7 @@ from motionkit.formats.bvh.document import read_bvh
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.samples import motion_name
 from motionkit.store import Store
-from tests.helpers.drift_model import rows_of
+from tests.helpers.drift_model import GoesOn, rows_of
 
 
 def test_texts_become_a_batch_of_files(run_command, tmp_path):
@@ -110,6 +110,72 @@ def test_what_makes_no_sense_is_refused(run_command, tmp_path, arguments, messag
     with pytest.raises(UsageError, match=message):
         run_command(*arguments)
     assert not (tmp_path / "generated").exists()
+
+
+POINTS = "seconds,x,z\n0,0,5\n2,0,7\n"
+
+
+def test_a_path_is_followed_and_how_well_is_told(run_command, tmp_path):
+    (tmp_path / "points.csv").write_text(POINTS)
+    result = run_command("a walk", "--path", "points.csv", "--json", model=GoesOn())
+    [motion] = json.loads(result.stdout)["motions"]
+    assert motion["duration_seconds"] == 2.0
+    [met] = motion["constraints"]
+    assert (met["kind"], met["name"]) == ("path", "points.csv") and met["max_metres"] < 0.02
+    manifest = json.loads((tmp_path / "generated" / "generation.json").read_text())
+    assert [each["name"] for each in manifest["constraints"]] == ["points.csv"]
+    (tmp_path / "points.csv").write_text(POINTS.replace("7", "8"))
+    with pytest.raises(UsageError, match="begun with another constraints"):
+        run_command("a walk", "--path", "points.csv", "--resume", model=GoesOn())
+
+
+def test_a_path_of_a_long_motion_is_given_to_each_piece_by_its_clock(run_command, tmp_path):
+    (tmp_path / "points.csv").write_text("x,z\n0,5\n0,30\n")
+    model = GoesOn()
+    result = run_command("a walk", "--path", "points.csv", "--seconds", "25", "--json", model=model)
+    assert "each begins as the last 0.5 s of the one before go" in result.stderr
+    assert [number for number, _ in model.asked] == [0, 1, 2]
+    assert [[each.kind for each in request.constraints] for _, request in model.asked] == [["path"]] + [
+        ["path", "pose"]
+    ] * 2
+    assert all(each.seconds.min() < 0.13 for _, request in model.asked for each in request.constraints)
+    [met] = json.loads(result.stdout)["motions"][0]["constraints"]
+    assert met["max_metres"] < 0.02
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("--path", "points.csv"),
+            r"points\.csv: the model 'Drift' follows no constraints: it cannot be held to a path",
+        ),
+        (("--path", "points.csv", "--seconds", "1"), r"points\.csv, line 3: 2 s lies outside the motion's 0 … 1 s"),
+        (("--path", "bad.csv"), r"bad\.csv, line 2: x is a number, not 'a'"),
+        (("--joint", "elbow@1=0,0,0", "--seconds", "2"), "no joint is called 'elbow'"),
+        (("--joint", "head@3=0,0,0", "--seconds", "2"), "'Drift' follows no constraints"),
+        (("--pose", "1=many.npz", "--seconds", "2"), r"many\.npz holds 3 frames: say which by its second"),
+        (("--pose", "1=many.npz@0.1", "--pose-joints", "head,tail", "--seconds", "2"), "no joint is called 'tail'"),
+    ],
+)
+def test_what_a_motion_cannot_be_held_to_is_refused(run_command, tmp_path, arguments, message):
+    (tmp_path / "points.csv").write_text(POINTS)
+    (tmp_path / "bad.csv").write_text("x,z\na,1\n")
+    poses = np.zeros((3, 22, 3), np.float32)
+    np.savez(tmp_path / "many.npz", joint_positions=poses, fps=10.0)
+    with pytest.raises(UsageError, match=message):
+        run_command("a walk", *arguments)
+    assert not (tmp_path / "generated").exists()
+
+
+def test_kinds_that_a_model_does_not_follow_and_instants_outside(run_command, tmp_path):
+    with pytest.raises(UsageError, match="follows path and pose alone: it cannot be held to a joint"):
+        run_command("a walk", "--joint", "head@1=0,0,0", "--seconds", "2", model=GoesOn())
+    np.savez(tmp_path / "pose.npz", joint_positions=np.zeros((1, 22, 3), np.float32), fps=10.0)
+    with pytest.raises(UsageError, match=r"pose\.npz at 3 s: 3 s lies outside the motion's 0 … 2 s"):
+        run_command("a walk", "--pose", "3=pose.npz", "--seconds", "2", model=GoesOn())
+    with pytest.raises(UsageError, match="--seconds is needed"):
+        run_command("a walk", "--pose", "3=pose.npz", model=GoesOn())
 
 
 def test_a_motion_beyond_the_longest_is_joined_from_several(run_command, tmp_path):

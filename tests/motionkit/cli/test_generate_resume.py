@@ -6,8 +6,10 @@ import resource
 import pytest
 
 from eval.sample_folder import read_sample_folder
+from motionkit.core.checksums import write_json
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
-from tests.helpers.drift_model import DriftModel, contents, names, rows_of
+from motionkit.core.progress import MotionkitWarning
+from tests.helpers.drift_model import DriftModel, GoesOn, contents, names, rows_of
 from tests.helpers.killing import killed_before
 
 
@@ -215,3 +217,32 @@ def test_a_table_that_is_none(run_command, tmp_path, rows):
         run_command("a walk", "--seconds", "1", "--out", "made", "--resume")
     run_command("a jump", "--seconds", "1", "--out", "made", "--overwrite")
     assert names(tmp_path / "made") == ["0000-a-jump.npz", "generation.json", "motions.csv"]
+
+
+def of_an_older_version(folder):
+    """Take out of generation.json what older versions did not write."""
+    manifest = json.loads((folder / "generation.json").read_text())
+    newer = ("planted", "joins", "constraints", "checksum")
+    write_json(folder / "generation.json", {name: value for name, value in manifest.items() if name not in newer})
+
+
+def test_a_folder_from_before_planting_is_gone_on_with_unplanted(run_command, tmp_path):
+    call = ("a walk", "a jump", "--seconds", "1", "--fps", "5", "--out", "made")
+    run_command(*call, "--no-plant")
+    of_an_older_version(tmp_path / "made")
+    whole = contents(tmp_path / "made")
+    (tmp_path / "made" / "0001-a-jump.npz").unlink()
+    with pytest.raises(UsageError, match="which planted nothing: --no-plant goes on with it"):
+        run_command(*call, "--resume")
+    with pytest.warns(MotionkitWarning, match="is gone"):
+        run_command(*call, "--resume", "--no-plant")
+    assert contents(tmp_path / "made") == whole
+
+
+def test_a_folder_whose_motions_were_joined_otherwise_says_what_to_do(run_command, tmp_path):
+    call = ("a walk", "--seconds", "15", "--fps", "5", "--no-plant", "--out", "made")
+    run_command(*call)
+    of_an_older_version(tmp_path / "made")
+    assert run_command(*call, "--resume").stdout == ""  # this model's are cross-faded, as they were
+    with pytest.raises(UsageError, match="joined motions otherwise: --overwrite makes all again"):
+        run_command(*call, "--resume", model=GoesOn())

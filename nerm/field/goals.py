@@ -1,0 +1,215 @@
+"""What a latent's motion costs beside its prior: how far it is from constraints, and how far its feet slide.
+
+Everything is a differentiable function of the latent, for a motion that lies somewhere in the world: a place is a turn
+about +Y (radians) and then a step on the floor (x, z).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Float64
+from torch import Tensor
+
+from motionkit.clips.pose_vectors.joints import joints_of
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import SkeletonMapError
+from motionkit.features.layout import SMPL22_LAYOUT
+from motionkit.fields.contact.detection import find_contacts, ground_of
+from motionkit.fields.contact.legs import Legs, legs_of
+from motionkit.generate.constraints import Constraint
+from nerm.field.network import EncodedCoordinates
+from nerm.field.trained import TrainedField
+
+# Facing elsewhere by a radian matters as much as so many metres.
+TURN_METRES = 0.3
+INSTANTS_PER_SECOND = 60.0
+# How fast a foot that stands may well be, m/s, and how often that is news; by how much bones may well be longer, m.
+FEET_DEVIATION, NEWS_PER_SECOND = 0.1, 3.0
+BONE_DEVIATION, BONE_SAMPLES = 0.003, 100
+
+
+JointsOf = Callable[[Float32[Tensor, "latent"]], Float32[Tensor, "instants joints 3"]]
+"""The joints of a latent's motion at instants that are fixed, metres, in the window's frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointsAt:
+    """The joints of a latent's motion at fixed instants, in the window's frame."""
+
+    field: TrainedField
+    seconds: Float64[np.ndarray, "instants"]
+
+    @cached_property
+    def _encoded(self) -> EncodedCoordinates:
+        return self.field.encode_times(self.seconds[None], self.field.max_training_fps)
+
+    def __call__(self, latent: Float32[Tensor, "latent"]) -> Float32[Tensor, "instants joints 3"]:
+        """Metres, on the CPU."""
+        trained = self.field
+        fps = torch.full((1,), float(trained.max_training_fps), dtype=torch.float64, device=trained.device)
+        standardised = trained.network.decode(latent[None].to(trained.device), self._encoded, fps)[0]
+        return joints_of(trained.scaling.invert(standardised.float()), trained.vectors).to("cpu")
+
+
+@dataclass(frozen=True, eq=False)
+class HeldTo:
+    """What some constraints cost: squared distances in units of their deviations, and of headings."""
+
+    joints: JointsOf
+    constraints: tuple[Constraint, ...]
+
+    @property
+    def finds_place(self) -> bool:
+        """Whether they say where in the world the motion lies; else that is where its window does."""
+        return any(each.places_motion for each in self.constraints)
+
+    def cost(
+        self,
+        latent: Float32[Tensor, "latent"],
+        place: Float32[Tensor, "3"],
+        bones: Float32[Tensor, "bones"] | None = None,
+    ) -> Float32[Tensor, ""]:
+        """The sum over constraints, instants, joints; with `bones` also that poses there have those, and not others."""
+        total = latent.new_zeros(())
+        for found, wanted in zip(self._each(self.joints(latent)), self._wanted, strict=True):
+            ahead = _facing(found)
+            if wanted.constraint.frame == "world":
+                here = _turned(found, torch.cos(place[0]), torch.sin(place[0]))
+                here = here + torch.stack((place[1], torch.zeros_like(place[1]), place[2]))
+            else:
+                under_root = found[:, :1] * found.new_tensor([1.0, 0.0, 1.0])
+                here = _turned(found - under_root, ahead[:, 1:], -ahead[:, :1])
+            if bones is not None and wanted.constraint.kind != "path":
+                total = total + 0.5 * (_bones(found) - bones).square().sum() / BONE_DEVIATION**2
+            apart = torch.where(wanted.known, here[:, wanted.constraint.joint_indices] - wanted.positions, 0.0)
+            # The chord of the angle, which unlike the angle doesn't jump at half a turn.
+            yaw = torch.atan2(ahead[:, 0], ahead[:, 1]) + place[0] - wanted.heading
+            turned = torch.where(wanted.faces, 2.0 * torch.sin(0.5 * yaw), 0.0)
+            squares = apart.square().sum() + TURN_METRES**2 * turned.square().sum()
+            total = total + 0.5 * squares / wanted.constraint.deviation**2
+        return total
+
+    @torch.no_grad()
+    def place(self, latent: Float32[Tensor, "latent"]) -> Float32[Tensor, "3"]:
+        """The place in the world that brings the motion closest to them (least squares, headings aside)."""
+        if not self.finds_place:
+            return torch.zeros(3)
+        mine, given = [], []
+        for found, wanted in zip(self._each(self.joints(latent)), self._wanted, strict=True):
+            if wanted.constraint.places_motion:
+                level = wanted.known[..., 0] & wanted.known[..., 2]
+                mine.append(found[:, wanted.constraint.joint_indices][level][:, [0, 2]])
+                given.append(wanted.positions[level][:, [0, 2]])
+        a, b = torch.cat(mine), torch.cat(given)
+        a_mean, b_mean = a.mean(dim=0), b.mean(dim=0)
+        (ax, az), (bx, bz) = (a - a_mean).T, (b - b_mean).T
+        yaw = torch.atan2((bx * az - bz * ax).sum(), (bx * ax + bz * az).sum())
+        cosine, sine = torch.cos(yaw), torch.sin(yaw)
+        turned = torch.stack((cosine * a_mean[0] + sine * a_mean[1], cosine * a_mean[1] - sine * a_mean[0]))
+        return torch.cat((yaw[None], b_mean - turned))
+
+    @cached_property
+    def bones(self) -> Float32[Tensor, "bones"] | None:
+        """The lengths of the layout's bones in the poses that are wanted whole, on average; None where none are."""
+        whole = [each.positions for each in self._wanted if each.constraint.joints == SMPL22.joint_names]
+        return _bones(torch.cat(whole)).mean(dim=0) if whole else None
+
+    def _each(self, joints: Float32[Tensor, "instants joints 3"]) -> Sequence[Float32[Tensor, "own joints 3"]]:
+        return torch.split(joints[:, : SMPL22.num_joints], [len(each.seconds) for each in self.constraints])
+
+    @cached_property
+    def _wanted(self) -> list["_Wanted"]:
+        return [_Wanted.of(each) for each in self.constraints]
+
+
+def held_to(trained: TrainedField, constraints: tuple[Constraint, ...]) -> HeldTo:
+    """The cost of constraints of a field's motions."""
+    return HeldTo(JointsAt(trained, np.concatenate([each.seconds for each in constraints])), constraints)
+
+
+@dataclass(frozen=True, eq=False)
+class _Wanted:
+    """A constraint's numbers as tensors, zeros where they are free."""
+
+    constraint: Constraint
+    positions: Float32[Tensor, "instants joints 3"]
+    known: Tensor
+    heading: Float32[Tensor, "instants"]
+    faces: Tensor
+
+    @classmethod
+    def of(cls, constraint: Constraint) -> "_Wanted":
+        positions, heading = (torch.from_numpy(each).float() for each in (constraint.positions, constraint.heading))
+        known, faces = ~positions.isnan(), ~heading.isnan()
+        return cls(constraint, positions.nan_to_num(0.0), known, heading.nan_to_num(0.0), faces)
+
+
+@dataclass(frozen=True, eq=False)
+class StandingFeet:
+    """What it costs that feet slide while they stand.
+
+    When they stand is seen in one motion (`seen`), and then holds for those near it. A path that is given and a gait
+    that is not come to agree by it.
+    """
+
+    joints: JointsOf
+    legs: Legs
+    stands: Float32[Tensor, "steps feet 1"]
+
+    @torch.no_grad()
+    def seen(self, latent: Float32[Tensor, "latent"]) -> "StandingFeet":
+        """The same with the contacts of a latent's motion."""
+        paths = self.legs.foot_paths(self.joints(latent).numpy()).astype(np.float64)
+        contacts = find_contacts(paths, INSTANTS_PER_SECOND, ground_of(paths, INSTANTS_PER_SECOND))
+        hold = np.minimum(contacts.hold[1:], contacts.hold[:-1])[..., None]
+        return replace(self, stands=torch.from_numpy(hold).float())
+
+    def cost(self, latent: Float32[Tensor, "latent"]) -> Float32[Tensor, ""]:
+        """Squared speeds on the floor of ankles and toes that stand, in units of `FEET_DEVIATION`."""
+        joints = self.joints(latent)
+        paths = joints[:, list(self.legs.feet)].reshape(len(joints), 2, 2, 3)
+        velocity = (paths[1:] - paths[:-1]) * INSTANTS_PER_SECOND
+        squares = self.stands * (velocity[..., 0].square() + velocity[..., 2].square())
+        total: Tensor = 0.5 * NEWS_PER_SECOND / INSTANTS_PER_SECOND * squares.sum() / FEET_DEVIATION**2
+        return total
+
+
+def standing_feet(trained: TrainedField, duration_seconds: float) -> StandingFeet | None:
+    """The feet of motions of some length; None for a skeleton whose legs aren't known and where there are no steps."""
+    count = int(duration_seconds * INSTANTS_PER_SECOND) + 1
+    try:
+        legs = legs_of(trained.skeleton)
+    except SkeletonMapError:
+        return None
+    joints = JointsAt(trained, np.arange(count) / INSTANTS_PER_SECOND)
+    return StandingFeet(joints, legs, torch.zeros(0, 2, 1)) if count > 2 else None
+
+
+@torch.no_grad()
+def median_bones(trained: TrainedField, latent: Float32[Tensor, "latent"], seconds: float) -> Float32[Tensor, "bones"]:
+    """The lengths of the layout's bones in a motion."""
+    joints = JointsAt(trained, np.linspace(0.0, seconds, BONE_SAMPLES))(latent)
+    return _bones(joints[:, : SMPL22.num_joints]).median(dim=0).values
+
+
+def _bones(joints: Float32[Tensor, "instants joints 3"]) -> Float32[Tensor, "instants bones"]:
+    lengths: Tensor = torch.linalg.vector_norm(joints[:, 1:] - joints[:, list(SMPL22.parents[1:])], dim=-1)
+    return lengths
+
+
+def _facing(joints: Float[Tensor, "poses joints 3"]) -> Float[Tensor, "poses 2"]:
+    """Unit vectors (x, z) of where bodies face, as `motionkit.features.field.heading` has it."""
+    names = SMPL22_LAYOUT.facing
+    across = joints[:, names.right_hip] - joints[:, names.left_hip]
+    across = across + joints[:, names.right_shoulder] - joints[:, names.left_shoulder]
+    return torch.nn.functional.normalize(torch.stack((across[:, 2], -across[:, 0]), dim=-1), dim=-1)
+
+
+def _turned(
+    joints: Float[Tensor, "poses joints 3"], cosine: Float[Tensor, "*turns"], sine: Float[Tensor, "*turns"]
+) -> Float[Tensor, "poses joints 3"]:
+    x, y, z = joints.unbind(-1)
+    return torch.stack((cosine * x + sine * z, y, cosine * z - sine * x), dim=-1)
