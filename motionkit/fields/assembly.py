@@ -8,6 +8,7 @@ needs them.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -15,8 +16,9 @@ from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, quaternion_slerp
 from motionkit.core.skeleton import Skeleton
+from motionkit.fields.contact.known import contacts_of
 from motionkit.fields.interpolation.joints import Joints
-from motionkit.fields.motion_field import KnowsContacts, MotionField, Poses, at_fps, check_times
+from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times
 
 SHORTEST_OVERLAP_SECONDS = 1e-3
 _TIMES_TO_FIT = 16
@@ -134,18 +136,23 @@ class AssembledField:
         None where a piece doesn't know.
         """
         check_times(self, times_seconds)
+        if not self._all_know:
+            return None
         found = np.zeros((len(times_seconds), 2, 2), np.float32)
         first = np.searchsorted(self.fade_end, times_seconds, side="right")
         last = np.searchsorted(self.fade_start, times_seconds, side="left")
         for number, piece in enumerate(self.pieces):
             asked = np.flatnonzero((first <= number) & (number <= last))
-            said = None
-            if isinstance(piece.field, KnowsContacts):
-                said = piece.field.contacts(piece.own_seconds(times_seconds[asked]))
-            if said is None:
-                return None
-            found[asked] = np.maximum(found[asked], said)
+            if len(asked):
+                said = contacts_of(piece.field, piece.own_seconds(times_seconds[asked]))
+                assert said is not None
+                found[asked] = np.maximum(found[asked], said)
         return found
+
+    @cached_property
+    def _all_know(self) -> bool:
+        starts = ((piece.field, np.array([piece.field.start_seconds])) for piece in self.pieces)
+        return all(contacts_of(field, start) is not None for field, start in starts)
 
 
 def assemble(pieces: Sequence[Piece], fade_seconds: float | None = None) -> AssembledField:

@@ -294,15 +294,6 @@ class BatchEncoder(Protocol):
 
 
 @runtime_checkable
-class KnowsContacts(Protocol):
-    """A motion field that says itself when feet are on the ground."""
-
-    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
-        """How probably ankle and toe of left and right foot are on the ground; None where it doesn't know."""
-        ...
-
-
-@runtime_checkable
 class FramerateConditioned(Protocol):
     """A field that also depends on the framerate at which it is sampled (the s of NeRM's Eq. 2)."""
 

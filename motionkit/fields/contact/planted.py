@@ -12,10 +12,11 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.correction import Correction, Path
+from motionkit.fields.contact.known import contacts_of
 from motionkit.fields.contact.legs import Leg, Legs, legs_of
 from motionkit.fields.contact.two_bone import BentLeg, bend, turns
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
-from motionkit.fields.motion_field import KnowsContacts, MotionField, Observed, Poses, at_fps, check_times
+from motionkit.fields.motion_field import MotionField, Observed, Poses, at_fps, check_times
 
 GRID_FPS = 120.0
 BONE_SAMPLES = 1000
@@ -93,11 +94,11 @@ def planted(field: MotionField, path: Path = "near") -> PlantedField:
         return field.query(seconds(rows)).joint_positions
 
     made = _planted(field, positions, fps, count, path)
-    if not isinstance(field, KnowsContacts) or field.contacts(seconds(np.zeros(1, np.int64))) is None:
+    if contacts_of(field, seconds(np.zeros(1, np.int64))) is None:
         return made
 
     def down(start: int, stop: int) -> Bool[np.ndarray, "instants feet ends"]:
-        probability = field.contacts(seconds(np.arange(start, stop)))
+        probability = contacts_of(field, seconds(np.arange(start, stop)))
         assert probability is not None
         return np.asarray(probability > PROBABLY)
 

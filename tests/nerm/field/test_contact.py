@@ -12,7 +12,7 @@ from motionkit.clips.windows import cut_windows
 from motionkit.core.progress import ignore
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.assembly import Piece, assemble
-from motionkit.fields.motion_field import KnowsContacts
+from motionkit.fields.contact.known import KnowsContacts
 from motionkit.store.cache.row_file import RowFile
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import StageFolder
