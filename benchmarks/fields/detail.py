@@ -58,6 +58,7 @@ RATES = (40, 60, 100, 120)
 GRID = Fraction(GRID_FPS)
 CLIPS, REPLICATIONS, RESAMPLINGS, FOLLOWING_DRAWS = 2048, 5, 200, 3
 MINUTES = (2, 20)
+REAL_TAKES, GENERATED = "real takes", "generated"
 AROUND = 24
 NEAR = slice(AROUND - 8, AROUND + 9)
 Positions = npt.NDArray[np.floating]
@@ -197,7 +198,7 @@ def strikes(takes: list[Positions]) -> dict[str, float]:
     return found
 
 
-def strikes_of(height: npt.NDArray[np.float64], lowest: npt.NDArray[np.float64]) -> list[tuple[int, float]]:
+def strikes_of(height: Positions, lowest: Positions) -> list[tuple[int, float]]:
     """Where a foot joint that came down at 0.15 m/s or more is stopped near the ground, and how fast it came."""
     from scipy.ndimage import minimum_filter1d
     from scipy.signal import find_peaks
@@ -264,10 +265,10 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
         fast = [name for name, own in zip(real.sequence_ids, real.fps, strict=True) if own >= GRID]
         reference = reference.select([known[name] for name in fast])
         rows = smooth_rows(takes, reference, detail)
-        figures[f"{fps} fps, real takes"] = scored(rows, reference, fitted, "low-passed at 10 Hz")
+        figures[f"{fps} fps, {REAL_TAKES}"] = scored(rows, reference, fitted, "low-passed at 10 Hz")
         if fields is not None:
             made = generated_rows(fields, reference)
-            figures[f"{fps} fps, generated"] = scored(made, reference, fitted, "generated, planted")
+            figures[f"{fps} fps, {GENERATED}"] = scored(made, reference, fitted, "generated, planted")
             if fps == GRID:
                 rows = {"the takes themselves": reference, **made}
                 figures["physical"] = {name: physical(samples) for name, samples in rows.items()}
@@ -293,20 +294,40 @@ def main() -> None:
         }
         print(json.dumps({**figures, "provenance": origin}, indent=1))
         return
-    for title, part in figures.items():
-        print(f"\n{title}\n" if isinstance(part, dict) else f"{title}: {part:.3g}")
-        for name, value in part.items() if isinstance(part, dict) else ():
-            print(f"| {name} | {line(value)} |")
+    print(page(figures))
 
 
-def line(value: Any) -> str:
-    """A row's numbers."""
-    if not isinstance(value, dict):
-        return f"{value:.4g}"
-    if "follows" not in value:
-        return " | ".join(f"{name} {number:.4g}" for name, number in value.items())
-    new, old = value["kinematic"], value["kinematic/1"]
-    return f"{new['score']:.3f} ± {new['ci95']:.3f} | {value['follows']:.2f} | {old['score']:.2f} ± {old['ci95']:.2f}"
+def page(figures: dict[str, Any]) -> str:
+    """Markdown of all figures; of every row the score and its interval, and in brackets how much it follows."""
+    lines = [f"Learnt in {figures['seconds to learn']:.1f} s."]
+    for title in ("strikes", "costs"):
+        lines += ["", f"| {title} | |", "|---|---|"]
+        each = figures[title].items()
+        lines += [f"| {name} | {value:,.0f} |" if value >= 10 else f"| {name} | {value:.1%} |" for name, value in each]
+    for kind in (REAL_TAKES, GENERATED):
+        columns = {title: part for title, part in figures.items() if title.endswith(kind)}
+        for score in ("kinematic", "kinematic/1") if columns else ():
+            lines += ["", f"| {kind}, {score} | {' | '.join(title.split(',')[0] for title in columns)} |"]
+            lines.append("|---" * (1 + len(columns)) + "|")
+            names = next(iter(columns.values()))
+            for name in names:
+                lines.append(f"| {name} | {' | '.join(shown(each[name], score) for each in columns.values())} |")
+    if "physical" in figures:
+        rows = figures["physical"]
+        lines += ["", f"| at 120 fps | {' | '.join(rows)} |", "|---" * (1 + len(rows)) + "|"]
+        titles = next(iter(rows.values()))
+        lines += [f"| {each} | {' | '.join(f'{row[each]:.3g}' for row in rows.values())} |" for each in titles]
+    return "\n".join(lines)
+
+
+def shown(row: dict[str, Any], score: str) -> str:
+    """A row's score; what it is less than without detail, in italics, where the paired interval leaves out 0."""
+    found, less = row[score], row[score]["less than without"]
+    said = f"{found['score']:.2f} ± {found['ci95']:.2f}"
+    if score == "kinematic":
+        said += f" ({row['follows']:.2f})"
+    told = less is not None and abs(less["value"]) > less["ci95"]
+    return f"{said} *{less['value']:+.2f} ± {less['ci95']:.2f}*" if told else said
 
 
 if __name__ == "__main__":
