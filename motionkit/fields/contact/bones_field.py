@@ -8,8 +8,9 @@ from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.bones import Bones
+from motionkit.fields.contact.known import contacts_of
 from motionkit.fields.contact.planted import on_bones
-from motionkit.fields.motion_field import KnowsContacts, MotionField, Poses, at_fps
+from motionkit.fields.motion_field import MotionField, Poses, at_fps
 
 SAMPLES = 200
 
@@ -46,7 +47,7 @@ class BonesField:
 
     def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
         """The field's, where it knows."""
-        return self.field.contacts(times_seconds) if isinstance(self.field, KnowsContacts) else None
+        return contacts_of(self.field, times_seconds)
 
 
 def with_lengths(field: MotionField, lengths: Float[np.ndarray, "bones"]) -> MotionField:
