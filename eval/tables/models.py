@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, windows_of
@@ -57,7 +57,7 @@ TrainedModel = Trained[GenerativeModel]
 def trained_models(run: Path | None) -> Found[dict[str, TrainedModel]]:
     """The installed models that a run holds, by the names of their rows, loaded.
 
-    One that the run knows nothing of is missing only where it holds no other.
+    Those that the run knows nothing of are named with the commands that train them.
     """
     loaders = list(installed_models().values())
     if run is None or not run.is_dir():
@@ -65,8 +65,9 @@ def trained_models(run: Path | None) -> Found[dict[str, TrainedModel]]:
         return Found({}, tuple(f"{loader.title}: {where} (motionkit train makes one)" for loader in loaders))
     begun = [loader for loader in loaders if loader.begun_in(run)]
     missing: list[str] = []
-    if not begun:
-        missing += [f"{each.title}: run {run.name!r} has none ({each.train_command(run)})" for each in loaders]
+    missing += [
+        f"{each.title}: run {run.name!r} has none ({each.train_command(run)})" for each in loaders if each not in begun
+    ]
     found: dict[str, TrainedModel] = {}
     for loader in begun:
         model = Trained(loader, run)
@@ -82,6 +83,26 @@ def trained_models(run: Path | None) -> Found[dict[str, TrainedModel]]:
         else:
             found[name] = model
     return Found(found, tuple(missing))
+
+
+def training_note(trained: Trained[Any]) -> str:
+    """How a model was trained, as far as its stages' summaries say: steps, parameters, processor time, framerate."""
+    told = []
+    for name in trained.loader.stages:
+        stage = RunFolder(trained.run).stage(name)
+        summary = stage.read_summary() if stage.is_complete else {}
+        steps = summary.get("steps", summary.get("step"))
+        facts = [] if steps is None else [f"{int(steps):,} steps"]
+        facts += [f"{int(summary[key]):,} {key}" for key in ("parameters",) if key in summary]
+        facts += [f"{summary['cpu_seconds']:,.0f} s of processor time"] if "cpu_seconds" in summary else []
+        told += [f"{name}: {', '.join(facts)}"] if facts else []
+    rate = f"trained at up to {float(trained.loaded.max_training_fps):g} fps"
+    return "; ".join((*told, rate)) if told else ""
+
+
+def training_notes(run: Path | None) -> dict[str, str]:
+    """`training_note` of each model of a run by the name of its row, "" where nothing is known."""
+    return {name: training_note(model) for name, model in trained_models(run).value.items()}
 
 
 def require_models(run: Path) -> dict[str, TrainedModel]:

@@ -28,7 +28,7 @@ from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion
 from eval.sets.sets import SampleSet
-from eval.tables.models import check_names, generated_fields
+from eval.tables.models import check_names, generated_fields, training_notes
 from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, ModelFields, framerate_label, samples_at
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.progress import task
@@ -177,7 +177,8 @@ def _blocks(fps: Fraction, sets: Mapping[str, SampleSet], request: TableRequest)
     for name, samples in sets.items():
         with task(request.on_progress, f"{name}, {framerate_label(fps)}", samples.num_sequences) as work:
             rows[name] = measured(samples, work.advance)
-    notes = {name: _size(samples) for name, samples in sets.items()}
+    trained = training_notes(request.evaluated.run)
+    notes = {name: "; ".join(filter(None, (_size(samples), trained.get(name)))) for name, samples in sets.items()}
     label = framerate_label(fps)
     return [
         *blocks_of(f"Per second, at {label}", OURS, rows, notes, NOTE, request.seed),

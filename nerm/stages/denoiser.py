@@ -63,6 +63,8 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         {
             "loss": figures["loss"],
             "steps": training.num_steps,
+            "parameters": sum(parameter.numel() for parameter in training.denoiser.parameters()),
+            "cpu_seconds": figures["cpu_seconds"],
             "windows": len(corpus),
             "captions": int(corpus.num_captions.sum()),
             "actions": len(corpus.layout.actions),

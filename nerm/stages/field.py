@@ -71,6 +71,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     save_field(folder, trained)
     hours = float(windows.duration_seconds.sum()) / 3600
     facts = {"windows": len(windows), "hours": round(hours, 3), "wall_seconds": round(time.perf_counter() - started, 1)}
+    facts["parameters"] = sum(parameter.numel() for parameter in training.network.parameters())
     folder.finish({**figures, **facts})
 
 

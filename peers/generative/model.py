@@ -107,7 +107,7 @@ class PeerModel:
         self, requests: Sequence[GenerationRequest], seed: int, first: int, diffusion: DiffusionConfig
     ) -> list[MotionField]:
         seconds = [self._seconds(request, seed, first + row) for row, request in enumerate(requests)]
-        fps, most = float(self.max_training_fps), self.trained.config.motions.max_frames
+        fps, most = float(self.max_training_fps), self.trained.config.motions.max_frames + 1
         lengths = [min(ceil(each * fps - 1e-6) + 1, most) for each in seconds]
         conditions = self._conditions(requests)
         wanted = Wanted(

@@ -138,7 +138,7 @@ MLD = GenerativePeer(
                     "network": MldVaeNetworkConfig(replace(SMALL_SKIPS, dropout=0.0)),
                     "conditions": ConditionsConfig(kind="none"),
                     "schedule": Schedule(
-                        steps=600, batch_size=32, learning_rate=1e-3, kind="cosine", warmup_fraction=0.02
+                        steps=600, batch_size=32, learning_rate=5e-4, kind="cosine", warmup_fraction=0.1
                     ),
                     "precision": "auto",
                 },

@@ -43,8 +43,8 @@ class MotionsConfig:
 
     @property
     def max_duration_seconds(self) -> float:
-        """From the first to the last of `max_frames`."""
-        return float((self.max_frames - 1) / self.framerate)
+        """The longest motion: as published vectors do, each frame stands for the time to the next pose."""
+        return float(self.max_frames / self.framerate)
 
 
 @dataclass(frozen=True)

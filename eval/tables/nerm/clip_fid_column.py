@@ -19,6 +19,7 @@ from eval.sets.real import NoRealMotionError, RealMotion
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed, upsample_as_vectors, upsampled
 from motionkit.core.progress import OnProgress, task
+from motionkit.fields.interpolation.interpolators import InterpolatedField
 from motionkit.fields.motion_field import MotionField
 
 LOW_FPS = Fraction(20)
@@ -30,6 +31,8 @@ TRAINING = "training takes, as a generator"
 REFERENCES = (P1, P2, TRAINING, SLERP, VECTORS)
 GENERATED_LOW = "{} generated at 20 fps, SLERP"
 """The row of a model's motions that were asked for at 20 fps, then upsampled like the real ones."""
+GENERATED_VECTORS = "{} as vectors (handicapped)"
+"""The row of a model that makes frames, which are upsampled as published vectors and not by SLERP."""
 
 NOT_SO_FAST = "no generated motion is for a sequence this fast"
 MOTIONS, TAKES = "motions", "takes"
@@ -150,10 +153,12 @@ def make_column(
         if is_planted(name):
             continue
         models.append(name)
-        coarse_name = GENERATED_LOW.format(name)
+        framed = all(isinstance(each, InterpolatedField) for each in own.values())
+        coarse_name = (GENERATED_VECTORS if framed else GENERATED_LOW).format(name)
         coarse = sample_fields(own, reference.sequence_ids, LOW_FPS, coarse_name)
         if coarse is not None and fps >= LOW_FPS:
-            rows[coarse_name] = upsampled(coarse, fps, coarse_name)
+            bring = upsample_as_vectors if framed else upsampled
+            rows[coarse_name] = bring(coarse, fps, coarse_name)
     rows |= samples
     sizes = {}
     if column.train is not None and train is not real:

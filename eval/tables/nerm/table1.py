@@ -16,7 +16,7 @@ from eval.sample_folder import SampleFolder
 from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
 from eval.sets.real import NoRealMotionError
-from eval.tables.models import Trained, TrainedModel, check_names, trained_models
+from eval.tables.models import Trained, TrainedModel, check_names, trained_models, training_note
 from eval.tables.nerm.retrieval import RetrievalSets, retrieval_blocks, sentence_embeddings
 from eval.tables.nerm.sample_motions import sample_embeddings
 from eval.tables.nerm.text_motion import ScoredRow, paper_block, scored_blocks, text_motion_evaluators
@@ -272,7 +272,8 @@ def _model_row(
         repeated = motions.repeated(wanted, job.protocol.multimodality, request.evaluated.max_motions, embedder)
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
     remarks = size_remarks(pairs.motions, reference.motions, draws[0].motions, job.request.seed)
-    note = "; ".join((f"run {trained.run.name!r}", *([] if lengths is None else [MADE_OF_22]), *remarks))
+    facts = filter(None, (training_note(trained), "" if lengths is None else MADE_OF_22))
+    note = "; ".join((f"run {trained.run.name!r}", *facts, *remarks))
     ranked = _retrieval(job, reference, draws, chosen)
     return ScoredRow(name, "ours", _score(job, reference, draws, repeated), note, ranked)
 

@@ -21,9 +21,10 @@ from eval.sets.memorisation import set_remarks
 from eval.sets.planted import PLANTED, PLANTED_NOTE, is_planted, planted_note
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
 from eval.sets.sets import SampleSet
-from eval.tables.models import check_names, generated_fields
+from eval.tables.models import check_names, generated_fields, training_notes
 from eval.tables.nerm.clip_fid_column import (
     GENERATED_LOW,
+    GENERATED_VECTORS,
     LOW_FPS,
     MOTIONS,
     P1,
@@ -101,7 +102,7 @@ def build_table2(request: TableRequest) -> Result:
         generated = generated_fields(evaluated.run, wanted, request.seed, evaluated.max_motions, evaluated.draws)
     fields = generated.value
     check_names(request.evaluated.samples, _model_notes(fields))
-    notes = _row_notes(fields, folders)
+    notes = _row_notes(fields, folders, training_notes(evaluated.run))
     sources = feature_sources(request.evaluated.run, request.evaluators.names, request.evaluators.guo)
     sheets: list[dict[str, _Scored]] = [{} for _ in sources.value]
     absent: list[list[str]] = [[] for _ in sources.value]
@@ -155,18 +156,21 @@ def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion) -> Found[list[F
     return Found(list(usable.value), usable.missing)
 
 
-def _row_notes(models: Iterable[str], folders: Sequence[SampleFolder]) -> dict[str, str]:
+def _row_notes(models: Iterable[str], folders: Sequence[SampleFolder], trained: Mapping[str, str]) -> dict[str, str]:
     samples = {folder.name: folder.describe() for folder in folders}
-    return ROW_NOTES | _model_notes(models) | samples | {PLANTED.format(name): PLANTED_NOTE for name in samples}
+    return (
+        ROW_NOTES | _model_notes(models, trained) | samples | {PLANTED.format(name): PLANTED_NOTE for name in samples}
+    )
 
 
-def _model_notes(models: Iterable[str]) -> dict[str, str]:
+def _model_notes(models: Iterable[str], trained: Mapping[str, str] = {}) -> dict[str, str]:
     notes: dict[str, str] = {}
     for name in models:
         if is_planted(name):
             notes[name] = planted_note(name)
             continue
-        notes |= {name: GENERATED_NOTE, GENERATED_LOW.format(name): GENERATED_LOW_NOTE}
+        notes[name] = "; ".join(filter(None, (GENERATED_NOTE, trained.get(name))))
+        notes |= {GENERATED_LOW.format(name): GENERATED_LOW_NOTE, GENERATED_VECTORS.format(name): ROW_NOTES[VECTORS]}
     return notes
 
 
