@@ -1,8 +1,8 @@
 """Motions in numpy files as other systems write them: any order of axes that cannot be mistaken, batches, dictionaries.
 
-An array is joint positions (21, 22 or 24 joints) with frames first (`[T, J, 3]`) or last (`[J, 3, T]`), or pose vectors
-of 263 or 251 numbers (`[T, D]`, or `[D, 1, T]`), or a batch of these. J · 3 beside the 3 tells joint axes apart: the 3
-stands last or before last.
+An array is joint positions (21, 22, 24 or 52 joints) with frames first (`[T, J, 3]`) or last (`[J, 3, T]`), or pose
+vectors of 263 or 251 numbers (`[T, D]`, or `[D, 1, T]`), or a batch of these. J · 3 beside the 3 tells joint axes
+apart: the 3 stands last or before last.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,14 +20,14 @@ from motionkit.formats.arrays import npy, npz_archive
 from motionkit.formats.arrays.pickled_data import is_pickled, read_pickled_dict
 from motionkit.formats.source import source_file
 
-JOINTS = frozenset({21, 22, 24})
+JOINTS = frozenset({21, 22, 24, 52})
 WIDTHS = frozenset({251, 263})
 MOTION_KEYS = ("motion", "motions", "joints", "joint_positions")
 TEXT_KEYS = ("text", "texts", "captions", "caption")
 ACTION_KEYS = ("action_text", "action")
 EXPECTED = (
-    "expected frames × joints × 3 or joints × 3 × frames (21, 22 or 24 joints), frames × 263 or 251 pose vectors, or a "
-    "batch of these"
+    "expected frames × joints × 3 or joints × 3 × frames (21, 22, 24 or 52 joints), frames × 263 or 251 pose "
+    "vectors, or a batch of these"
 )
 
 

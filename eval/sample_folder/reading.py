@@ -174,7 +174,7 @@ class _Reader:
         return numbers[: kept[-1] + 1]
 
     def _joints(self, numbers: np.ndarray, path: Path) -> Float32[np.ndarray, "frames joints 3"]:
-        # The hands of SMPL's 24 joints are dropped.
+        # The hands of SMPL's 24 and SMPL-H's 52 joints are dropped.
         positions = numbers[:, : SMPL22.num_joints].astype(np.float32, copy=False)
         unit = self.listing.manifest.unit_metres or self._beside(path.parent).unit_metres
         return positions if unit == 1.0 else positions * np.float32(unit)

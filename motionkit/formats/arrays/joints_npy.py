@@ -1,7 +1,7 @@
 """Joint positions in .npy files [T, J, 3], with the framerate from `motions.json`, an annotation CSV or an option.
 
 `motions.json` beside the files may say `{"fps": "30000/1001", "layout": "smpl22", "unit_metres": 1.0}`; without it the
-layout follows from J: 22 or 24 joints are SMPL's (hands dropped), 21 are KIT's.
+layout follows from J: 22, 24 and 52 joints are SMPL's, SMPL-H's 30 of the hands dropped, 21 are KIT's.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import body_frame, clock, source_file
 
 MANIFEST = "motions.json"
-LAYOUT_BY_JOINTS = {21: "kit21", 22: "smpl22", 24: "smpl22"}
+LAYOUT_BY_JOINTS = {21: "kit21", 22: "smpl22", 24: "smpl22", 52: "smpl22"}
 
 
 @dataclass(frozen=True)
@@ -131,8 +131,8 @@ def _skeleton(num_joints: int, manifest: Manifest, path: Path) -> Skeleton:
     layout = manifest.layout or LAYOUT_BY_JOINTS.get(num_joints, "")
     if layout not in STANDARD_SKELETONS or LAYOUT_BY_JOINTS.get(num_joints) != layout:
         raise FormatError(
-            f"{num_joints} joints{f' for the layout {layout}' if layout else ''}, expected 22 (smpl22), 24 (SMPL with "
-            "hands) or 21 (kit21)",
+            f"{num_joints} joints{f' for the layout {layout}' if layout else ''}, expected 22 (smpl22), 24 or 52 "
+            "(SMPL or SMPL-H with hands) or 21 (kit21)",
             path=path,
             reason="channel-count",
         )

@@ -78,6 +78,35 @@ def _upward(skeleton: Skeleton) -> Float32[np.ndarray, " joints"]:
     return upward
 
 
+# The half and the quarter turn about x that bring −y and z to y.
+TURNS = {
+    "-y": np.array([0.0, 1.0, 0.0, 0.0], np.float32),
+    "z": np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0], np.float32),
+    "y": np.array([1.0, 0.0, 0.0, 0.0], np.float32),
+}
+TURNED = {
+    "-y": ["turned from y down to y up: (x, y, z) → (x, −y, −z)"],
+    "z": ["turned from z up to y up: (x, y, z) → (x, z, −y)"],
+    "y": [],
+}
+
+
+def upright_turn(
+    skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]
+) -> tuple[Float32[np.ndarray, "4"], list[str]]:
+    """The turn that `upright` makes as a quaternion, and its log line."""
+    axis = _axis_of(skeleton, joint_positions)
+    return TURNS[axis], TURNED[axis]
+
+
+def _axis_of(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> str:
+    head, left, right = (_joint(skeleton, joint_positions, name) for name in ("head", "left_ankle", "right_ankle"))
+    _, y, z = (head - 0.5 * (left + right)).mean(axis=0).tolist()
+    if z > 2.0 * abs(y):
+        return "z"
+    return "-y" if -y > 2.0 * abs(z) else "y"
+
+
 def upright(
     skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]
 ) -> tuple[Float32[np.ndarray, "frames joints 3"], list[str]]:
@@ -85,15 +114,12 @@ def upright(
 
     Turns about x only, so left stays left: from z up, (x, y, z) → (x, z, −y); from y down, (x, −y, −z).
     """
-    head, left, right = (_joint(skeleton, joint_positions, name) for name in ("head", "left_ankle", "right_ankle"))
-    _, y, z = (head - 0.5 * (left + right)).mean(axis=0).tolist()
-    if z > 2.0 * abs(y):
-        return turn_to_y_up(joint_positions), ["turned from z up to y up: (x, y, z) → (x, z, −y)"]
-    if -y > 2.0 * abs(z):
-        return joint_positions * np.array([1, -1, -1], np.float32), [
-            "turned from y down to y up: (x, y, z) → (x, −y, −z)"
-        ]
-    return joint_positions, []
+    axis = _axis_of(skeleton, joint_positions)
+    if axis == "z":
+        joint_positions = turn_to_y_up(joint_positions)
+    elif axis == "-y":
+        joint_positions = joint_positions * np.array([1, -1, -1], np.float32)
+    return joint_positions, list(TURNED[axis])
 
 
 def _joint(

@@ -217,3 +217,27 @@ def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
 def test_a_damaged_map_in_a_store_is_explained(text: str) -> None:
     with pytest.raises(MotionkitError, match="the layout map of a skeleton cannot be read"):
         parse_layout_map(text)
+
+
+def test_spines_without_a_neck_or_a_second_joint() -> None:
+    """Hips, Spine, Head and arms alone: the missing joints lie between the spine and the shoulders."""
+    sides = [
+        f"{side}{joint}" for side in ("Left", "Right") for joint in ("UpLeg", "Leg", "Foot", "Arm", "ForeArm", "Hand")
+    ]
+    names = ("Hips", "Spine", "Head", *sides)
+    above = {"Spine": "Hips", "Head": "Spine", "UpLeg": "Hips", "Leg": "UpLeg", "Foot": "Leg", "Arm": "Spine"}
+    above |= {"ForeArm": "Arm", "Hand": "ForeArm"}
+    parents = [-1]
+    for name in names[1:]:
+        side = next((word for word in ("Left", "Right") if name.startswith(word)), "")
+        parent = above[name.removeprefix(side)]
+        parents.append(names.index(parent if parent in names else side + parent))
+    offsets = np.zeros((len(names), 3), np.float32)
+    offsets[1:] = (0.0, 0.2, 0.0)
+    skeleton = Skeleton("short", names, tuple(parents), offsets)
+    mapping = joint_map(skeleton, "smpl22")
+    weights = dict(zip(SMPL22.joint_names, mapping.weights, strict=True))
+    assert mapping.family == "motionbuilder" and set(mapping.made_up) == {"left_foot", "right_foot"}
+    heights = [float(weights[name] @ np.arange(len(names), dtype=np.float32)) for name in ("pelvis", "head")]
+    assert heights == [0.0, 2.0] and weights["neck"][names.index("LeftArm")] == 0.5
+    assert all(np.isclose(weights[name].sum(), 1.0) for name in weights.keys() - set(mapping.made_up))

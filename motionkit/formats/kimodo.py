@@ -1,0 +1,155 @@
+"""Kimodo's .npz: `posed_joints` [T, J, 3] in metres, y up, and `global_rot_mats` [T, J, 3, 3].
+
+Bodies are SOMA of 30 or 77 joints and SMPL-X of 22, whose joints the file does not name; its 30 fps it does not say
+either. `foot_contacts` and what else can be computed from the joints is left. Source:
+https://github.com/nv-tlabs/kimodo (skeleton/definitions.py).
+"""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.framerate import parse_fps
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, Feet, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.formats.arrays import npz_archive
+from motionkit.formats.arrays.npz_archive import NpzArchive
+from motionkit.formats.format import Format, of_path
+from motionkit.formats.scan.items import ReadOptions
+from motionkit.formats.source import clock, source_file
+
+FPS = Fraction(30)
+JOINTS, ROTATIONS = "posed_joints", "global_rot_mats"
+# Beyond this the joints are not where the rotations put them.
+RIGID_METRES = 0.002
+TRUNK = (("Hips", ""), ("Spine1", "Hips"), ("Spine2", "Spine1"), ("Chest", "Spine2"), ("Neck1", "Chest"))
+HEAD = (("Neck2", "Neck1"), ("Head", "Neck2"))
+FACE = (("Jaw", "Head"), ("LeftEye", "Head"), ("RightEye", "Head"))
+ARM = (("Shoulder", "Chest"), ("Arm", "Shoulder"), ("ForeArm", "Arm"), ("Hand", "ForeArm"))
+LEG = (("Leg", "Hips"), ("Shin", "Leg"), ("Foot", "Shin"), ("ToeBase", "Foot"))
+
+
+def _sided(side: str, bones: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:
+    return tuple((side + joint, above if above in ("Chest", "Hips") else side + above) for joint, above in bones)
+
+
+def _finger(name: str, bones: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    chain = ("Hand", *(f"Hand{name}{bone}" for bone in bones))
+    return tuple(zip(chain[1:], chain[:-1], strict=True))
+
+
+_FINGERS = _finger("Thumb", ("1", "2", "3", "End")) + tuple(
+    bone for name in ("Index", "Middle", "Ring", "Pinky") for bone in _finger(name, ("1", "2", "3", "4", "End"))
+)
+_STUMPS = (("HandThumbEnd", "Hand"), ("HandMiddleEnd", "Hand"))
+
+
+def _soma(name: str, head: tuple[tuple[str, str], ...], hand: tuple[tuple[str, str], ...], toes: bool) -> Skeleton:
+    leg = (*LEG, ("ToeEnd", "ToeBase")) if toes else LEG
+    bones = (*TRUNK, *head, *(each for part in ((*ARM, *hand), leg) for side in ("Left", "Right")
+                              for each in _sided(side, part)))  # fmt: skip
+    names = tuple(joint for joint, _ in bones)
+    return Skeleton(
+        name=name,
+        joint_names=names,
+        parents=tuple(names.index(above) if above else -1 for _, above in bones),
+        offsets=np.zeros((len(names), 3), np.float32),
+        left_right_pairs=tuple(
+            (place, names.index(f"Right{joint[4:]}")) for place, joint in enumerate(names) if joint.startswith("Left")
+        ),
+        feet=Feet(*(names.index(joint) for joint in ("LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase"))),
+    )
+
+
+SKELETONS = {
+    each.num_joints: each
+    for each in (
+        SMPL22,
+        _soma("somaskel30", (*HEAD, *FACE), _STUMPS, toes=False),
+        _soma("somaskel77", (*HEAD, ("HeadEnd", "Head"), *FACE), _FINGERS, toes=True),
+    )
+}
+
+
+def accepts(path: Path) -> bool:
+    """Whether an .npz file has the joints under Kimodo's name."""
+    return JOINTS in npz_archive.peek_keys(path)
+
+
+def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read one file: positions as they are, local rotations where the file's reproduce them on bones of one length.
+
+    Raises `FormatError` (`channel-count`) for another number of joints, such as the robot's 34.
+    """
+    options = options or ReadOptions()
+    data = source_file.read_bytes(path)
+    archive = npz_archive.open_archive(path, data)
+    positions = npz_archive.read_numbers(archive, JOINTS, (None, None, 3))
+    skeleton = SKELETONS.get(positions.shape[1])
+    if skeleton is None:
+        known = ", ".join(f"{count} ({each.name})" for count, each in SKELETONS.items())
+        message = f"{JOINTS}: {positions.shape[1]} joints, expected {known}"
+        raise FormatError(message, path=path, reason="channel-count")
+    fps, stated, operations = _framerate(archive, options)
+    rotations, offsets = None, _offsets_at_rest(positions, skeleton)
+    if ROTATIONS in archive:
+        matrices = npz_archive.read_numbers(archive, ROTATIONS, (*positions.shape[:2], 3, 3))
+        rotations, offsets, operations = _rigid(positions, matrices, skeleton, operations)
+    body = Skeleton(
+        skeleton.name, skeleton.joint_names, skeleton.parents, offsets, skeleton.left_right_pairs, skeleton.feet
+    )
+    return Motion(
+        positions,
+        body,
+        TimeGrid(fps, len(positions)),
+        rotations,
+        None if rotations is None else positions[:, 0],
+        sequence_id=path.stem,
+        provenance=source_file.provenance(path, data, "kimodo", operations, stated_fps=stated),
+    )
+
+
+def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
+    value = npz_archive.read_scalar(archive, "fps") if "fps" in archive else None
+    try:
+        fps, who = (FPS, "Kimodo") if value is None else (parse_fps(value), "the file")
+    except ValueError as error:
+        raise FormatError(f"fps: {value} ({error})", path=archive.path, reason="framerate") from None
+    used = options.fps or fps
+    return used, "" if value is None else str(value), clock.replaced_fps(used, fps, who=who)
+
+
+def _offsets_at_rest(
+    positions: Float32[np.ndarray, "frames joints 3"], skeleton: Skeleton
+) -> Float32[np.ndarray, "joints 3"]:
+    offsets: Float32[np.ndarray, "joints 3"] = positions[0] - positions[0, [max(each, 0) for each in skeleton.parents]]
+    return offsets
+
+
+def _rigid(
+    positions: Float32[np.ndarray, "frames joints 3"],
+    matrices: Float32[np.ndarray, "frames joints 3 3"],
+    skeleton: Skeleton,
+    operations: list[str],
+) -> tuple[Float32[np.ndarray, "frames joints 4"] | None, Float32[np.ndarray, "joints 3"], list[str]]:
+    """Local rotations and offsets that reproduce the positions; none of the former where nothing does."""
+    above = np.array([max(each, 0) for each in skeleton.parents])
+    local = np.einsum("tjki,tjkl->tjil", matrices[:, above], matrices)
+    local[:, 0] = matrices[:, 0]
+    bones = np.einsum("tjki,tjk->tji", matrices[:, above], positions - positions[:, above])
+    offsets = np.median(bones, axis=0).astype(np.float32)
+    offsets[0] = 0.0
+    made = np.einsum("tjik,jk->tji", matrices[:, above], offsets) + positions[:, above]
+    error = float(np.linalg.norm(made - positions, axis=-1)[:, 1:].max(initial=0.0))
+    if error > RIGID_METRES:
+        line = f"positions only: the rotations put joints {1000 * error:.0f} mm from where they are"
+        return None, _offsets_at_rest(positions, skeleton), [*operations, line]
+    return kinematics.matrix_to_quaternion(local).astype(np.float32), offsets, operations
+
+
+FORMAT = Format(name="kimodo", read=of_path(read_kimodo), suffixes=(".npz",), accepts=accepts)
