@@ -7,23 +7,30 @@ from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.kinematics import fit_rotation, quaternion_conjugate, quaternion_rotate
 from motionkit.core.skeleton import Skeleton
+from motionkit.fields.contact.two_bone import LEAST_ROOM_METRES, LONGEST_SHARE, Vectors
 
 # A joint whose distance from its parent spreads by more hangs on no bone: hips above a reference on the floor, markers.
 TRAVELLING_FROM_ROOT_METRES, TRAVELLING_METRES = 0.25, 0.5
 NO_LENGTH = 1e-6
 RIGID_SHARE, RIGID_METRES = 0.05, 0.003
+LIMB_RATIO = 0.4
+"""A limb is two bones of which neither is so much shorter than the other: arms and legs, not ankle and toe."""
+SHRUNK_SHARE, GONE_SHARE = 0.8, 0.2
+"""A limb's second bone that is so much shorter than its own length says less and less of where it points."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bones:
     """A body's own bones: of every joint the place in its parent's frame, which a joint with one child has along Y.
 
-    `moving` joints hang on no bone, and stay where they are.
+    `moving` joints hang on no bone, and stay where they are. `bends` says of a limb's middle joint (elbow, knee) where
+    it mostly is off the middle between the limb's ends, in the frame of the joint that several bones hang on.
     """
 
     skeleton: Skeleton
     offsets: Float64[np.ndarray, "joints 3"]
     moving: frozenset[int]
+    bends: dict[int, Float64[np.ndarray, "3"]]
 
     @classmethod
     def of(cls, positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton) -> "Bones":
@@ -38,11 +45,42 @@ class Bones:
         moving = frozenset(np.flatnonzero((spread > limits) | (middle < NO_LENGTH)).tolist()) - {0}
         offsets = np.zeros((skeleton.num_joints, 3))
         offsets[:, 1] = middle
+        found = cls(skeleton, offsets, moving, {})
         for joint in range(skeleton.num_joints):
-            children = [child for child in skeleton.children(joint) if child not in moving]
+            children = found.children(joint)
             if len(children) > 1:
                 offsets[children] = _shape(bones[:, children], middle[children])
-        return cls(skeleton, offsets, moving)
+        wanted = values.transpose(1, 0, 2)
+        for start, joint, end in found.limbs():
+            if (branch := found.branch(joint)) is not None:
+                children = found.children(branch)
+                turn = _turns(offsets[children], wanted[children] - wanted[branch])
+                bend = wanted[joint] - (wanted[start] + wanted[end]) / 2.0
+                found.bends[joint] = np.median(quaternion_rotate(quaternion_conjugate(turn), bend), axis=0)
+        return found
+
+    def children(self, joint: int) -> list[int]:
+        """The joints that hang on a bone below a joint."""
+        return [child for child in self.skeleton.children(joint) if child not in self.moving]
+
+    def branch(self, joint: int) -> int | None:
+        """The nearest joint above on which several bones hang; None where there is none."""
+        while (joint := self.skeleton.parents[joint]) >= 0:
+            if len(self.children(joint)) > 1:
+                return joint
+        return None
+
+    def limbs(self) -> list[tuple[int, int, int]]:
+        """Start, middle and end of every two bones in a row that are of similar length."""
+        found = []
+        for joint in range(self.skeleton.num_joints):
+            below, start = self.children(joint), self.skeleton.parents[joint]
+            if start < 0 or joint in self.moving or len(below) != 1 or len(self.children(start)) != 1:
+                continue
+            upper, lower = self.offsets[joint, 1], self.offsets[below[0], 1]
+            if min(upper, lower) > LIMB_RATIO * max(upper, lower):
+                found.append((start, joint, below[0]))
+        return found
 
     @classmethod
     def lacking(cls, positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton) -> "Bones | None":
@@ -56,15 +94,50 @@ class Bones:
     def applied(self, positions: Float32[np.ndarray, "frames joints 3"]) -> Float32[np.ndarray, "frames joints 3"]:
         """The poses with these bones, each joint as near as its bone lets it to where it is, from the root on."""
         wanted = np.ascontiguousarray(positions.transpose(1, 0, 2), dtype=np.float64)
-        reached = wanted.copy()
+        reached, turns, limbs = wanted.copy(), {}, {start: (joint, end) for start, joint, end in self.limbs()}
         for joint in range(self.skeleton.num_joints):
-            children = [child for child in self.skeleton.children(joint) if child not in self.moving]
+            children = self.children(joint)
             if len(children) > 1:
-                reached[children] = reached[joint] + _placed(self.offsets[children], wanted[children] - reached[joint])
+                shape, wished = self.offsets[children], wanted[children] - reached[joint]
+                turns[joint] = _turns(shape, wished)
+                reached[children] = reached[joint] + quaternion_rotate(turns[joint][:, None], shape).transpose(1, 0, 2)
             elif children:
                 bone, own = wanted[children[0]] - reached[joint], self.offsets[children[0], 1]
                 reached[children[0]] = reached[joint] + bone * (own / np.maximum(_lengths(bone), NO_LENGTH))[:, None]
+                if joint in limbs and children[0] in self.bends:
+                    self._bend(wanted, reached, turns, (joint, *limbs[joint]))
         return reached.transpose(1, 0, 2).astype(np.float32)
+
+    def _bend(
+        self,
+        wanted: Float64[np.ndarray, "joints frames 3"],
+        reached: Float64[np.ndarray, "joints frames 3"],
+        turns: dict[int, Float64[np.ndarray, "frames 4"]],
+        limb: tuple[int, int, int],
+    ) -> None:
+        """Move a limb's middle joint where its second bone has shrunk, so that the end may stay where it is.
+
+        Towards nothing a bone turns over at once, and a hand with it; the elbow has less far to go.
+        """
+        start, joint, end = limb
+        upper, lower = self.offsets[joint, 1], self.offsets[end, 1]
+        share = _lengths(wanted[end] - reached[joint]) / lower
+        gone = np.clip((SHRUNK_SHARE - share) / (SHRUNK_SHARE - GONE_SHARE), 0.0, 1.0)
+        rows = np.flatnonzero(gone)
+        if not len(rows):
+            return
+        gone = np.square(gone[rows]) * (3.0 - 2.0 * gone[rows])
+        branch = self.branch(joint)
+        assert branch is not None
+        along, reach = _directions(wanted[end, rows] - reached[start, rows])
+        reach = np.clip(reach, abs(upper - lower) + LEAST_ROOM_METRES, LONGEST_SHARE * (upper + lower))
+        usual, _ = _directions(_across(quaternion_rotate(turns[branch][rows], self.bends[joint]), along))
+        side = _across(wanted[joint, rows] - wanted[start, rows], along)
+        side, _ = _directions(side + gone[:, None] * (upper * usual - side))
+        forth = np.clip((upper**2 - lower**2 + np.square(reach)) / (2.0 * reach), -upper, upper)
+        bent = along * forth + side * np.sqrt(upper**2 - np.square(forth))
+        old = reached[joint, rows] - reached[start, rows]
+        reached[joint, rows] = reached[start, rows] + upper * _directions(old + gone[:, None] * (bent - old))[0]
 
 
 def _shape(
@@ -79,13 +152,22 @@ def _shape(
     return np.asarray(shape)
 
 
-def _placed(
+def _turns(
     shape: Float64[np.ndarray, "bones 3"], wanted: Float64[np.ndarray, "bones frames 3"]
-) -> Float64[np.ndarray, "bones frames 3"]:
-    """A shape turned onto bones by least squares."""
+) -> Float64[np.ndarray, "frames 4"]:
+    """The turns of a shape that bring it onto bones by least squares."""
     bones = wanted.transpose(1, 0, 2)
-    turns = fit_rotation(np.broadcast_to(shape, bones.shape), bones)
-    return np.asarray(quaternion_rotate(turns[:, None], shape).transpose(1, 0, 2))
+    return fit_rotation(np.broadcast_to(shape, bones.shape), bones)
+
+
+def _across(vectors: Float64[np.ndarray, "frames 3"], along: Float64[np.ndarray, "frames 3"]) -> Vectors:
+    return np.asarray(vectors - along * np.einsum("ni,ni->n", vectors, along)[:, None])
+
+
+def _directions(vectors: Float64[np.ndarray, "frames 3"]) -> tuple[Vectors, Float64[np.ndarray, "frames 1"]]:
+    """Vectors of length 1, and the lengths."""
+    lengths = np.maximum(_lengths(vectors), NO_LENGTH)[:, None]
+    return vectors / lengths, lengths
 
 
 def _lengths(vectors: Float[np.ndarray, "*shape 3"]) -> Float64[np.ndarray, "*shape"]:

@@ -30,6 +30,8 @@ FLOATING, SUNK, STEADY_HEIGHT = 100.0, 1000.0, 0.05
 """What metres² above and below the ground cost, and (m/s)² of an offset's change in height."""
 ABOVE_METRES, BELOW_METRES, HIGHEST_METRES = (0.03, 0.003), 0.003, (0.05, 0.08)
 """How far feet may be above the ground, in a motion that stands and in one that slides; below it; what is let be."""
+HEIGHT_ROUNDS, TOLERATED_METRES = 2, 0.001
+"""What a foot beside it pulls down by more than that below the ground is brought up in a second round."""
 
 BLOCK_SECONDS, MARGIN_SECONDS, FADE_SECONDS = 180.0, 12.0, 1.0
 BLOCKS_KEPT = 3
@@ -129,7 +131,8 @@ class Correction:
         stretch = round(LEVEL_STRETCH_SECONDS * self.fps)
         starts = np.linspace(0, self.count - stretch, LEVEL_STRETCHES).astype(np.int64)
         each = [ground_of(self._paths(start, start + stretch), self.fps) for start in starts.tolist()]
-        return Ground(np.median([one.level for one in each], axis=0), np.median([one.floor for one in each], axis=0))
+        level, floor = (np.median([getattr(one, name) for one in each], axis=0) for name in ("level", "floor"))
+        return Ground(level, floor, float(np.median([one.bottom for one in each])))
 
     @property
     def _block_length(self) -> int:
@@ -184,21 +187,28 @@ def offsets_of(
     found = np.zeros((len(paths), 3, 3))
     both = np.minimum(contacts.hold[1:], contacts.hold[:-1])
     if contacts.sliding.any():
-        found[..., [0, 2]] = _level_offsets(contacts, both, fps, LEVEL_COSTS[path])
-    height, weight = _heights(paths[..., 1], contacts, ground)
-    if height.any():
-        still = np.zeros((len(paths) - 1, 2, 1))
-        wishes = Wishes(still, STEADY_HEIGHT * both, height[..., None], weight)
+        found[..., [0, 2]] = _level_offsets(contacts, both, fps, path)
+    heights, lowest = paths[..., 1], _lowest(contacts, ground, path)
+    raised = np.zeros(contacts.hold.shape)
+    for _ in range(HEIGHT_ROUNDS):
+        height, weight = _heights(heights, raised, lowest, contacts, ground)
+        if not height.any():
+            break
+        wishes = Wishes(np.zeros((*both.shape, 1)), STEADY_HEIGHT * both, height[..., None], weight)
         found[..., [1]] = solve_offsets(wishes, contacts.hold, fps, HEIGHT_COSTS)
+        raised = found[:, 0, [1]] + found[:, 1:, 1]
+        if (heights + raised[..., None] > lowest - TOLERATED_METRES).all():
+            break
     return found
 
 
 def _level_offsets(
-    contacts: Contacts, both: Float64[np.ndarray, "steps feet"], fps: float, costs: Costs
+    contacts: Contacts, both: Float64[np.ndarray, "steps feet"], fps: float, path: Path
 ) -> Float64[np.ndarray, "instants 3 2"]:
-    """Offsets along X and Z that take away what feet slide by."""
-    lead = contacts.lead
-    slid = contacts.velocity[..., [0, 2]] * ((1.0 - KEPT_SHARE) * contacts.sliding)[..., None]
+    """Offsets along X and Z that take away what feet slide by; a captured foot may glide beside one that rests."""
+    lead, costs = contacts.lead, LEVEL_COSTS[path]
+    share = contacts.sliding * (1.0 - contacts.beside) if path == "near" else contacts.sliding
+    slid = contacts.velocity[..., [0, 2]] * ((1.0 - KEPT_SHARE) * share)[..., None]
     nowhere = np.zeros(lead.shape)
     wishes = Wishes(-0.5 * (slid[1:] + slid[:-1]), both, np.zeros((*lead.shape, 2)), nowhere)
     found = solve_offsets(wishes, contacts.hold, fps, costs)
@@ -209,20 +219,34 @@ def _level_offsets(
     return found
 
 
+def _lowest(contacts: Contacts, ground: Ground, path: Path) -> Float64[np.ndarray, "instants feet ends"]:
+    """How low feet may be: of a motion that slides at their level, of a real one where real feet are.
+
+    No foot of generated motion, whose body goes where its feet carry it, is below the lower foot's level: one floor.
+    """
+    floor = ground.floor - BELOW_METRES
+    lowest = floor + (np.maximum(ground.level - BELOW_METRES, floor) - floor) * contacts.sliding[..., None]
+    one_floor = max(ground.bottom, ground.level.min()) - BELOW_METRES if path == "free" else -np.inf
+    return np.asarray(np.maximum(lowest, one_floor))
+
+
 def _heights(
-    height: Float64[np.ndarray, "instants feet ends"], contacts: Contacts, ground: Ground
+    height: Float64[np.ndarray, "instants feet ends"],
+    raised: Float64[np.ndarray, "instants feet"],
+    lowest: Float64[np.ndarray, "instants feet ends"],
+    contacts: Contacts,
+    ground: Ground,
 ) -> tuple[Float64[np.ndarray, "instants feet"], Float64[np.ndarray, "instants feet"]]:
     """By how much each foot is to rise, and how much that matters: the lower end of a foot that stands, any below.
 
-    A foot of a motion that slides is to be at its level, and none lower, a real one where real feet are.
+    Below are ends that are so as they are, and those that are so where they have been `raised` to.
     """
     sliding = contacts.sliding[..., None]
     above = ABOVE_METRES[0] + (ABOVE_METRES[1] - ABOVE_METRES[0]) * sliding
-    lowest = ground.floor - BELOW_METRES
-    lowest = lowest + (np.maximum(ground.level - BELOW_METRES, lowest) - lowest) * sliding
     floats = np.where(contacts.down, np.maximum(height - ground.level - above, 0.0), np.inf).min(axis=-1)
     # What is held or stands higher is on a step, on tiptoe, or in the air.
     floats = np.where(floats < HIGHEST_METRES[1], floats, 0.0)
     floats *= np.clip((HIGHEST_METRES[1] - floats) / (HIGHEST_METRES[1] - HIGHEST_METRES[0]), 0.0, 1.0)
-    sunk = np.maximum(lowest - height, 0.0).max(axis=-1)
-    return np.where(sunk > 0, sunk, -floats), np.where(sunk > 0, SUNK, FLOATING * contacts.hold)
+    sunk = (lowest - height).max(axis=-1)
+    is_sunk = sunk > np.minimum(raised, 0.0)
+    return np.where(is_sunk, sunk, -floats), np.where(is_sunk, SUNK, FLOATING * contacts.hold)

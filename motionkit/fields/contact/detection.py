@@ -40,6 +40,7 @@ class Contacts:
     `sliding` is 0 where a foot goes no faster than real feet creep, 1 where it surely slides. `velocity` is that of a
     foot's steadier end that is down, m/s, 0 where none is. `hold` says how much a foot is to stand: 1 while it goes
     about as fast as it does at its slowest, less while it comes or goes, 0 in the air; `lead` the same more loosely.
+    `beside` is 1 beside another foot that rests as real feet do: what slides there may be drawn by a dancer.
     """
 
     down: Bool[np.ndarray, "instants feet ends"]
@@ -47,17 +48,19 @@ class Contacts:
     velocity: Float64[np.ndarray, "instants feet 3"]
     hold: Float64[np.ndarray, "instants feet"]
     lead: Float64[np.ndarray, "instants feet"]
+    beside: Float64[np.ndarray, "instants feet"]
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
     """Heights of every foot joint on the ground, metres: `level` where it mostly is, `floor` the lowest that it comes.
 
-    The lowest but for 5 % of the time.
+    The lowest but for 5 % of the time. `bottom` is that of all of them together.
     """
 
     level: Float64[np.ndarray, "feet ends"]
     floor: Float64[np.ndarray, "feet ends"]
+    bottom: float
 
 
 def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> Ground:
@@ -73,7 +76,8 @@ def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> G
         slow = slow if len(slow) >= _FEWEST else height
         floor[foot, end] = np.quantile(slow, LEVEL_QUANTILE)
         level[foot, end] = np.median(slow[slow <= floor[foot, end] + LEVEL_METRES])
-    return Ground(*(np.minimum(each, each.min(axis=0) + MOST_BETWEEN_FEET_METRES) for each in (level, floor)))
+    level, floor = (np.minimum(each, each.min(axis=0) + MOST_BETWEEN_FEET_METRES) for each in (level, floor))
+    return Ground(level, floor, float(np.quantile(paths[..., 1].min(axis=(1, 2)), LEVEL_QUANTILE)))
 
 
 def find_contacts(
@@ -89,6 +93,7 @@ def find_contacts(
     level_speed = np.hypot(velocity[..., 0], velocity[..., 2])
     down = _down(height, speed, fps, 0) if offered is None else _each(offered, fps)
     rests = Rests.of(down, level_speed, fps)
+    beside = rests.stands[:, ::-1]
     here, around = rests.sliding(fps)
     if offered is None and (around > 0.5).any():
         down = np.where((around > 0.5)[:, None, None], _down(height, speed, fps, 1), down)
@@ -96,7 +101,7 @@ def find_contacts(
     steadiest = _steadiest(down, velocity, level_speed)
     faster = np.hypot(steadiest[..., 0], steadiest[..., 2]) / (REST_SPEED + REST_TIMES * rests.speed)
     hold, lead = (rests.on_ground / (1.0 + (faster / times) ** 4) for times in (1.0, LEAD_TIMES))
-    return Contacts(down, np.maximum(here, around[:, None]), steadiest, hold, lead)
+    return Contacts(down, np.maximum(here, around[:, None]), steadiest, hold, lead, beside)
 
 
 def runs(mask: Bool[np.ndarray, "instants"]) -> tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"]]:
@@ -224,6 +229,11 @@ class Rests:
                 rests[here, foot] = minimum_filter1d(smooth[here, foot], min(window, stop - start), mode="nearest")
                 limit[here, foot] = CREEP_SPEED + CREEP_AT_ONE_SECOND / ((stop - start) / fps) ** CREEP_POWER
         return cls(on_ground, rests, limit)
+
+    @property
+    def stands(self) -> Float64[np.ndarray, "instants feet"]:
+        """1 where a foot on the ground rests as real feet do, 0 where it slides or is in the air."""
+        return np.where(self.on_ground, 1.0 - _smoothstep(self.speed / self.limit, *SLIDES_AROUND), 0.0)
 
     def sliding(self, fps: float) -> tuple[Float64[np.ndarray, "instants feet"], Float64[np.ndarray, "instants"]]:
         """How far every foot slides by itself, and how far feet slide for 10 s around."""

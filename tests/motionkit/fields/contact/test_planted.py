@@ -12,7 +12,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.fields.contact import correction
 from motionkit.fields.contact.bones import Bones
-from motionkit.fields.contact.detection import find_contacts, ground_of
+from motionkit.fields.contact.detection import Ground, find_contacts, ground_of
 from motionkit.fields.contact.planted import PlantedField, planted
 from motionkit.fields.interpolation.interpolators import interpolate
 from motionkit.fields.motion_field import MotionField, Poses, joint_velocities, to_motion
@@ -128,6 +128,22 @@ def test_feet_that_stand_are_left_alone(action: str) -> None:
     assert change.mean() < 0.001
 
 
+def test_a_foot_drawn_along_the_floor_beside_one_that_stands_is_let_be() -> None:
+    """To and fro over 20 cm, as a dancer's; generated motion has no dancers."""
+    pose = forward_kinematics(np.tile([1.0, 0, 0, 0], (1, 22, 1)), np.zeros((1, 3)), SMPL22)[0].astype(np.float32)
+    pose[..., 1] -= pose[10, 1]
+    positions = np.tile(pose, (360, 1, 1))
+    # Low hips, so that the leg reaches.
+    positions[:, [0, 1, 2, 3, 6, 9, *range(12, 22)], 1] -= 0.03
+    drawn = 0.1 * (1.0 - np.cos(np.pi * np.arange(360) / 60.0))
+    positions[:, [8, 11], 2] += drawn[:, None]
+    positions[:, 5, 2] += drawn / 2.0
+    motion = Motion.from_joints(positions, FPS)
+    near, free = to_motion(field_of(motion, "near"), FPS), to_motion(field_of(motion, "free"), FPS)
+    assert np.abs(near.joint_positions - positions).max() < 0.001
+    assert np.abs(free.joint_positions - positions)[:, 8].max() > 0.02
+
+
 def test_standing_still_is_unchanged_to_the_last_bit() -> None:
     walk = capture(FPS, "walk")
     pose = np.repeat(walk.joint_positions[:1], 120, axis=0)
@@ -202,6 +218,37 @@ def test_joints_of_a_chest_that_is_bent_out_of_shape_do_not_jump() -> None:
         positions[:, joint] += 0.1 * np.sin(turn).astype(np.float32)
     changed = Bones.of(positions, SMPL22).applied(positions) - positions
     assert np.linalg.norm(np.diff(changed, axis=0), axis=-1).max() * 120 < 5.0
+
+
+def test_a_hand_does_not_turn_over_where_its_arm_shrinks() -> None:
+    """Four fifths of an upper arm, and a tenth of a forearm: the elbow gives way, and the hand stays where it is."""
+    shoulder, elbow, wrist = 16, 18, 20
+    positions = np.repeat(capture(FPS, "walk").joint_positions[:1], 360, axis=0)
+    less = np.sin(np.pi * np.clip(np.arange(360) / 120.0 - 1.0, 0.0, 1.0))[:, None] ** 2
+    upper, fore = positions[:, elbow] - positions[:, shoulder], positions[:, wrist] - positions[:, elbow]
+    positions[:, elbow] = positions[:, shoulder] + (1.0 - 0.2 * less) * upper
+    positions[:, wrist] = positions[:, elbow] + (1.0 - 0.9 * less) * fore
+    after = Bones.of(positions, SMPL22).applied(positions)
+    before, now = (np.linalg.norm(np.diff(each, axis=0), axis=-1).max() * 120 for each in (positions, after))
+    assert now < 3.0 * before
+    assert np.linalg.norm(after[:, wrist] - positions[:, wrist], axis=-1).max() < 0.1
+    assert np.ptp(np.linalg.norm(after[:, wrist] - after[:, elbow], axis=-1)) < 1e-5
+
+
+def test_generated_motion_has_one_floor_and_captures_may_have_steps() -> None:
+    """A toe that passes below the ground on which feet mostly are, its own level being as low."""
+    paths = np.zeros((240, 2, 2, 3))
+    paths[..., 0, 1], paths[..., 1, 1] = 0.1, 0.03
+    paths[100:140, 1, :, 1] -= 0.02 * np.hanning(40)[:, None]
+    ground = Ground(np.array([[0.1, 0.03], [0.1, 0.03]]), np.array([[0.1, 0.03], [0.08, 0.01]]), 0.03)
+    contacts = find_contacts(paths, 120.0, ground)
+    lowest = {}
+    kinds: tuple[correction.Path, ...] = ("near", "free")
+    for path in kinds:
+        offsets = correction.offsets_of(paths, contacts, ground, 120.0, path)
+        lowest[path] = float((paths[..., 1] + (offsets[:, :1, 1] + offsets[:, 1:, 1])[..., None])[..., 1].min())
+    assert lowest["near"] < 0.012
+    assert lowest["free"] > 0.025
 
 
 def test_planting_twice_is_planting_once() -> None:
