@@ -78,7 +78,6 @@ def base() -> NermConfig:
             network=TransformerConfig(width=512, num_heads=8, ffn_width=2048, latent_tokens=16),
             schedule=replace(denoiser.schedule, steps=80_000, batch_size=256, learning_rate=3e-4),
             ema_decay=0.9999,
-            precision="auto",
         ),
     )
 
@@ -132,10 +131,11 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
 def _knot_denoiser(*, steps: int) -> DenoiserConfig:
     return DenoiserConfig(
         network=TransformerConfig(num_layers=5, width=192, ffn_width=512, dropout=0.0, latent_tokens=8),
-        diffusion=DiffusionConfig(prediction="velocity", loss="velocity", guidance_scale=1.5),
+        diffusion=DiffusionConfig(prediction="velocity", loss="velocity", sampling_steps=10, guidance_scale=2.0),
         latents=LatentSpaceConfig(path="steps", scale="component"),
         schedule=Schedule(steps=steps, learning_rate=2e-3, kind="cosine", warmup_fraction=0.02),
         ema_decay=0.995,
+        precision="auto",
     )
 
 

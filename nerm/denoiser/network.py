@@ -16,6 +16,23 @@ from nerm.latents.posterior import in_use
 from nerm.settings import TransformerConfig
 
 
+def attention(
+    queries: Float[Tensor, "batch heads asking size"],
+    keys: Float[Tensor, "batch heads asked size"],
+    values: Float[Tensor, "batch heads asked size"],
+    seen: Bool[Tensor, "batch 1 1 asked"] | None,
+) -> Float[Tensor, "batch heads asking size"]:
+    """softmax(QKᵀ/√size) V over the tokens that are `seen`."""
+    if queries.device.type == "cpu" and queries.dtype == torch.bfloat16:
+        # torch's own kernel takes as long for this as for all the matrix products of a step together.
+        scores = queries @ keys.transpose(-1, -2) * queries.shape[-1] ** -0.5
+        if seen is not None:
+            scores = scores.masked_fill(~seen, -torch.inf)
+        mixed: Tensor = torch.softmax(scores, dim=-1) @ values
+        return mixed
+    return functional.scaled_dot_product_attention(queries, keys, values, attn_mask=seen)
+
+
 class TransformerLayer(nn.Module):
     """Pre-norm self-attention and feed-forward network (GELU)."""
 
@@ -40,7 +57,7 @@ class TransformerLayer(nn.Module):
         batch, count, width = tokens.shape
         projected = self.queries_keys_values(self.attention_norm(tokens))
         heads = projected.view(batch, count, 3, self.num_heads, width // self.num_heads).permute(2, 0, 3, 1, 4)
-        mixed = functional.scaled_dot_product_attention(heads[0], heads[1], heads[2], attn_mask=seen)
+        mixed = attention(heads[0], heads[1], heads[2], seen)
         out: Tensor = self.dropout(self.attention_out(mixed.transpose(1, 2).reshape(batch, count, width)))
         return tokens + out
 

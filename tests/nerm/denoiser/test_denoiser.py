@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from nerm.conditions import ConditionLayout, Conditions
-from nerm.denoiser.network import Denoiser, step_features
+from nerm.denoiser.network import Denoiser, attention, step_features
 from nerm.latents.posterior import ALWAYS, in_use
 from nerm.settings import TransformerConfig
 
@@ -87,3 +87,20 @@ def test_what_a_motion_does_not_depend_on_is_neither_read_nor_put_out():
 def test_a_latent_that_cannot_be_cut_is_refused():
     with pytest.raises(ValueError, match="cannot be cut"):
         Denoiser(TransformerConfig(latent_tokens=3), torch.full((256,), ALWAYS), LAYOUT)
+
+
+def test_attention_in_bfloat16_is_that_in_float32():
+    generator = torch.Generator().manual_seed(0)
+    heads = torch.randn(3, 5, 2, 7, 16, generator=generator)
+    seen = torch.arange(7)[None, None, None] < torch.tensor([7, 6, 4, 2, 1])[:, None, None, None]
+    rough = [each.to(torch.bfloat16).requires_grad_() for each in heads]
+    exact = [each.detach().float().requires_grad_() for each in rough]
+    for mask in (None, seen):
+        found, expected = attention(*rough, mask), attention(*exact, mask)
+        assert found.dtype == torch.bfloat16
+        torch.testing.assert_close(found.float(), expected, atol=0.02, rtol=0.02)
+        slopes = [
+            torch.autograd.grad(each.float().square().sum(), of) for each, of in ((found, rough), (expected, exact))
+        ]
+        for ours, theirs in zip(*slopes, strict=True):
+            torch.testing.assert_close(ours.float(), theirs, atol=0.06, rtol=0.06)
