@@ -15,7 +15,8 @@ from eval.text_motion.embedding_cache import Embedder
 from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import MultiModalityRule
 from eval.text_motion.real_pairs import CaptionedMotions, as_kit_joints
-from motionkit.fields.motion_field import to_motion
+from motionkit.fields.contact.planted import planted
+from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel
 
 AT_ONCE = 128
@@ -27,8 +28,8 @@ REPEATED_FROM = 1_000_000
 class ModelMotions:
     """A model and what it is asked for; `identity` is all that its motions depend on besides request and seed.
 
-    With `kit_lengths` its motions are brought to KIT-ML's 21 joints before they are embedded. Raises what the model
-    raises for a caption it cannot take, when motions are first asked for.
+    With `kit_lengths` its motions are brought to KIT-ML's 21 joints before they are embedded, with `is_planted` their
+    feet are made to stand. Raises what the model raises for a caption it cannot take, when motions are first asked for.
     """
 
     name: str
@@ -37,6 +38,7 @@ class ModelMotions:
     seed: int
     kit_lengths: Float32[np.ndarray, "21"] | None = None
     on_motions: Callable[[int], None] = lambda count: None
+    is_planted: bool = False
 
     def draw(self, wanted: CaptionedMotions, number: int, embedder: Embedder) -> TextMotionPairs:
         """One motion for each caption, as long as the real one; `number` counts independent draws."""
@@ -66,6 +68,8 @@ class ModelMotions:
     ) -> Float64[np.ndarray, "requests features"]:
         requests_sha256 = sha256(dumps([asdict(request) for request in requests]).encode()).hexdigest()
         key = {"model": dict(self.identity), "requests": requests_sha256, "seed": seed, "first": first, "fps": str(fps)}
+        if self.is_planted:
+            key["planted"] = "free"
         if self.kit_lengths is not None:
             key["kit_lengths"] = sha256(self.kit_lengths.astype("<f4").tobytes()).hexdigest()
         return embedder.kept(key, len(requests), partial(self._generated, requests, seed, first, fps, embedder))
@@ -82,7 +86,9 @@ class ModelMotions:
         sequences = []
         for start in range(0, len(requests), AT_ONCE):
             some = requests[start : start + AT_ONCE]
-            fields = self.model.generate(some, seed=seed, first=first + start)
+            fields: Sequence[MotionField] = self.model.generate(some, seed=seed, first=first + start)
+            if self.is_planted:
+                fields = [planted(field, "free") for field in fields]
             sequences += [to_motion(field, fps).joint_positions for field in fields]
             self.on_motions(len(some))
         names = [f"motion {first + index}" for index in range(len(requests))]

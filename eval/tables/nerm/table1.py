@@ -15,6 +15,7 @@ from eval.report.results import Block, Result
 from eval.sample_folder import SampleFolder
 from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
+from eval.sets.planted import PLANTED, PLANTED_NOTE, is_planted
 from eval.sets.real import NoRealMotionError
 from eval.tables.models import Trained, TrainedModel, check_names, trained_models, training_note
 from eval.tables.nerm.retrieval import RetrievalSets, retrieval_blocks, sentence_embeddings
@@ -211,11 +212,12 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
     if isinstance(evaluator, CosineEvaluator):
         job = replace(job, pair_score=evaluator.pair_score)
     folders = {folder.name: folder for folder in job.folders}
+    models = {row: model for name, model in job.models.items() for row in (name, PLANTED.format(name))}
     made = each_found(
-        (*job.models, *folders),
+        (*models, *folders),
         lambda name: (
-            _model_row(job, name, job.models[name], real, pairs, chosen, embedder)
-            if name in job.models
+            _model_row(job, name, models[name], real, pairs, chosen, embedder)
+            if name in models
             else _sample_row(job, folders[name], real, pairs, embedder)
         ),
         lambda name: f"{name}, {evaluator.name}",
@@ -266,14 +268,14 @@ def _model_row(
     lengths, wanted, request = kit_bone_lengths(real.samples), real.select(chosen), job.request
     with task(request.on_progress, f"{embedder.evaluator.name}: {name}", note="motions generated") as work:
         motions = ModelMotions(
-            *(name, trained.loaded, trained.identity, request.seed, lengths), on_motions=work.advance
+            *(name, trained.loaded, trained.identity, request.seed, lengths, work.advance), is_planted(name)
         )
         draws = [motions.draw(wanted, number, embedder) for number in range(request.evaluated.draws)]
         repeated = motions.repeated(wanted, job.protocol.multimodality, request.evaluated.max_motions, embedder)
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
     remarks = size_remarks(pairs.motions, reference.motions, draws[0].motions, job.request.seed)
-    facts = filter(None, (training_note(trained), "" if lengths is None else MADE_OF_22))
-    note = "; ".join((f"run {trained.run.name!r}", *facts, *remarks))
+    made = (training_note(trained), "" if lengths is None else MADE_OF_22, PLANTED_NOTE if is_planted(name) else "")
+    note = "; ".join((f"run {trained.run.name!r}", *filter(None, made), *remarks))
     ranked = _retrieval(job, reference, draws, chosen)
     return ScoredRow(name, "ours", _score(job, reference, draws, repeated), note, ranked)
 

@@ -120,8 +120,11 @@ def test_a_model_that_is_the_real_motion_scores_like_it(
         FLOOR: 35,
         "real": 70,
         "NeRM": 70,
+        "NeRM, planted": 70,
         "NeRM, fixed framerate": 70,
+        "NeRM, fixed framerate, planted": 70,
     }
+    assert rows["NeRM, planted"][MM_DIST] != rows["NeRM"][MM_DIST]
     # 0.001 times a normal number on every coordinate: pairs are 0.002/√π apart in each of the four that are seen.
     assert rows["NeRM"][MULTIMODALITY] == pytest.approx(2 * 0.002 / np.sqrt(np.pi), rel=0.2)
     assert rows["NeRM, fixed framerate"][MULTIMODALITY] > 10 * rows["NeRM"][MULTIMODALITY]
@@ -186,15 +189,15 @@ def test_embeddings_are_kept_and_motions_are_not_generated_again(
     store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     first = build(store, tmp_path / "results", run)
-    assert models["nano"].asked == 70 + 13 * 30
+    assert models["nano"].asked == 2 * (70 + 13 * 30)
     again = build(store, tmp_path / "results", run)
-    assert models["nano"].asked == 70 + 13 * 30
+    assert models["nano"].asked == 2 * (70 + 13 * 30)
     assert again.blocks == first.blocks
     (run / "denoiser" / "model.safetensors").write_text("trained on")
     build(store, tmp_path / "results", run)
-    assert models["nano"].asked == 2 * (70 + 13 * 30)
+    assert models["nano"].asked == 4 * (70 + 13 * 30)
     build(store, tmp_path / "results", run, draws=3)
-    assert models["nano"].asked == 2 * (70 + 13 * 30) + 2 * 70
+    assert models["nano"].asked == 4 * (70 + 13 * 30) + 4 * 70
 
 
 def test_fewer_motions_than_real_ones_are_a_random_choice(
