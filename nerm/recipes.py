@@ -56,7 +56,7 @@ def nano() -> NermConfig:
             schedule=CodebookScheduleConfig(steps=600, batch_size=48, learning_rate=1e-3, drop_at=480),
         ),
         field=replace(_local_field(steps=8000), contacts=ContactsConfig(steps=800)),
-        denoiser=_knot_denoiser(steps=2500),
+        denoiser=_knot_denoiser(steps=8000),
     )
 
 
