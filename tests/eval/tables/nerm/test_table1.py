@@ -287,7 +287,7 @@ def test_the_command_passes_everything_on(
     printed = json.loads(capsys.readouterr().out)
     assert printed["definition"]["protocol"]["name"] == "momask"
     assert printed["definition"]["compat"] == ["float32-distances"]
-    assert models["nano"].asked == 2 * (64 + 2 * 30)
+    assert models["nano"].asked == 2 * (2 * 64 + 2 * 30)
     written = json.loads((tmp_path / "results" / "nerm-table1.json").read_text(encoding="utf-8"))
     assert written["blocks"] == printed["blocks"]
     assert "Known bugs switched on: float32-distances." in (tmp_path / "results" / "nerm-table1.md").read_text("utf-8")
