@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from motionkit.fields.contact.detection import Contacts, Ground, find_contacts, ground_of
+from motionkit.fields.contact.detection import CAPTURED, GENERATED, Contacts, Ground, find_contacts, ground_of
 from motionkit.fields.contact.legs import Legs
 from motionkit.fields.contact.offsets import Costs, Wishes, solve_offsets
 
@@ -176,7 +176,8 @@ class Correction:
         stop = self.count if last else min(self.count, (number + 1) * self._block_length + margin)
         paths = self._paths(first, stop)
         offered = None if self.down is None else self.down(first, stop)
-        contacts = find_contacts(paths, self.fps, self.ground, offered)
+        limits = GENERATED if self.path == "free" else CAPTURED
+        contacts = find_contacts(paths, self.fps, self.ground, offered, limits)
         return Block(first, paths, contacts, offsets_of(paths, contacts, self.ground, self.fps, self.path))
 
 

@@ -6,6 +6,7 @@ and creep, yet within 0.6 s each comes nearly to rest (docs/plant.md).
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64
@@ -26,11 +27,20 @@ CREEP_SPEED, CREEP_AT_ONE_SECOND, CREEP_POWER = 0.015, 0.02, 1.3
 """Real feet come below 0.015 + 0.02 · seconds^−1.3 m/s in a contact of so many seconds: most of CMU's train split."""
 MOST_TIMES = 4.0
 AROUND_SECONDS = 10.0
-SLIDES_AROUND = (1.15, 1.45)
-SLIDES_HERE = (2.5, 3.5)
 STEADY_SPEED = 0.05
 REST_SPEED, REST_TIMES, LEAD_TIMES = 0.12, 1.6, 4.0
 _FEWEST = 10
+
+
+class Limits(NamedTuple):
+    """At how many times real feet's creep feet begin to count as sliding, and surely do: over 10 s, and by itself."""
+
+    around: tuple[float, float]
+    here: tuple[float, float]
+
+
+CAPTURED, GENERATED = Limits((1.15, 1.45), (2.5, 3.5)), Limits((0.5, 0.7), (1.0, 1.5))
+"""Captures that creep are right; of generated motion only feet that stand stiller than most real ones are let be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +95,7 @@ def find_contacts(
     fps: float,
     ground: Ground,
     offered: Bool[np.ndarray, "instants feet ends"] | None = None,
+    limits: Limits = CAPTURED,
 ) -> Contacts:
     """The contacts of foot joints whose places are known at `fps`: those that are `offered`, else by their paths."""
     velocity = velocities(paths, fps)
@@ -94,7 +105,7 @@ def find_contacts(
     down = _down(height, speed, fps, 0) if offered is None else _each(offered, fps)
     rests = Rests.of(down, level_speed, fps)
     beside = rests.stands[:, ::-1]
-    here, around = rests.sliding(fps)
+    here, around = rests.sliding(fps, limits)
     if offered is None and (around > 0.5).any():
         down = np.where((around > 0.5)[:, None, None], _down(height, speed, fps, 1), down)
         rests = Rests.of(down, level_speed, fps)
@@ -233,9 +244,11 @@ class Rests:
     @property
     def stands(self) -> Float64[np.ndarray, "instants feet"]:
         """1 where a foot on the ground rests as real feet do, 0 where it slides or is in the air."""
-        return np.where(self.on_ground, 1.0 - _smoothstep(self.speed / self.limit, *SLIDES_AROUND), 0.0)
+        return np.where(self.on_ground, 1.0 - _smoothstep(self.speed / self.limit, *CAPTURED.around), 0.0)
 
-    def sliding(self, fps: float) -> tuple[Float64[np.ndarray, "instants feet"], Float64[np.ndarray, "instants"]]:
+    def sliding(
+        self, fps: float, limits: Limits
+    ) -> tuple[Float64[np.ndarray, "instants feet"], Float64[np.ndarray, "instants"]]:
         """How far every foot slides by itself, and how far feet slide for 10 s around."""
         from scipy.ndimage import uniform_filter1d
 
@@ -246,7 +259,7 @@ class Rests:
             for each in (times, self.on_ground)
         )
         around = total / np.maximum(count, 1e-9)
-        return np.where(self.on_ground, _smoothstep(times, *SLIDES_HERE), 0.0), _smoothstep(around, *SLIDES_AROUND)
+        return np.where(self.on_ground, _smoothstep(times, *limits.here), 0.0), _smoothstep(around, *limits.around)
 
 
 def _smoothstep(values: Float64[np.ndarray, "*shape"], start: float, stop: float) -> Float64[np.ndarray, "*shape"]:

@@ -119,6 +119,15 @@ def test_contacts_that_the_field_knows_are_taken() -> None:
     assert speeds[2] == pytest.approx(2.5, rel=0.02)
 
 
+def test_generated_feet_stand_where_captured_ones_may_creep() -> None:
+    """4 cm/s over contacts of 0.6 s, where real feet go at up to 5.4."""
+    motion = capture(FPS, "walk", seconds=6.0)
+    still, creeping = true_rests(motion), bare(slid(motion, 0.04))
+    near, free = to_motion(field_of(creeping, "near"), FPS), to_motion(field_of(creeping, "free"), FPS)
+    assert steadiest_speed(near.joint_positions, still, FPS).mean() == pytest.approx(0.04, rel=0.1)
+    assert steadiest_speed(free.joint_positions, still, FPS).mean() < 0.015
+
+
 @pytest.mark.parametrize("action", ["walk", "jog", "turn_left", "squat", "wave_left"])
 def test_feet_that_stand_are_left_alone(action: str) -> None:
     motion = capture(FPS, action)
