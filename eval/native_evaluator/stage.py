@@ -85,6 +85,6 @@ STAGE = Stage(
     name="evaluator",
     order=90,
     description="the native-rate evaluator: corruption strengths and captions of clips at every framerate",
-    recipes={"nano": nano, "demo": demo, "base": base, "paper": paper},
+    recipes={"nano": nano, "small": nano, "demo": demo, "base": base, "paper": paper},
     train=train_evaluator,
 )

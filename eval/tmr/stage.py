@@ -49,7 +49,7 @@ STAGE = Stage(
     name="tmr",
     order=95,
     description="a small evaluator of text-motion retrieval, after TMR",
-    recipes={"nano": nano, "demo": demo, "base": base},
+    recipes={"nano": nano, "small": nano, "demo": demo, "base": base},
     train=train_tmr,
     in_all=False,
 )
