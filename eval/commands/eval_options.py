@@ -226,7 +226,7 @@ class EvaluatedOptions:
         runs = self.runs or default_path("runs")
         return Evaluated(
             run=runs / self.run,
-            samples=_samples(self.samples or []),
+            samples=_samples(self.samples or [], runs / self.run),
             sample_options=SampleOptions(_framerate(self.samples_fps, "--samples-fps")),
             encoders=tuple(_encoder(pair, runs) for pair in self.encoder or []),
             max_motions=self.motions,
@@ -367,12 +367,13 @@ def _encoder(pair: str, runs: Path) -> tuple[str, Path]:
     return name, runs / run
 
 
-def _samples(pairs: list[str]) -> dict[str, Path]:
+def _samples(pairs: list[str], run: Path) -> dict[str, Path]:
     if not pairs:
         return {}
     from motionkit.generate.models import installed_models
 
-    own = ("real,", "real (", *(loader.title for loader in installed_models().values()))
+    trained = [loader.title for loader in installed_models().values() if loader.begun_in(run)]
+    own = ("real,", "real (", *trained)
     named: dict[str, Path] = {}
     for pair in pairs:
         name, separator, folder = pair.partition("=")

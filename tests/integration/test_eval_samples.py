@@ -11,6 +11,7 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import ACTIONS, draw_body, perform
+from motionkit.training.run import RunFolder
 from tests.helpers import published_layouts as published
 
 SMALL = ("--fps", "20", "--clips", "96", "--replications", "2", "--features", "kinematic", "--sizes", "16:24")
@@ -118,8 +119,12 @@ def test_samples_without_a_row_cost_the_exit_code_and_are_told(motionkit, store,
     ],
 )
 def test_names_of_rows_are_told_apart(motionkit, store, tmp_path, samples, says):
+    denoiser = RunFolder(tmp_path / "runs" / "nano").stage("denoiser")
+    denoiser.path.mkdir(parents=True)
+    denoiser.summary_path.write_text("{}")
     named = [part for each in samples for part in ("--samples", each)]
-    done = motionkit("eval", "--table", 2, "--store", store, "--results", tmp_path, *named, *SMALL)
+    where = ("--store", store, "--runs", tmp_path / "runs", "--results", tmp_path)
+    done = motionkit("eval", "--table", 2, *where, *named, *SMALL)
     assert done.code == 2 and says in " ".join(done.stderr.split())
 
 

@@ -16,6 +16,7 @@ def run_command(tmp_path, monkeypatch):
     app.command()(generate)
 
     def run(*arguments, model=None):
+        monkeypatch.setattr(models, "model_of", lambda run: "drift")
         monkeypatch.setattr(models, "load_model", lambda name, run: model or DriftModel())
         return CliRunner().invoke(app, list(arguments), catch_exceptions=False)
 

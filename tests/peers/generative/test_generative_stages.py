@@ -208,7 +208,7 @@ def test_four_motions_are_learnt_by_heart(name: str, tmp_path: Path) -> None:
     truth = [analytic_positions(np.arange(61) / 20, kind) for kind in range(4)]
     errors = np.array([[_root_aligned(one, other) for other in truth] for one in made])
     assert (errors.argmin(axis=1) == np.arange(4)).all()
-    assert (np.diag(errors) < 0.02).all()
+    assert (np.diag(errors) < 0.04).all()
 
 
 def _root_aligned(one: np.ndarray, other: np.ndarray) -> float:
