@@ -20,7 +20,7 @@ from motionkit.training.stage import Stage, StageContext, choose_stages, registe
 
 def train(
     stage: Annotated[str, typer.Option(help="One installed stage, or all of the model's in order.")] = "all",
-    recipe: Annotated[str, typer.Option(help="Named configuration: nano, demo, base, paper.")] = "nano",
+    recipe: Annotated[str, typer.Option(help="Named configuration: nano, small, demo, base, paper.")] = "nano",
     store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
     run: Annotated[str | None, typer.Option(help="This run's name; the recipe's by default.")] = None,
