@@ -8,7 +8,16 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from motionkit.fields.contact.detection import CAPTURED, GENERATED, Contacts, Ground, find_contacts, ground_of
+from motionkit.fields.contact.detection import (
+    CAPTURED,
+    GENERATED,
+    Contacts,
+    Ground,
+    find_contacts,
+    ground_of,
+    runs,
+    smoothstep,
+)
 from motionkit.fields.contact.legs import Legs
 from motionkit.fields.contact.offsets import Costs, Wishes, solve_offsets
 
@@ -24,8 +33,12 @@ LEVEL_COSTS = {
     "kept": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=3.0, body_sudden=3e-3),
 }
 HEIGHT_COSTS = Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=0.3, body_sudden=3e-3)
+REACH_METRES = {"near": (0.06, 0.12), "free": (0.15, 0.3), "kept": (0.15, 0.3)}
+"""A foot that would have to be so far beside the body from where it was stands there, or was drawn: it is let be."""
 KEPT_SHARE = 0.02
 """Of its velocity a sliding foot keeps so much: none stands quite still."""
+STEP_DOWN_METRES = (0.02, 0.04)
+"""A captured foot so far below the ground, in a motion that doesn't slide, steps down or pushes off: it is let be."""
 FLOATING, SUNK, STEADY_HEIGHT = 100.0, 1000.0, 0.05
 """What metres² above and below the ground cost, and (m/s)² of an offset's change in height."""
 ABOVE_METRES, BELOW_METRES, HIGHEST_METRES = (0.03, 0.003), 0.003, (0.05, 0.08)
@@ -188,8 +201,9 @@ def offsets_of(
     found = np.zeros((len(paths), 3, 3))
     both = np.minimum(contacts.hold[1:], contacts.hold[:-1])
     if contacts.sliding.any():
-        found[..., [0, 2]] = _level_offsets(contacts, both, fps, path)
-    heights, lowest = paths[..., 1], _lowest(contacts, ground, path)
+        found[..., [0, 2]] = _level_offsets(contacts, fps, path)
+    heights = paths[..., 1]
+    lowest = _lowest(heights, contacts, ground, path)
     raised = np.zeros(contacts.hold.shape)
     for _ in range(HEIGHT_ROUNDS):
         height, weight = _heights(heights, raised, lowest, contacts, ground)
@@ -203,32 +217,78 @@ def offsets_of(
     return found
 
 
-def _level_offsets(
-    contacts: Contacts, both: Float64[np.ndarray, "steps feet"], fps: float, path: Path
-) -> Float64[np.ndarray, "instants 3 2"]:
-    """Offsets along X and Z that take away what feet slide by; a captured foot may glide beside one that rests."""
-    lead, costs = contacts.lead, LEVEL_COSTS[path]
+def _level_offsets(contacts: Contacts, fps: float, path: Path) -> Float64[np.ndarray, "instants 3 2"]:
+    """Offsets along X and Z that take away what feet in contact slide by, of contacts that legs reach.
+
+    A captured foot may glide beside one that rests.
+    """
     share = contacts.sliding * (1.0 - contacts.beside) if path == "near" else contacts.sliding
     slid = contacts.velocity[..., [0, 2]] * ((1.0 - KEPT_SHARE) * share)[..., None]
-    nowhere = np.zeros(lead.shape)
-    wishes = Wishes(-0.5 * (slid[1:] + slid[:-1]), both, np.zeros((*lead.shape, 2)), nowhere)
-    found = solve_offsets(wishes, contacts.hold, fps, costs)
+    wanted = -0.5 * (slid[1:] + slid[:-1])
+    found = _carried(wanted, contacts.hold, contacts.lead, fps, LEVEL_COSTS[path])
+    within = _within_reach(found[:, 1:], contacts, path)
+    if (within < 1.0).any():
+        found = _carried(wanted, contacts.hold * within, contacts.lead * within, fps, LEVEL_COSTS[path])
+    return found
+
+
+def _carried(
+    wanted: Float64[np.ndarray, "steps feet 2"],
+    hold: Float64[np.ndarray, "instants feet"],
+    lead: Float64[np.ndarray, "instants feet"],
+    fps: float,
+    costs: Costs,
+) -> Float64[np.ndarray, "instants 3 2"]:
+    """Offsets of such velocities while feet are held: first the body's, then once more the feet's beside it."""
+    both = np.minimum(hold[1:], hold[:-1])
+    wishes = Wishes(wanted, both, np.zeros((*lead.shape, 2)), np.zeros(lead.shape))
+    found = solve_offsets(wishes, hold, fps, costs)
     # Feet once more, the body where it is now: legs take what the body was not to have of feet that come and go.
     step = np.diff(found[:, :1], axis=0) * fps
-    wishes = replace(wishes, velocity=wishes.velocity - step, velocity_weight=np.minimum(lead[1:], lead[:-1]))
+    wishes = replace(wishes, velocity=wanted - step, velocity_weight=np.minimum(lead[1:], lead[:-1]))
     found[:, 1:] = solve_offsets(wishes, lead, fps, replace(costs, body=HELD))[:, 1:]
     return found
 
 
-def _lowest(contacts: Contacts, ground: Ground, path: Path) -> Float64[np.ndarray, "instants feet ends"]:
+def _within_reach(
+    feet: Float64[np.ndarray, "instants feet 2"], contacts: Contacts, path: Path
+) -> Float64[np.ndarray, "instants feet"]:
+    """1 where a foot stays near where the body had it, 0 far from there: of a captured foot's whole contact."""
+    distance = np.hypot(feet[..., 0], feet[..., 1])
+    if path == "near":
+        distance = _largest(distance, np.asarray(contacts.down.any(axis=-1)))
+    return 1.0 - smoothstep(distance, *REACH_METRES[path])
+
+
+def _largest(
+    values: Float64[np.ndarray, "instants feet"], during: Bool[np.ndarray, "instants feet"]
+) -> Float64[np.ndarray, "instants feet"]:
+    """Of every stretch the largest value in it; 0 between."""
+    found = np.zeros_like(values)
+    for foot in range(2):
+        starts, stops = runs(during[:, foot])
+        if len(starts):
+            largest = np.maximum.reduceat(np.where(during[:, foot], values[:, foot], 0.0), starts)
+            found[during[:, foot], foot] = np.repeat(largest, stops - starts)
+    return found
+
+
+def _lowest(
+    heights: Float64[np.ndarray, "instants feet ends"], contacts: Contacts, ground: Ground, path: Path
+) -> Float64[np.ndarray, "instants feet ends"]:
     """How low feet may be: of a motion that slides at their level, of a real one where real feet are.
 
     No foot of generated motion, whose body goes where its feet carry it, is below the lower foot's level: one floor.
+    Captured feet may be far below theirs, where there is a step down, or a toe pushes off.
     """
     floor = ground.floor - BELOW_METRES
     lowest = floor + (np.maximum(ground.level - BELOW_METRES, floor) - floor) * contacts.sliding[..., None]
-    one_floor = max(ground.bottom, ground.level.min()) - BELOW_METRES if path == "free" else -np.inf
-    return np.asarray(np.maximum(lowest, one_floor))
+    if path != "near":
+        one_floor = max(ground.bottom, ground.level.min()) - BELOW_METRES if path == "free" else -np.inf
+        return np.asarray(np.maximum(lowest, one_floor))
+    depth = (lowest - heights).max(axis=-1)
+    down = smoothstep(_largest(depth, depth > 0), *STEP_DOWN_METRES) * (1.0 - contacts.sliding)
+    return np.asarray(lowest - (down * np.maximum(depth, 0.0))[..., None])
 
 
 def _heights(

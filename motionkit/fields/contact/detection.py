@@ -244,7 +244,7 @@ class Rests:
     @property
     def stands(self) -> Float64[np.ndarray, "instants feet"]:
         """1 where a foot on the ground rests as real feet do, 0 where it slides or is in the air."""
-        return np.where(self.on_ground, 1.0 - _smoothstep(self.speed / self.limit, *CAPTURED.around), 0.0)
+        return np.where(self.on_ground, 1.0 - smoothstep(self.speed / self.limit, *CAPTURED.around), 0.0)
 
     def sliding(
         self, fps: float, limits: Limits
@@ -259,10 +259,12 @@ class Rests:
             for each in (times, self.on_ground)
         )
         around = total / np.maximum(count, 1e-9)
-        return np.where(self.on_ground, _smoothstep(times, *limits.here), 0.0), _smoothstep(around, *limits.around)
+        return np.where(self.on_ground, smoothstep(times, *limits.here), 0.0), smoothstep(around, *limits.around)
 
 
-def _smoothstep(values: Float64[np.ndarray, "*shape"], start: float, stop: float) -> Float64[np.ndarray, "*shape"]:
+def smoothstep(
+    values: Float64[np.ndarray, "*shape"] | np.float64, start: float, stop: float
+) -> Float64[np.ndarray, "*shape"]:
     """0 up to `start`, 1 from `stop` on, with no kink between."""
     u = np.clip((values - start) / (stop - start), 0.0, 1.0)
     return u * u * (3.0 - 2.0 * u)

@@ -260,6 +260,37 @@ def test_generated_motion_has_one_floor_and_captures_may_have_steps() -> None:
     assert lowest["free"] > 0.025
 
 
+def feet_in_place() -> tuple[np.ndarray, Ground]:
+    """Where feet are that stand for four seconds at 120 instants a second, and their ground."""
+    paths = np.zeros((480, 2, 2, 3))
+    paths[..., 0, 1], paths[..., 1, 1] = 0.1, 0.03
+    level = np.array([[0.1, 0.03], [0.1, 0.03]])
+    return paths, Ground(level, level - 0.005, 0.03)
+
+
+def test_a_captured_foot_is_not_pulled_far_from_its_body() -> None:
+    """Feet that part, each by half a metre, and then stand: the body can't take what both do."""
+    paths, ground = feet_in_place()
+    parted = 0.25 * np.clip(np.arange(480) / 120.0, 0.0, 2.0)
+    paths[:, 0, :, 0] -= parted[:, None]
+    paths[:, 1, :, 0] += parted[:, None]
+    contacts = find_contacts(paths, 120.0, ground)
+    feet = {
+        path: np.abs(correction.offsets_of(paths, contacts, ground, 120.0, path)[:, 1:, 0]) for path in ("near", "free")
+    }
+    assert feet["near"].max() < 0.03
+    assert 0.1 < feet["free"].max() < 0.3
+
+
+@pytest.mark.parametrize(("depth", "raised"), [(0.06, 0.0), (0.015, 0.007)])
+def test_captured_feet_step_down_but_do_not_sink(depth: float, raised: float) -> None:
+    paths, ground = feet_in_place()
+    paths[200:280, 0, :, 1] -= depth * np.hanning(80)[:, None]
+    contacts = find_contacts(paths, 120.0, ground)
+    offsets = correction.offsets_of(paths, contacts, ground, 120.0, "near")
+    assert float((offsets[:, 0, 1] + offsets[:, 1, 1]).max()) == pytest.approx(raised, abs=0.002)
+
+
 def test_planting_twice_is_planting_once() -> None:
     motion = slid(bare(capture(FPS, "walk")), 0.2)
     once = to_motion(field_of(motion), FPS)
