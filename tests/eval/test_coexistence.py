@@ -35,6 +35,15 @@ def test_both_are_importable(tmp_path: Path) -> None:
         assert done.stdout.split() == ["eval_humanml.py", "a2m/tools.py", "eval.metrics.gaussian"]
 
 
+def test_the_command_line_runs_beside_an_eval_package_of_somebodys(tmp_path: Path) -> None:
+    (tmp_path / "eval").mkdir()
+    (tmp_path / "eval" / "__init__.py").write_text("raise ImportError('this is theirs')\n", encoding="utf-8")
+    command = (sys.executable, "-m", "motionkit", "report", "--results", "none")
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("motionkit: there is no result in 'none'"), done.stderr
+
+
 def test_no_module_of_ours_hides_one_of_theirs() -> None:
     import eval
 
