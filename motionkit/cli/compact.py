@@ -1,7 +1,8 @@
 """`motionkit compact`: many small parts become few full ones."""
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -9,23 +10,32 @@ from motionkit.cli.console import print_json, progress, stdout
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
 
+if TYPE_CHECKING:
+    from motionkit.store.life.rewrite import Compaction
+
 MEGABYTE = 1e6
 
 
 def compact(
     store: Annotated[Path | None, typer.Option(help="Store to compact.", show_default="./store")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and leave the store.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
 ) -> None:
     """Write a store's parts anew, full and without removed sequences; interrupted, the store stays as it was.
 
     Sequences are numbered 0, 1, 2 … again. Needs room for a second copy until it is done; whoever has the store open
-    opens it again.
+    opens it again. There is no way back to what was removed but its sources or a copy of the store; the store is
+    another one afterwards (its fingerprint changes), and its training caches are built anew.
     """
     from motionkit.store.commit import leftovers
     from motionkit.store.life.rewrite import compact as compact_store
+    from motionkit.store.life.rewrite import plan_compaction
     from motionkit.store.manifest import read_manifest
 
     path = store or default_path("store")
+    if dry_run:
+        _say_plan(path, plan_compaction(path), as_json)
+        return
     before = read_manifest(path)
     num_left = len(leftovers(path, before))
     with progress() as show, task(show, "compact", before.num_sequences) as work:
@@ -52,3 +62,16 @@ def compact(
         )
     else:
         stdout.print(f"{path} is compact already")
+
+
+def _say_plan(path: Path, plan: "Compaction", as_json: bool) -> None:
+    if as_json:
+        print_json({"store": str(path), "dry_run": True, **asdict(plan)})
+    elif plan.is_compact:
+        stdout.print(f"{path} is compact already")
+    else:
+        stdout.print(
+            f"{path}: {plan.num_parts:,} parts, {plan.num_bytes / MEGABYTE:,.1f} MB, would become about "
+            f"{plan.bytes_after / MEGABYTE:,.1f} MB; {plan.num_removed_segments:,} segments of removed sequences would "
+            f"be gone for good; until it is done both need room"
+        )

@@ -43,6 +43,38 @@ def test_remove_and_compact(motionkit, store):
     }
 
 
+def test_dry_runs_say_what_would_go_and_change_nothing(motionkit, store, tmp_path):
+    whole = tmp_path / "whole"
+    motionkit("merge", whole, store)
+    first, before = ids(whole)[0], Store.open(whole).fingerprint
+    said = motionkit("remove", first, "--store", whole, "--dry-run")
+    assert said.code == 0 and f"  {first}\nwould remove 1 sequences from {whole}" in said.stdout
+    plan = json.loads(motionkit("remove", first, "--store", whole, "--dry-run", "--json").stdout)
+    assert plan["would_remove"] == [first] and plan["bytes_at_once"] == 0 < plan["bytes_with_compact"]
+    of_many = json.loads(motionkit("remove", first, "--store", store, "--dry-run", "--json").stdout)
+    assert of_many["bytes_with_compact"] == 0 < of_many["bytes_at_once"], "it has a part of its own"
+    assert motionkit("remove", "nobody", "--store", whole, "--dry-run").code == 1
+    assert motionkit("remove", "--where", "fps = 1", "--store", whole, "--dry-run").code == 2
+    assert motionkit("compact", "--store", whole, "--dry-run").stdout == f"{whole} is compact already\n"
+    assert Store.open(whole).fingerprint == before
+    motionkit("remove", first, "--store", whole)
+    changed = Store.open(whole).fingerprint
+    assert (
+        "1 segments of removed sequences would be gone for good"
+        in motionkit("compact", "--store", whole, "--dry-run").stdout
+    )
+    plan = json.loads(motionkit("compact", "--store", whole, "--dry-run", "--json").stdout)
+    assert plan["bytes_after"] == pytest.approx(plan["num_bytes"] * 2 / 3, abs=1)
+    assert Store.open(whole).fingerprint == changed
+
+
+def test_what_was_removed_comes_back_with_its_sources(motionkit, store, takes):
+    everything = ids(store)
+    motionkit("remove", everything[1], "--store", store)
+    motionkit("ingest", takes / "beta.bvh", "--store", store, "--workers", 1)
+    assert sorted(ids(store)) == sorted(everything)
+
+
 def test_info_tells_what_removed_sequences_still_take(motionkit, store, tmp_path):
     motionkit("merge", tmp_path / "one-part", store)
     assert "motionkit compact" not in motionkit("info", "--store", tmp_path / "one-part").stdout

@@ -42,16 +42,19 @@ def remove(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = 
     """
     with changing(path, must_exist=True) as previous:
         require_present_version(path, previous)
-        store = Store.open(path)
-        chosen = {store.index_of(sequence_id) for sequence_id in sequence_ids}
-        if where is not None:
-            chosen.update(store.select(where).tolist())
-        if not chosen:
-            return ()
-        gone = pc.is_in(store.sequences_table["sequence_index"], pa.array(sorted(chosen), pa.int32()))
-        removed = store.sequences_table["sequence_id"].filter(gone).to_pylist()
-        publish(path, _without(path, previous, store.sequences_table.filter(pc.invert(gone))))
-        return tuple(removed)
+        removed, kept = _divided(Store.open(path), sequence_ids, where)
+        if removed.num_rows:
+            publish(path, _without(path, previous, kept))
+        return tuple(removed["sequence_id"].to_pylist())
+
+
+def _divided(store: Store, sequence_ids: Sequence[str], where: str | None) -> tuple[pa.Table, pa.Table]:
+    """The rows of the sequences that are to be removed, and those of the others."""
+    chosen = {store.index_of(sequence_id) for sequence_id in sequence_ids}
+    if where is not None:
+        chosen.update(store.select(where).tolist())
+    gone = pc.is_in(store.sequences_table["sequence_index"], pa.array(sorted(chosen), pa.int32()))
+    return store.sequences_table.filter(gone), store.sequences_table.filter(pc.invert(gone))
 
 
 def _without(path: Path, previous: Manifest, kept: pa.Table) -> Manifest:
@@ -67,6 +70,37 @@ def _without(path: Path, previous: Manifest, kept: pa.Table) -> Manifest:
         num_frames=int(pc.sum(kept["num_frames"]).as_py() or 0),
         files=entries | describe_pending(path, {SEQUENCES_FILE: kept.num_rows}),
     )
+
+
+@dataclass(frozen=True)
+class Removal:
+    """What `remove` would take out of a store: ids, in order, and about how many bytes of its parts.
+
+    `bytes_at_once` are those of parts that hold nothing else; `bytes_later` leave the disk with `compact`.
+    """
+
+    sequence_ids: tuple[str, ...]
+    bytes_at_once: int
+    bytes_later: int
+
+
+def plan_removal(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = None) -> Removal:
+    """What `remove` with these arguments would do; nothing is changed. Raises as `remove` does."""
+    store = Store.open(path)
+    require_present_version(path, store.manifest)
+    removed, kept = _divided(store, sequence_ids, where)
+    going, staying = _bytes_of(store.manifest, removed), _bytes_of(store.manifest, kept)
+    at_once = sum(store.manifest.files[name].num_bytes for name in going.keys() - staying.keys())
+    later = sum(going[name] for name in going.keys() & staying.keys())
+    return Removal(tuple(removed["sequence_id"].to_pylist()), at_once, later)
+
+
+def _bytes_of(manifest: Manifest, sequences: pa.Table) -> dict[str, int]:
+    """By part about how many of its bytes these sequences have: their share of its segments."""
+    segments = sequences.select(["part", "num_segments"]).to_pandas().groupby("part")["num_segments"].sum()
+    entries = {part_name(part): manifest.files[part_name(part)] for part in segments.index}
+    shares = zip(entries.items(), segments, strict=True)
+    return {name: round(entry.num_bytes * count / entry.num_rows) for (name, entry), count in shares}
 
 
 def migrate(path: Path, on_sequence: OnSequence = lambda: None) -> bool:
@@ -97,6 +131,28 @@ def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: i
         _write_anew(path, part_bytes, on_sequence)
     remove_stale_caches(path, committed(path).fingerprint)
     return not is_compact
+
+
+@dataclass(frozen=True)
+class Compaction:
+    """What `compact` would do: whether anything, with how many parts and bytes; `bytes_after` is an estimate."""
+
+    is_compact: bool
+    num_parts: int
+    num_bytes: int
+    bytes_after: int
+    num_removed_segments: int
+
+
+def plan_compaction(path: Path, *, part_bytes: int = PART_BYTES) -> Compaction:
+    """What `compact` would do; nothing is changed. Raises as `compact` does, but for a store that is busy."""
+    store = Store.open(path)
+    manifest = store.manifest
+    require_present_version(path, manifest)
+    size = sum(manifest.files[name].num_bytes for name in manifest.parts)
+    after = sum(_bytes_of(manifest, store.sequences_table).values())
+    compact = _is_compact(manifest, part_bytes)
+    return Compaction(compact, len(manifest.parts), size, after, manifest.num_removed_segments)
 
 
 def _is_compact(manifest: Manifest, part_bytes: int) -> bool:
