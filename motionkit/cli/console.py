@@ -2,8 +2,9 @@
 
 import json
 import re
+import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -11,7 +12,7 @@ from rich.console import Console
 
 from motionkit.core.errors import MotionkitWarning
 from motionkit.core.plain_text import UNSAFE_LETTERS, printable, shortened
-from motionkit.core.progress import OnProgress, ignore
+from motionkit.core.progress import OnProgress, Progress
 
 # Messages quote what files say, which may have any length.
 LONGEST_MESSAGE = 3000
@@ -80,11 +81,48 @@ def show_warnings() -> None:
     warnings.showwarning = show
 
 
+class ProgressLines:
+    """A callback: a line on stderr for all tasks that are under way, at most every `every_seconds` by `clock`.
+
+    What ends before that has no line.
+    """
+
+    def __init__(self, every_seconds: float = 10.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._every, self._clock = every_seconds, clock
+        self._told = clock()
+        # Each task's state, and when it had how many steps behind it first.
+        self._tasks: dict[str, tuple[Progress, float, int]] = {}
+
+    def __call__(self, progress: Progress) -> None:
+        """Take in a task's new state; print the line where it is time."""
+        now = self._clock()
+        if progress.finished:
+            self._tasks.pop(progress.name, None)
+            return
+        _, began, already = self._tasks.get(progress.name, (progress, now, progress.done))
+        self._tasks[progress.name] = (progress, began, already)
+        if now - self._told >= self._every:
+            self._told = now
+            states = [_state(state, now - began, already) for state, began, already in self._tasks.values()]
+            stderr.print("; ".join(states))
+
+
+def _state(progress: Progress, seconds: float, already: int) -> str:
+    """`field: 1,200 of 8,000 (15 %), about 4 min left, loss 0.1`; the time left is by the steps since `already`."""
+    facts = [f"{progress.done:,}"]
+    if progress.total:
+        facts = [f"{progress.done:,} of {progress.total:,} ({progress.done / progress.total:.0%})"]
+        if progress.done > already and seconds > 0:
+            left = (progress.total - progress.done) * seconds / (progress.done - already)
+            facts.append(f"about {left / 60:,.0f} min left" if left >= 90 else f"about {left:.0f} s left")
+    return f"{progress.name}: {', '.join(filter(None, (*facts, progress.note)))}"
+
+
 @contextmanager
 def progress() -> Iterator[OnProgress]:
-    """A callback that draws progress bars on stderr; it does nothing where stderr is not a terminal."""
+    """A callback that draws progress bars on stderr; where that is no terminal, a line every ten seconds."""
     if not stderr.is_terminal:
-        yield ignore
+        yield ProgressLines()
         return
     from motionkit.cli.bars import Bars
 

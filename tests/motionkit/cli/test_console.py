@@ -113,6 +113,27 @@ def test_bars_are_erased_where_a_task_fails(terminal: io.StringIO) -> None:
     assert "1/2" in drawn and drawn.endswith(LINE_ABOVE_ERASED)
 
 
+def test_lines_come_every_ten_seconds_with_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
+    seconds = [0.0]
+    lines = console.ProgressLines(10.0, lambda: seconds[0])
+    for now, done in ((1.0, 100), (9.0, 120), (11.0, 150), (15.0, 160), (22.0, 300)):
+        seconds[0] = now
+        lines(Progress("field", done, 1000, f"loss {now:g}"))
+    seconds[0] = 40.0
+    lines(Progress("read", 7, None, "a\nb"))
+    seconds[0] = 60.0
+    lines(Progress("field", 300, finished=True))
+    lines(Progress("read", 8))
+    assert capsys.readouterr() == (
+        "",
+        # 50 steps in 10 s: 850 take 170 s more; 200 in 21 s: 700 take 73.5.
+        "field: 150 of 1,000 (15%), about 3 min left, loss 11\n"
+        "field: 300 of 1,000 (30%), about 74 s left, loss 22\n"
+        "field: 300 of 1,000 (30%), about 2 min left, loss 22; read: 7, a\\nb\n"
+        "read: 8\n",
+    )
+
+
 def test_no_bar_is_drawn_where_stderr_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     with console.progress() as show, task(show, "read", 2) as work:
         work.advance()
