@@ -6,16 +6,20 @@ holds it, so that `motionkit --help` stays light. Anybody's package can add a co
 
 import sys
 from importlib.metadata import entry_points
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from motionkit.cli.console import show_warnings, stderr, stdout
+from motionkit.cli.defaults import defaults_of
 from motionkit.core import __version__, interrupts
 from motionkit.core.errors import MotionkitError, UsageError, describe
+from motionkit.core.settings import FILE
 
 # The exit code of what Ctrl-C has ended.
 INTERRUPTED = 130
+# And that of a command line that typer does not take.
+USAGE = 2
 
 
 def build_app(only: str = "") -> typer.Typer:
@@ -27,7 +31,6 @@ def build_app(only: str = "") -> typer.Typer:
         name="motionkit",
         help="Human motion at native framerates: a corpus, continuous-time models, one evaluator suite.",
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
     )
     app.callback()(_options)
@@ -55,11 +58,22 @@ def _options(
     pass
 
 
+def _resumes(app: typer.Typer, names: list[str]) -> bool:
+    """Whether the command of this name can go on where it was stopped."""
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    return any("--resume" in each.opts for name in names if name in commands for each in commands[name].params)
+
+
 def main() -> None:
     """Run the app; explained faults and the system's become one line on stderr and exit code 1 (2 for usage)."""
     show_warnings()
+    defaults: dict[str, Any] = {}
     try:
-        build_app(*sys.argv[1:2])()
+        names = sys.argv[1:2]
+        app = build_app(*names)
+        if names:
+            defaults = defaults_of(app, names[0], entry_points(group="motionkit.commands").names)
+        app(default_map=defaults)
     except (MotionkitError, OSError) as error:
         if interrupts.was_stopped():
             raise  # what a library or a reader made of the interrupt
@@ -72,5 +86,7 @@ def main() -> None:
     except SystemExit as ended:
         # All that typer makes of an interrupt.
         if ended.code == INTERRUPTED:
-            stderr.print("motionkit: stopped")
+            stderr.print("motionkit: stopped: --resume goes on" if _resumes(app, names) else "motionkit: stopped")
+        if ended.code == USAGE and defaults:
+            stderr.print(f"motionkit: defaults of {names[0]} come from {FILE} here: {defaults[names[0]]}")
         raise

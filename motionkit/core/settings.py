@@ -2,12 +2,14 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 from motionkit.core.errors import UsageError
 from motionkit.core.plain_text import parse_toml, shown
 
 KEYS = ("store", "runs", "results")
 OPTIONAL_KEYS = ("body_models", "cache")
+FILE = Path("motionkit.toml")
 
 
 def default_path(key: str) -> Path:
@@ -31,13 +33,17 @@ def _stated_path(key: str) -> Path | None:
     from_environment = os.environ.get(f"MOTIONKIT_{key.upper()}")
     if from_environment:
         return Path(from_environment)
-    config = Path("motionkit.toml")
-    if not config.is_file():
-        return None
-    try:
-        value = parse_toml(config.read_text(encoding="utf-8")).get(key)
-    except ValueError as error:
-        raise UsageError(f"{config}: {error}") from None
+    value = read_settings().get(key)
     if value is not None and (not isinstance(value, str) or "\0" in value):
-        raise UsageError(f"{config}: {key} must be a path in quotes, not {shown(value)}")
+        raise UsageError(f"{FILE}: {key} must be a path in quotes, not {shown(value)}")
     return None if value is None else Path(value)
+
+
+def read_settings() -> dict[str, Any]:
+    """What motionkit.toml of the current folder says, empty where there is none; raises `UsageError` for no TOML."""
+    if not FILE.is_file():
+        return {}
+    try:
+        return parse_toml(FILE.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise UsageError(f"{FILE}: {error}") from None

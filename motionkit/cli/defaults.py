@@ -1,0 +1,62 @@
+"""Defaults of commands' options out of motionkit.toml: a table of the command's name, a key for each long option."""
+
+import os
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import typer
+
+from motionkit.core.errors import UsageError
+from motionkit.core.plain_text import shown, suggestion
+from motionkit.core.settings import FILE, KEYS, OPTIONAL_KEYS, read_settings
+
+
+def defaults_of(app: typer.Typer, name: str, commands: Collection[str]) -> dict[str, Any]:
+    """What motionkit.toml says of the command `name` of the app, as click's `default_map` of the app takes it.
+
+    `commands` are the names of all commands. Raises `UsageError` for keys that nobody knows, and for values that the
+    option does not take.
+    """
+    settings, known = read_settings(), (*KEYS, *OPTIONAL_KEYS, *commands)
+    for key, value in settings.items():
+        if key not in known:
+            raise UsageError(f"{FILE}: there is no setting and no command {shown(key)}{suggestion(key, known)}")
+        if key in commands and not isinstance(value, dict):
+            raise UsageError(f"{FILE}: {key} is a command, and its options stand in a table: [{key}]")
+    if name not in settings or name not in commands:
+        return {}
+    command = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
+    return {name: _defaults(name, command, settings[name])}
+
+
+def _defaults(name: str, command: Any, stated: Mapping[str, Any]) -> dict[str, Any]:
+    options = {
+        spelling.removeprefix("--"): parameter
+        for parameter in command.params
+        if parameter.param_type_name == "option"
+        for spelling in parameter.opts
+    }
+    found = {}
+    for key, value in stated.items():
+        plain = key.replace("_", "-")
+        if plain not in options:
+            raise UsageError(
+                f"{FILE}: 'motionkit {name}' has no option {shown('--' + plain)}{suggestion(plain, options)}"
+            )
+        # The environment goes before the file, in a command's table too.
+        if f"MOTIONKIT_{plain.upper()}" not in os.environ or plain not in KEYS:
+            found[options[plain].name] = _value(f"{FILE}: [{name}] {key}", options[plain], value)
+    return found
+
+
+def _value(place: str, option: Any, value: Any) -> Any:
+    """A value as the command line would give it."""
+    if option.is_flag:
+        if not isinstance(value, bool):
+            raise UsageError(f"{place} is true or false, not {shown(value)}")
+        return value
+    values = value if option.multiple and isinstance(value, list) else [value]
+    if not all(type(each) in (str, int, float) for each in values):
+        raise UsageError(f"{place} takes a text or a number, not {shown(value)}")
+    texts = [str(each) for each in values]
+    return texts if option.multiple else texts[0]
