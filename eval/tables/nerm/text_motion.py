@@ -219,13 +219,18 @@ def _score_cell(score: Score) -> Cell:
     """A metric of a row, with the interval over replications alone as a detail."""
     if half_width(score.resampled) is None:
         return _cell(score.drawing)
-    return Cell(score.estimate.mean, score.estimate.ci95, {DRAWING: score.drawing.ci95})
+    details = {DRAWING: score.drawing.ci95} if _is_drawn(score.drawing) else {}
+    return Cell(score.estimate.mean, score.estimate.ci95, details)
 
 
 def _cell(value: Estimate) -> Cell:
-    """A value that no replication changes has no interval: the data were not drawn anew."""
-    drawn = value.replications > 1 and value.ci95 > 1e-9 * abs(value.mean)
-    return Cell(value.mean, value.ci95 if drawn else None)
+    """A value that no replication changes has no interval."""
+    return Cell(value.mean, value.ci95 if _is_drawn(value) else None)
+
+
+def _is_drawn(value: Estimate) -> bool:
+    """Whether replications differ by more than rounding: those of the FID of one set of motions do not."""
+    return value.replications > 1 and value.ci95 > 1e-9 * abs(value.mean)
 
 
 def _oracle(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> dict[str, Cell]:
