@@ -44,7 +44,7 @@ def test_a_result_says_where_it_comes_from_or_that_it_does_not(path: Path) -> No
 
 
 def test_readme_has_the_table_of_the_real_captures() -> None:
-    block = read_result(ROOT / "docs/results/real-pack-table2.json").blocks[0]
+    block = read_result(ROOT / "docs/results/grown-pack-table2.json").blocks[0]
     expected = [
         f"| {row.name} | {' | '.join(format_cell(row.cells[column]) for column in block.columns)} |"
         for row in block.rows
@@ -53,7 +53,7 @@ def test_readme_has_the_table_of_the_real_captures() -> None:
 
 
 def test_readme_has_the_reconstruction_errors_of_table_4() -> None:
-    block = read_result(ROOT / "docs/results/real-pack-table4.json").blocks[0]
+    block = read_result(ROOT / "docs/results/grown-pack-table4.json").blocks[0]
     training, held_out = ({f"{cell.value:.0f}" for cell in row.cells.values()} for row in block.rows)
     said = re.search(r"reconstructed to (\d+) mm and held-out ones to (\d+) mm", README)
     assert said and ({said[1]}, {said[2]}) == (training, held_out)
