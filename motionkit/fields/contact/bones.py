@@ -12,7 +12,9 @@ from motionkit.fields.contact.two_bone import LEAST_ROOM_METRES, LONGEST_SHARE, 
 # A joint whose distance from its parent spreads by more hangs on no bone: hips above a reference on the floor, markers.
 TRAVELLING_FROM_ROOT_METRES, TRAVELLING_METRES = 0.25, 0.5
 NO_LENGTH = 1e-6
-RIGID_SHARE, RIGID_METRES = 0.05, 0.003
+CAPTURED_SHARE, CAPTURED_METRES = 0.05, 0.003
+"""How far bones of captures change in length, and are let be."""
+ROUNDING_METRES = 1e-4
 LIMB_RATIO = 0.4
 """A limb is two bones of which neither is so much shorter than the other: arms and legs, not ankle and toe."""
 SHRUNK_SHARE, GONE_SHARE = 0.8, 0.2
@@ -83,13 +85,19 @@ class Bones:
         return found
 
     @classmethod
-    def lacking(cls, positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton) -> "Bones | None":
-        """The bones that positions are to be brought onto; None where they keep their length to some 5 %, as it is."""
+    def lacking(
+        cls, positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton, *, captured: bool
+    ) -> "Bones | None":
+        """The bones that positions are to be brought onto; None where they keep their length.
+
+        What is captured keeps it to some 5 %, as it is; what is generated is to keep it exactly.
+        """
         found = cls.of(positions, skeleton)
         children = [child for child, parent in enumerate(skeleton.parents) if parent >= 0 and child not in found.moving]
         lengths = _lengths(positions[:, children] - positions[:, [skeleton.parents[child] for child in children]])
         spread = np.quantile(lengths, 0.95, axis=0) - np.quantile(lengths, 0.05, axis=0)
-        return found if bool((spread > RIGID_SHARE * np.median(lengths, axis=0) + RIGID_METRES).any()) else None
+        allowed = CAPTURED_SHARE * np.median(lengths, axis=0) + CAPTURED_METRES if captured else ROUNDING_METRES
+        return found if bool((spread > allowed).any()) else None
 
     def applied(self, positions: Float32[np.ndarray, "frames joints 3"]) -> Float32[np.ndarray, "frames joints 3"]:
         """The poses with these bones, each joint as near as its bone lets it to where it is, from the root on."""

@@ -131,7 +131,7 @@ def _planted(
     bones = None
     if field.query(np.array([field.start_seconds])).local_rotations is None:
         some = np.unique(np.linspace(0, count - 1, min(count, BONE_SAMPLES)).astype(np.int64))
-        bones = Bones.lacking(positions(some), field.skeleton)
+        bones = Bones.lacking(positions(some), field.skeleton, captured=path == "near")
 
     def seen(start: int, stop: int) -> Float32[np.ndarray, "instants joints 3"]:
         found = positions(np.arange(start, stop))
