@@ -32,7 +32,9 @@ def ablate(
     paper: Annotated[
         str | None, typer.Option(help=f"Paper whose model is varied: {', '.join(papers_with_ablations())}.")
     ] = None,
-    recipe: Annotated[str, typer.Option(help="Named configuration that is varied: nano, small, demo, base, paper.")] = "nano",
+    recipe: Annotated[
+        str, typer.Option(help="Named configuration that is varied: nano, small, demo, base, paper.")
+    ] = "nano",
     store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
     run: Annotated[str | None, typer.Option(help="Runs are called RUN-VARIANT; the recipe's name by default.")] = None,
