@@ -6,23 +6,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import parse_rate
+from motionkit.cli.options import parse_rate, read_options
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
-    from motionkit.export.run import ExportReport
+    from motionkit.export.run import Export, ExportReport
     from motionkit.export.selection import Outcome
 
 MEGABYTE = 1e6
-FORMATS = "bvh, joints-npy, npz, csv, gltf, humanml3d, kit, parquet"
+FORMATS = "bvh, amass, joints-npy, npz, csv, gltf, humanml3d, kit, parquet"
 SHOWN_LEFT_OUT = 20
 
 
 def export(
     out: Annotated[Path, typer.Argument(help="New or empty folder.", show_default=False)],
-    format: Annotated[str, typer.Option(help=f"{FORMATS}.")] = "bvh",
+    format: Annotated[str | None, typer.Option(help=f"{FORMATS}.", show_default="bvh")] = None,
     store: Annotated[Path | None, typer.Option(help="Store to export from.", show_default="./store")] = None,
     where: Annotated[
         str | None, typer.Option(metavar="SQL", help="Condition over the table of sequences: \"split = 'test'\".")
@@ -33,6 +33,14 @@ def export(
             help="Resample to this framerate. By default native; 20 for humanml3d, 12.5 for kit.", show_default=False
         ),
     ] = None,
+    onto: Annotated[
+        Path | None,
+        typer.Option(help="A character's .bvh or .glb: its bones and names, its file.", show_default=False),
+    ] = None,
+    plant: Annotated[bool, typer.Option("--plant", help="With --onto: let feet stand that slide.")] = False,
+    skeleton_map: Annotated[
+        list[Path] | None, typer.Option(help="With --onto: TOML that says how its rig becomes the 22 joints.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
     """Write a store's motions as files that other tools read, and that `motionkit ingest` reads again.
@@ -40,23 +48,41 @@ def export(
     The folder appears when it is complete. Sequences that a format cannot hold are left out and reported.
     """
     from motionkit.export.run import export as export_selection
-    from motionkit.export.run import export_kinds
     from motionkit.export.selection import Selection
     from motionkit.store import Store
 
-    kinds = export_kinds()
-    if format not in kinds:
-        raise UsageError(f"unknown format {format!r}, expected one of {', '.join(kinds)}")
     rate = parse_rate(fps)
+    if onto is None and (plant or skeleton_map):
+        raise UsageError("--plant and --skeleton-map go with --onto; 'motionkit plant' plants any motion")
+    kind = _kind(format) if onto is None else _character(onto, format, plant, skeleton_map)
     opened = Store.open(store or default_path("store"))
-    selection = Selection(opened, opened.select_some(where), rate or kinds[format].fps)
+    selection = Selection(opened, opened.select_some(where), rate or kind.fps)
     with progress() as show, task(show, "export", len(selection.indices)) as work:
-        report = export_selection(selection, out, kinds[format], on_outcome=lambda outcome: work.advance())
+        report = export_selection(selection, out, kind, on_outcome=lambda outcome: work.advance())
     _print_left_out(report.left_out)
     if as_json:
         print_json(_as_json(report))
     else:
         _print_summary(report)
+
+
+def _kind(format: str | None) -> "Export":
+    from motionkit.export.run import export_kinds
+
+    kinds = export_kinds()
+    if (format or "bvh") not in kinds:
+        raise UsageError(f"unknown format {format!r}, expected one of {', '.join(kinds)}")
+    return kinds[format or "bvh"]
+
+
+def _character(path: Path, format: str | None, plant: bool, skeleton_maps: list[Path] | None) -> "Export":
+    from motionkit.export.run import character_kind
+    from motionkit.formats.characters.character import read_character
+
+    character = read_character(path, read_options(None, skeleton_maps))
+    if format not in (None, {".glb": "gltf"}.get(character.suffix, character.suffix[1:])):
+        raise UsageError(f"--onto {path} writes files like it: leave --format {format} out")
+    return character_kind(character, plant)
 
 
 def _print_left_out(left_out: "tuple[Outcome, ...]") -> None:

@@ -97,7 +97,7 @@ def _as_it_came(read: ReadClip, item: SourceItem) -> Clip:
 def _write_of(suffix: str) -> Callable[[Motion, Path], None]:
     format = writer_of(suffix)
     if format is None or format.write is None:
-        suffixes = ", ".join(sorted(each.suffixes[0] for each in writers().values()))
+        suffixes = ", ".join(sorted({each.suffixes[0] for each in writers().values()}))
         raise UsageError(f"clips are written as {suffixes} or as they came, not as {suffix}")
     return format.write
 

@@ -14,6 +14,7 @@ from motionkit.export.parquet import export_parquet
 from motionkit.export.pose_folder import export_humanml3d, export_kit
 from motionkit.export.selection import Outcome, Selection
 from motionkit.formats.catalogue import writers
+from motionkit.formats.characters.character import Character, character_format
 from motionkit.formats.humanml3d import HUMANML3D, KIT
 
 
@@ -39,6 +40,11 @@ def export_kinds() -> Mapping[str, Export]:
         Export("parquet", export_parquet),
     )
     return {kind.name: kind for kind in kinds}
+
+
+def character_kind(character: Character, plant: bool) -> Export:
+    """Motions on a character's rig, each a file like the character's own."""
+    return Export(character.suffix[1:], partial(export_files, format=character_format(character, plant)))
 
 
 @dataclass(frozen=True)

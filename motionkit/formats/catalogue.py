@@ -39,8 +39,9 @@ def writers() -> Mapping[str, Format]:
 
 
 def writer_of(suffix: str) -> Format | None:
-    """The format that is written to files of a suffix."""
-    return next((each for each in writers().values() if each.suffixes[0] == suffix), None)
+    """The format that is written to files of a suffix; of several, the one that is called like it."""
+    fitting = [each for each in writers().values() if each.suffixes[0] == suffix]
+    return next((each for each in fitting if each.name == suffix[1:]), fitting[0] if fitting else None)
 
 
 def _all() -> list[Format]:
@@ -70,7 +71,7 @@ def write(motion: Motion, path: str | Path) -> None:
     path = Path(path)
     format = writer_of(path.suffix.lower())
     if format is None or format.write is None:
-        suffixes = ", ".join(sorted(each.suffixes[0] for each in writers().values()))
+        suffixes = ", ".join(sorted({each.suffixes[0] for each in writers().values()}))
         raise UsageError(f"{path}: a motion is written as {suffixes}, by the suffix of the file's name")
     with whole_file(path) as temporary:
         format.write(motion, temporary)

@@ -7,6 +7,7 @@ Source: Khronos, glTF 2.0 specification, §3.7.3 (skins) and §3.11 (animations)
 
 import json
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -128,12 +129,17 @@ VERTICES = 34962
 
 
 class GlbBuffer:
-    """Collects arrays into one buffer, each aligned to four bytes; owns the bytes and their descriptions."""
+    """Collects arrays into one buffer, each aligned to four bytes; owns the bytes and their descriptions.
 
-    def __init__(self) -> None:
-        self._content = bytearray()
-        self._views: list[dict[str, Any]] = []
-        self._accessors: list[dict[str, Any]] = []
+    It goes on from the buffer of another file, where that is given with its views and accessors.
+    """
+
+    def __init__(
+        self, content: bytes = b"", views: Sequence[dict[str, Any]] = (), accessors: Sequence[dict[str, Any]] = ()
+    ) -> None:
+        self._content = bytearray(content) + bytes(-len(content) % 4)
+        self._views = list(views)
+        self._accessors = list(accessors)
 
     def add(self, array: np.ndarray, *, bounds: bool = False, vertices: bool = False) -> int:
         """Append float32 or uint16 values, an element a row; returns the accessor's index.

@@ -21,6 +21,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.export.run import export_kinds
 from motionkit.formats.bvh.writing import write_bvh
 from motionkit.formats.catalogue import writers
+from motionkit.formats.smpl.body import mean_shape_skeleton
 from motionkit.store import Store, StoreWriter
 
 
@@ -154,7 +155,7 @@ def test_a_link_to_an_empty_folder_is_filled_where_it_points(motionkit, bodies, 
     assert (tmp_path / "out").is_symlink()
 
 
-@pytest.mark.parametrize("format", ["bvh", "npz", "csv", "joints-npy", "humanml3d", "gltf", "parquet"])
+@pytest.mark.parametrize("format", ["bvh", "amass", "npz", "csv", "joints-npy", "humanml3d", "gltf", "parquet"])
 def test_a_full_disk_names_the_file_and_leaves_nothing(format, motionkit, bodies, tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
@@ -195,6 +196,40 @@ def test_joints_of_one_framerate(motionkit, bodies, tmp_path):
     assert len(np.load(tmp_path / "both" / "a_fast.npy")) == 40
 
 
+def test_amass_and_back(motionkit, bodies, tmp_path):
+    arguments = ("--store", bodies, "--format", "amass")
+    outcome = motionkit("export", tmp_path / "out", *arguments)
+    assert (outcome.code, outcome.error_lines) == (0, [])
+    assert motionkit("ingest", tmp_path / "out", "--store", tmp_path / "again").code == 0
+    for before in Store.open(bodies).read_many(range(2)):
+        after = Store.open(tmp_path / "again").read(f"out/{before.sequence_id}")
+        assert (after.fps, after.num_frames) == (before.fps, before.num_frames)
+        assert after.provenance.source_format == "amass"
+        moved = [np.diff(motion.joint_positions[:, :2].mean(axis=1), axis=0) for motion in (before, after)]
+        share = np.linalg.norm(moved[1]) / np.linalg.norm(moved[0])
+        np.testing.assert_allclose(moved[1], share * moved[0], atol=1e-4)
+
+
+def test_onto_a_character_s_own_file(motionkit, bodies, tmp_path):
+    body, turns = mean_shape_skeleton(), np.tile(np.array([1, 0, 0, 0], np.float32), (2, 22, 1))
+    root = np.tile(np.array([0, 0.9, 0], np.float32), (2, 1))
+    posed = Motion(forward_kinematics(turns, root, body), body, TimeGrid(Fraction(30), 2), turns, root)
+    write_bvh(posed, tmp_path / "hero.bvh")
+    arguments = ("--store", bodies, "--onto", tmp_path / "hero.bvh")
+    outcome = motionkit("export", tmp_path / "out", *arguments, "--plant")
+    assert (outcome.code, outcome.error_lines) == (0, [])
+    heads = [path.read_text().split("MOTION")[0] for path in (tmp_path / "hero.bvh", tmp_path / "out/a/fast.bvh")]
+    assert heads[0] == heads[1]
+    assert "Frames: 40\nFrame Time: 0.0166" in (tmp_path / "out/a/fast.bvh").read_text()
+    other = motionkit("export", tmp_path / "other", *arguments, "--format", "npz")
+    assert other.code == 2 and "leave --format npz out" in other.stderr
+    alone = motionkit("export", tmp_path / "alone", "--store", bodies, "--plant")
+    assert alone.code == 2 and "go with --onto" in alone.stderr
+    (tmp_path / "hero.fbx").write_bytes(b"Kaydara FBX")
+    fbx = motionkit("export", tmp_path / "fbx", "--store", bodies, "--onto", tmp_path / "hero.fbx")
+    assert fbx.code == 2 and "a character is a .bvh or a .glb file" in fbx.stderr
+
+
 def test_an_id_may_not_lead_out_of_the_folder(motionkit, make_id_store, tmp_path):
     store = make_id_store("../../escaped")
     outcome = motionkit("export", tmp_path / "deep" / "out", "--store", store)
@@ -217,7 +252,7 @@ def make_id_store(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--format", "mp3"), "unknown format 'mp3', expected one of bvh, joints-npy"),
+        (("--format", "mp3"), "unknown format 'mp3', expected one of bvh, amass, joints-npy"),
         (("--where", "fps = 7"), "no sequence of"),
         (("--fps", "fast"), "--fps fast"),
     ],

@@ -19,9 +19,22 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
+from motionkit.formats.characters.retargeting import retarget
 from motionkit.formats.format import Format
 from motionkit.formats.scan.items import ReadOptions, SourceItem
-from motionkit.formats.smpl.body import BODY, LAYOUTS, POSE_PARTS, SMPLH, Body, PoseLayout, mean_body, own_body
+from motionkit.formats.smpl.body import (
+    BODY,
+    LAYOUTS,
+    POSE_PARTS,
+    SMPLH,
+    SMPLX,
+    Body,
+    PoseLayout,
+    mean_body,
+    mean_shape_skeleton,
+    own_body,
+    rests_as_smpl,
+)
 from motionkit.formats.source import body_frame, clock, source_file
 
 MOTION_NAMES = ("_poses", "_stageii")
@@ -29,6 +42,8 @@ FRAMERATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
 PUBLISHED_BETAS = 10
 # Eight turns.
 MAX_RADIANS = 50.0
+# What smplx.create takes without being told, and so GMR.
+WRITTEN_BETAS = 10
 GENDERS = ("male", "female", "neutral")
 # The quarter turn about x that takes z up to y up: (x, y, z) → (x, z, −y).
 UPRIGHT = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0], np.float32)
@@ -185,9 +200,47 @@ def _text(archive: NpzArchive, key: str) -> str:
     return value.strip().lower() if isinstance(value, str) else ""
 
 
+def write_amass(motion: Motion, path: Path) -> None:
+    """Write a motion as SMPL-X's 165 numbers a pose, z up, at its own framerate, for readers of AMASS.
+
+    Rotations of SMPL's, SMPL-H's and SMPL-X's joints are written as they are, fingers and face too. Any other skeleton
+    is brought onto SMPL's mean shape (`retarget`), hands and face unturned. Betas are zeros in either case: a `Motion`
+    knows bones and no shape. Both generations' names of the framerate and of the poses are there. Raises
+    `SkeletonMapError`.
+    """
+    made = motion if rests_as_smpl(motion) else retarget(motion, mean_shape_skeleton())
+    assert made.local_rotations is not None and made.root_translation is not None
+    rotations = np.zeros((made.num_frames, SMPLX.num_joints, 4), np.float32)
+    rotations[..., 0] = 1.0
+    for joint, name in enumerate(SMPLX.joint_names):
+        if name in made.skeleton.joint_names:
+            rotations[:, joint] = made.local_rotations[:, made.skeleton.index(name)]
+    rotations[:, 0] = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(UPRIGHT), rotations[:, 0])
+    poses = kinematics.quaternion_to_rotation_vector(rotations).reshape(made.num_frames, -1).astype(np.float32)
+    resting = made.skeleton.offsets[0] if made.skeleton.offsets[0].any() else mean_shape_skeleton().offsets[0]
+    stops = np.cumsum([size for _, size in POSE_PARTS])
+    parts = {key: poses[:, stop - size : stop] for (key, size), stop in zip(POSE_PARTS, stops, strict=True)}
+    gender = made.skeleton.name.rpartition("-")[2]
+    with path.open("wb") as file:
+        np.savez(
+            file,
+            allow_pickle=False,
+            poses=poses,
+            **parts,
+            trans=body_frame.y_up_to_z_up(made.root_translation.astype(np.float64)) - resting,
+            betas=np.zeros(WRITTEN_BETAS, np.float32),
+            num_betas=np.array(WRITTEN_BETAS),
+            gender=np.array(gender if gender in GENDERS else "neutral"),
+            surface_model_type=np.array(SMPLX.family),
+            mocap_time_length=np.array(motion.duration_seconds),
+            **dict.fromkeys(FRAMERATE_KEYS, np.array(float(motion.fps))),
+        )
+
+
 FORMAT = Format(
     name="amass",
     read=read_amass,
+    write=write_amass,
     suffixes=(".npz",),
     accepts=accepts,
     beside=shapes,

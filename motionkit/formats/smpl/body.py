@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.source import source_file
@@ -197,6 +198,22 @@ def mean_shape_skeleton() -> Skeleton:
         if parent >= 0:
             rest[joint] += rest[parent]
     return BODY.skeleton("smpl22-mean-shape", rest)
+
+
+# Bones of men's and women's bodies rest within this of the mean shape's.
+_SAME_REST_COSINE = 0.8
+
+
+def rests_as_smpl(motion: Motion) -> bool:
+    """Whether a motion's rotations are those of SMPL's joints from SMPL's rest pose."""
+    skeleton = motion.skeleton
+    if motion.local_rotations is None or motion.root_translation is None:
+        return False
+    if skeleton.joint_names[: BODY.num_joints] != BODY.joint_names:
+        return False
+    bones, usual = skeleton.offsets[1 : BODY.num_joints], np.array(MEAN_OFFSETS[1:])
+    sizes = np.maximum(np.linalg.norm(bones, axis=-1) * np.linalg.norm(usual, axis=-1), 1e-9)
+    return bool((np.sum(bones * usual, axis=-1) / sizes > _SAME_REST_COSINE).all())
 
 
 # The log line of a body whose gender is not the subject's.

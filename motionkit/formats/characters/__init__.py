@@ -1,0 +1,1 @@
+"""Characters: rigs with their own bones, names and proportions, that motions are written onto."""

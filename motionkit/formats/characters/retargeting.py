@@ -1,0 +1,237 @@
+"""A motion on another skeleton: world rotations carried over between rest poses, the path scaled by the legs.
+
+A joint of the target turns in the world as its counterpart in the source does. Between two rest poses that both stand
+the trunk, feet and hands are taken for alike, and upper arms, forearms, thighs and shanks are turned onto one another,
+so an A-pose follows a T-pose. The target's bones keep their lengths.
+"""
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from motionkit.core import kinematics
+from motionkit.core.errors import MotionkitError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeletons.families import canonical_names
+from motionkit.core.skeletons.mapping import map_joints, rest_positions
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.contact.legs import Legs, legs_of
+from motionkit.fields.transfer import counterpart_joints
+from motionkit.formats.smpl.body import mean_shape_skeleton
+from motionkit.formats.source.joint_channels import joint_channels
+
+_LIMBS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
+# What no standing body's bones exceed at rest, against those of SMPL's T-pose; arms may hang.
+_MOST_DEGREES = {"shoulder": 60.0, "hip": 80.0, "elbow": 110.0, "wrist": 110.0, "foot": 50.0, "head": 70.0}
+_MOST_OTHERS_DEGREES = 45.0
+_LOW = 0.05
+
+Quaternion = Float64[np.ndarray, "4"]
+
+
+def retarget(motion: Motion, target: Skeleton, rest: Float64[np.ndarray, "joints 4"] | None = None) -> Motion:
+    """The motion on another skeleton that the 22-joint layout is known of, at the same instants, y up, metres.
+
+    `rest` are the target's local rotations in a pose that stands, where its bones at no rotation do not. Where the
+    source has no rotations, or a rest pose that does not stand, rotations are those of inverse kinematics on SMPL's 22
+    joints: what turns a limb about itself is lost, and hands with it. Raises `SkeletonMapError`, and `MotionkitError`
+    for a target that does not stand.
+    """
+    standing = target if rest is None else standing_skeleton(target, rest)
+    if not stands(standing):
+        raise MotionkitError(f"the rest pose of {target.name} does not stand, as a T-pose does")
+    source = motion if motion.local_rotations is not None and stands(motion.skeleton) else _fitted(motion)
+    local, turns = _rotations(source, standing)
+    share, path = _path(source, local, standing)
+    if rest is not None:
+        local = _from_rest(turns, rest, target)
+    positions = kinematics.forward_kinematics(local, path, target)
+    found = "" if source is motion else ", rotations by inverse kinematics on SMPL's 22 joints"
+    return (
+        Motion(
+            positions.astype(np.float32),
+            target,
+            motion.timegrid,
+            local.astype(np.float32),
+            path.astype(np.float32),
+        )
+        .annotated_like(motion)
+        .logged(f"onto the skeleton {target.name}: legs and path × {share:.3f}{found}")
+    )
+
+
+def standing_skeleton(skeleton: Skeleton, rest: Float64[np.ndarray, "joints 4"]) -> Skeleton:
+    """The skeleton whose offsets, unturned, give the pose that these local rotations give of another one."""
+    world = kinematics.global_rotations(rest[None], skeleton)[0]
+    parents = [max(parent, 0) for parent in skeleton.parents]
+    offsets = kinematics.quaternion_rotate(world[parents], skeleton.offsets.astype(np.float64))
+    offsets[0] = skeleton.offsets[0]
+    tips = tuple(
+        (joint, tuple(kinematics.quaternion_rotate(world[joint], np.array(tip)).tolist()))
+        for joint, tip in skeleton.end_sites
+    )
+    return replace(skeleton, offsets=offsets.astype(np.float32), end_sites=tips)
+
+
+def _rotations(
+    source: Motion, target: Skeleton
+) -> tuple[Float64[np.ndarray, "frames joints 4"], Float64[np.ndarray, "frames joints 4"]]:
+    """The target's rotations relative to the parent, and to the world."""
+    assert source.local_rotations is not None
+    turned = kinematics.global_rotations(source.local_rotations.astype(np.float64), source.skeleton)
+    world = np.zeros((source.num_frames, target.num_joints, 4))
+    world[..., 0] = 1.0
+    pairs = _pairs(source.skeleton, target)
+    for joint, parent in enumerate(target.parents):
+        if joint in pairs:
+            counterpart, alignment = pairs[joint]
+            world[:, joint] = kinematics.quaternion_multiply(turned[:, counterpart], alignment)
+        elif parent >= 0:
+            world[:, joint] = world[:, parent]
+    world /= np.linalg.norm(world, axis=-1, keepdims=True)
+    return _local(world, target), world
+
+
+def _local(world: Float64[np.ndarray, "frames joints 4"], skeleton: Skeleton) -> Float64[np.ndarray, "frames joints 4"]:
+    local, parents = world.copy(), list(skeleton.parents[1:])
+    local[:, 1:] = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(world[:, parents]), world[:, 1:])
+    return local
+
+
+def _from_rest(
+    turns: Float64[np.ndarray, "frames joints 4"], rest: Float64[np.ndarray, "joints 4"], target: Skeleton
+) -> Float64[np.ndarray, "frames joints 4"]:
+    """Local rotations of a target that at rest is turned, from its turns in the world since then."""
+    return _local(kinematics.quaternion_multiply(turns, kinematics.global_rotations(rest[None], target)), target)
+
+
+def stands(skeleton: Skeleton) -> bool:
+    """Whether a skeleton's rest pose is that of somebody who stands, arms anywhere between out and down."""
+    rest, usual = _rest22(skeleton), rest_positions(mean_shape_skeleton())
+    turn = _facing(usual, rest)
+    for joint, parent in enumerate(SMPL22.parents):
+        if parent < 0:
+            continue
+        bone = rest[joint] - rest[parent]
+        expected = kinematics.quaternion_rotate(turn, (usual[joint] - usual[parent]).astype(np.float64))
+        size = np.linalg.norm(bone) * np.linalg.norm(expected)
+        cosine = float(bone @ expected) / max(float(size), 1e-9)
+        most = _MOST_DEGREES.get(SMPL22.joint_names[joint].rpartition("_")[2], _MOST_OTHERS_DEGREES)
+        if np.linalg.norm(bone) > 0.02 and cosine < np.cos(np.radians(most)):
+            return False
+    return True
+
+
+def _rest22(skeleton: Skeleton) -> Float32[np.ndarray, "22 3"]:
+    unturned = np.zeros((1, skeleton.num_joints, 4), np.float32)
+    unturned[..., 0] = 1.0
+    pose = Motion(rest_positions(skeleton)[None], skeleton, TimeGrid(Fraction(1), 1), unturned)
+    joints: Float32[np.ndarray, "22 3"] = map_joints(pose, SMPL22.name)[0]
+    return joints
+
+
+def _fitted(motion: Motion) -> Motion:
+    """The motion's 22 joints with rotations from SMPL's rest pose, on bones as long as its own."""
+    positions = map_joints(motion, SMPL22.name).astype(np.float32)
+    made = joint_channels(Motion(positions, mean_shape_skeleton(), motion.timegrid))
+    return Motion(positions, made.skeleton, motion.timegrid, made.rotations, positions[:, 0])
+
+
+def _facing(target: Float32[np.ndarray, "22 3"], source: Float32[np.ndarray, "22 3"]) -> Quaternion:
+    """The turn that takes a target's trunk at rest to the source's."""
+
+    def trunk(rest: Float32[np.ndarray, "22 3"]) -> Float64[np.ndarray, "1 bones 3"]:
+        place = {name: rest[joint].astype(np.float64) for joint, name in enumerate(SMPL22.joint_names)}
+        middle = (place["left_hip"] + place["right_hip"]) / 2
+        bones = np.stack(
+            (
+                place["left_hip"] - place["right_hip"],
+                place["left_shoulder"] - place["right_shoulder"],
+                place["neck"] - middle,
+            )
+        )
+        return np.asarray(bones / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-9))[None]
+
+    return np.asarray(kinematics.fit_rotation(trunk(target), trunk(source))[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Rig:
+    """A skeleton at rest, and its joints by the layout's names."""
+
+    rest: Float32[np.ndarray, "joints 3"]
+    own: dict[str, int]
+
+    @classmethod
+    def of(cls, skeleton: Skeleton) -> "_Rig":
+        own = {SMPL22.joint_names[joint]: source for joint, source in counterpart_joints(skeleton).items()}
+        return cls(rest_positions(skeleton), own)
+
+    def bone(self, name: str, below: str) -> Float64[np.ndarray, "3"]:
+        return np.asarray(self.rest[self.own[below]] - self.rest[self.own[name]], np.float64)
+
+
+def _pairs(source: Skeleton, target: Skeleton) -> dict[int, tuple[int, Quaternion]]:
+    """Of the target's joints that have a counterpart: it, and the turn from the target's rest pose to the source's."""
+    facing = _facing(_rest22(target), _rest22(source))
+    mine, theirs = _Rig.of(target), _Rig.of(source)
+    shared = [name for name in SMPL22.joint_names if name in mine.own and name in theirs.own]
+    turns: dict[str, Quaternion] = {}
+    for name in shared:
+        side, _, joint = name.rpartition("_")
+        below, above = f"{side}_{_LIMBS.get(joint, '')}", f"{side}_elbow"
+        turns[name] = facing
+        if below in shared:
+            bone = kinematics.quaternion_rotate(facing, mine.bone(name, below))
+            onto = kinematics.quaternion_between(bone, theirs.bone(name, below))
+            turns[name] = kinematics.quaternion_multiply(onto, facing)
+        elif joint == "wrist" and above in turns:
+            turns[name] = turns[above]
+    pairs = {mine.own[name]: (theirs.own[name], turns[name]) for name in shared}
+    # Fingers and what else is called alike in both turn as what they hang on is aligned.
+    named = {called: place for place, called in enumerate(canonical_names(source.joint_names))}
+    used = {counterpart for counterpart, _ in pairs.values()}
+    for own, called in enumerate(canonical_names(target.joint_names)):
+        parent = target.parents[own]
+        if own not in pairs and parent in pairs and named.get(called, -1) not in used | {-1}:
+            pairs[own] = (named[called], pairs[parent][1])
+    return pairs
+
+
+def _path(
+    source: Motion, local: Float64[np.ndarray, "frames joints 4"], target: Skeleton
+) -> tuple[float, Float64[np.ndarray, "frames 3"]]:
+    """How much longer the target's legs are, and where its root goes: hips as high above the floor as legs are long."""
+    mine, theirs = legs_of(target), legs_of(source.skeleton)
+    share = _leg_length(target, mine) / max(_leg_length(source.skeleton, theirs), 1e-6)
+    at_origin = kinematics.forward_kinematics(local, np.zeros((len(local), 3)), target)
+    wanted = source.joint_positions.astype(np.float64)
+    path = share * _hips(wanted, theirs) - _hips(at_origin, mine)
+    lowest = np.quantile(mine.foot_paths(at_origin + path[:, None])[..., 1].min(axis=(1, 2)), _LOW)
+    before = np.quantile(theirs.foot_paths(wanted)[..., 1].min(axis=(1, 2)), _LOW)
+    path[:, 1] += share * (before - _sole(source.skeleton, theirs)) - (lowest - _sole(target, mine))
+    return share, path
+
+
+def _hips(positions: Float64[np.ndarray, "frames joints 3"], legs: Legs) -> Float64[np.ndarray, "frames 3"]:
+    middle: Float64[np.ndarray, "frames 3"] = (positions[:, legs.left.hip] + positions[:, legs.right.hip]) / 2
+    return middle
+
+
+def _leg_length(skeleton: Skeleton, legs: Legs) -> float:
+    rest = rest_positions(skeleton)
+    bones = [(leg.hip, leg.knee) for leg in (legs.left, legs.right)]
+    bones += [(leg.knee, leg.ankle) for leg in (legs.left, legs.right)]
+    return float(sum(np.linalg.norm(rest[start] - rest[end]) for start, end in bones) / 2)
+
+
+def _sole(skeleton: Skeleton, legs: Legs) -> float:
+    """How far the lowest of ankles and toes is above the lowest point of the feet at rest, metres."""
+    rest = rest_positions(skeleton)[:, 1]
+    below = {joint for leg in (legs.left, legs.right) for joint in (leg.ankle, *leg.foot)}
+    points = [rest[joint] for joint in below]
+    points += [rest[joint] + offset[1] for joint, offset in skeleton.end_sites if joint in below]
+    return float(min(rest[joint] for joint in legs.feet) - min(points))
