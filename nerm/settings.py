@@ -338,13 +338,16 @@ class ConditionsConfig:
 
     `text_encoder` is what `motionkit.training.text.load_text_encoder` takes, or "none" to train without texts;
     `text_dimension` the size its embeddings must have (None: any). A share `drop` of the batch is trained
-    unconditionally; of the windows that have a caption and an action, `action_share` are trained on the action.
+    unconditionally; of the windows that have a caption and an action, `action_share` are trained on the action. Of a
+    caption as many as `paraphrases` other wordings by rule are drawn once (`motionkit.clips.paraphrases`), and half of
+    its visits are of these.
     """
 
     text_encoder: str = "minilm"
     text_dimension: int | None = None
     drop: float = 0.1
     action_share: float = 0.25
+    paraphrases: int = 0
 
     def __post_init__(self) -> None:
         for name in ("drop", "action_share"):

@@ -10,6 +10,7 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from motionkit.clips.captions import actions_of_windows, captions_of_windows
+from motionkit.clips.paraphrases import with_paraphrases
 from motionkit.clips.windows import Windows
 from motionkit.store.cache.folder import cache_root
 from motionkit.store.reader import Store
@@ -112,10 +113,16 @@ def corpus_of(
     store: Store,
     encoder: TextEncoder | None,
     banks: LocalLatents | None = None,
+    paraphrases: int = 0,
+    seed: int = 0,
 ) -> LatentCorpus:
-    """Posteriors with their windows' captions (embedded, cached inside the store's cache folder) and actions."""
+    """Posteriors with their windows' captions (embedded, cached inside the store's cache folder) and actions.
+
+    As many as `paraphrases` of each caption are drawn from `seed`; half of a caption's visits are of these.
+    """
     sequences = store.columns("captions", "action")
     captions = captions_of_windows(windows, sequences) if encoder is not None else [()] * len(windows)
+    captions = with_paraphrases(captions, paraphrases, np.random.default_rng(seed))
     texts = sorted({text for of_window in captions for text in of_window})
     return latent_corpus(
         means=posterior_mean,

@@ -43,6 +43,8 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         store,
         encoder,
         local_latents(field.config),
+        settings.conditions.paraphrases,
+        context.seed,
     )
     if encoder is not None and not corpus.num_captions.any():
         raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
@@ -66,7 +68,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
             "parameters": sum(parameter.numel() for parameter in training.denoiser.parameters()),
             "cpu_seconds": figures["cpu_seconds"],
             "windows": len(corpus),
-            "captions": int(corpus.num_captions.sum()),
+            "captions": int(corpus.num_captions.sum()) // max(1, 2 * settings.conditions.paraphrases),
             "actions": len(corpus.layout.actions),
             "seconds": round(time.perf_counter() - started, 1),
         }
