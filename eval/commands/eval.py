@@ -13,7 +13,7 @@ from eval.commands.eval_options import (
     TableOptions,
     in_groups,
 )
-from motionkit.cli.console import print_json, print_text, progress, stderr
+from motionkit.cli.console import print_json, print_text, progress, stderr, stdout
 from motionkit.core.errors import UsageError
 from motionkit.core.files import write_whole
 from motionkit.core.settings import default_path
@@ -35,7 +35,10 @@ def evaluate(
     evaluator: EvaluatorOptions,
     protocol: ProtocolOptions,
 ) -> None:
-    """Build one of the papers' tables or figures, or calibrate the features that clip-FID is computed on."""
+    """Build one of the papers' tables or figures, or calibrate the features that clip-FID is computed on.
+
+    Example: motionkit eval --table 2
+    """
     from eval.tables.registry import TableRequest
 
     number = wanted.number
@@ -115,8 +118,28 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
     write_whole(path.with_suffix(".md"), text)
     if as_json:
         print_json(asdict(result))
+    elif stdout.is_terminal:
+        _print_tables(result)
     else:
         print_text(text)
     beside = " and ".join(filter(None, (path.with_suffix(".md").name, result.figure)))
     stderr.print(f"written: {path}, beside it {beside}")
     return result
+
+
+def _print_tables(result: "Result") -> None:
+    """The numbers of a result for a terminal; notes and further metrics stand in the file."""
+    from eval.report.render import format_cell
+    from motionkit.cli.tables import print_table
+
+    stdout.print(result.title)
+    for line in (result.caption, *result.missing):
+        stdout.print(line, soft_wrap=False)
+    for block in result.blocks:
+        stdout.print("")
+        stdout.print(block.title)
+        rows = [
+            (row.name, [format_cell(row.cells.get(column), row.origin == "paper") for column in block.columns])
+            for row in block.rows
+        ]
+        print_table(block.columns, rows)
