@@ -20,11 +20,16 @@ def report(
     format: Annotated[
         str, typer.Option(help="html for one page; png draws curves; markdown, latex or csv print the tables instead.")
     ] = "html",
+    store: Annotated[
+        Path | None, typer.Option(help="With html: what this store holds in front of its results.", show_default="none")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print every result as JSON.")] = False,
 ) -> None:
     """Show every result of the results folder: one HTML page, pictures, or Markdown, LaTeX or CSV on stdout.
 
     Results that cannot be read are named, and the exit code is 1.
+
+    Example: motionkit report --store store
     """
     from dataclasses import asdict
 
@@ -48,7 +53,7 @@ def report(
         print_text("\n".join(printers[format](result) for result in found))
     elif format == "html":
         page = out or folder / "report.html"
-        write_whole(page, to_html(found))
+        write_whole(page, to_html(found, cards=[] if store is None else [_card(store)]))
         print(page)
         stderr.print(f"{len(found)} results")
     elif format == "png":
@@ -59,6 +64,14 @@ def report(
     if there.faults:
         count = len(there.faults)
         raise ResultError(f"{count} of {count + len(found)} results in {str(folder)!r} could not be read (see above)")
+
+
+def _card(store: Path) -> str:
+    from motionkit.export.corpus_card import corpus_card
+    from motionkit.store import Store
+    from motionkit.store.reports.summary import summarise
+
+    return corpus_card(summarise(Store.open(store)))
 
 
 def _pictures(results: "list[Result]", folder: Path) -> list[Path]:

@@ -70,3 +70,35 @@ def said(found: Mapping[str, Difference], metrics: tuple[Measure, ...]) -> str:
             verdict = "better" if verdict == best else "worse"
         columns.setdefault(verdict, []).append(column)
     return "; ".join(f"{verdict}: {', '.join(where)}" for verdict, where in sorted(columns.items()))
+
+
+def best_in_column(block: Block, blocks: Iterable[Block]) -> dict[str, frozenset[str]]:
+    """By column the best of a block's own rows and those that the paired test does not tell from it.
+
+    `blocks` are all of the result, that of the block's differences among them. Columns have none where the best is
+    compared with no other row, or real motion's number is best.
+    """
+    tests = next((each for each in blocks if each.title == block.title + SUFFIX), None)
+    if tests is None:
+        return {}
+    cells = {row.name: row.cells for row in tests.rows}
+    by_column = {measure.column: measure.better for measure in block.metrics}
+    found = {}
+    for column in block.columns:
+        better = by_column.get(column, by_column.get("", "as real"))
+        numbers = {
+            row.name: row.cells[column].value for row in block.rows if row.origin == "ours" and column in row.cells
+        }
+        if better == "as real" or not numbers:
+            continue
+        best = (min if better == "lower" else max)(numbers, key=lambda name: numbers[name])
+        tested = {
+            other: cells[pair][column]
+            for other in numbers
+            for pair in (f"{best} − {other}", f"{other} − {best}")
+            if column in cells.get(pair, {})
+        }
+        if tested:
+            alike = (other for other, less in tested.items() if less.ci95 is not None and abs(less.value) <= less.ci95)
+            found[column] = frozenset([best, *alike])
+    return found

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from eval.report.differences import best_in_column
 from eval.report.results import Block, Cell, Measure, Result, Row
 
 if TYPE_CHECKING:
@@ -35,9 +36,9 @@ def to_latex(result: Result) -> str:
     return _environment(latex=True).get_template("table.tex.j2").render(result=result)
 
 
-def to_html(results: Sequence[Result], title: str = "motionkit results") -> str:
-    """All results as one page that needs no other file and no network."""
-    return _environment(html=True).get_template("report.html.j2").render(results=results, title=title)
+def to_html(results: Sequence[Result], title: str = "motionkit results", cards: Sequence[str] = ()) -> str:
+    """All results as one page that needs no other file and no network; `cards` are articles, as HTML, in front."""
+    return _environment(html=True).get_template("report.html.j2").render(results=results, title=title, cards=cards)
 
 
 def to_csv(result: Result) -> str:
@@ -137,6 +138,7 @@ def _environment(*, html: bool = False, latex: bool = False) -> "Environment":
         "number": format_number,
         "details": detail_tables,
         "measure": format_measure,
+        "best": best_in_column,
         "tex": _escape_latex,
         "md": lambda text: str(text).replace("|", "\\|"),
     }

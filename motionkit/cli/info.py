@@ -73,15 +73,21 @@ def info(
     where: Annotated[
         str | None, typer.Option(metavar="SQL", help="With --quality: only sequences for which this holds.")
     ] = None,
+    html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it as a page to this file instead.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Say what a store holds: sources, hours, framerates, splits, captions, skeletons, size on disk."""
+    """Say what a store holds: sources, hours, framerates, splits, captions, skeletons, size on disk.
+
+    Example: motionkit info --html corpus.html
+    """
     from motionkit.store import Store
     from motionkit.store.reports.quality import report_quality
     from motionkit.store.reports.summary import rigs, summarise
 
     if where and not quality:
         raise UsageError("--where goes with --quality; 'motionkit query' answers anything else")
+    if html is not None and (quality or skeletons or as_json):
+        raise UsageError("--html writes the whole card: leave out --quality, --skeletons and --json")
     if quality and skeletons:
         raise UsageError("--quality and --skeletons exclude each other")
     opened = Store.open(store or default_path("store"))
@@ -96,7 +102,13 @@ def info(
             _print_rigs(found)
         return
     summary = summarise(opened)
-    if as_json:
+    if html is not None:
+        from motionkit.core.files import write_whole
+        from motionkit.export.corpus_card import corpus_page
+
+        write_whole(html, corpus_page(summary))
+        stdout.print(str(html))
+    elif as_json:
         print_json({**asdict(summary), "raw_bytes": summary.raw_bytes})
     else:
         _print_summary(summary)
@@ -170,6 +182,7 @@ def _lines(source: "SourceSummary") -> list[tuple[str, str]]:
         ("source", source.source or "(unnamed)"),
         ("sequences", f"{source.num_sequences:,}, {source.hours:.2f} h, {source.num_frames:,} frames"),
         ("fps", _counts(source.framerates)),
+        ("durations", _counts(source.durations)),
         ("splits", _counts(source.splits)),
         ("captions", captions),
         ("actions", f"{source.num_actions:,}"),

@@ -114,13 +114,13 @@ def _caption(caption: Caption) -> str | dict[str, str | float]:
 
 
 def render(template: str, **values: Any) -> str:
-    """The text of `motionkit/export/templates/TEMPLATE`; a name that is missing raises."""
+    """The text of `motionkit/export/templates/TEMPLATE`, of HTML with escaped values; a name that is missing raises."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
         loader=PackageLoader("motionkit.export", "templates"),
         undefined=StrictUndefined,
-        autoescape=False,
+        autoescape=template.endswith(".html.j2"),
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,6 +46,7 @@ COUNTED_COLUMNS = (
 )
 # Grown people differ by a third, a child from a grown man by less than 2; an inch is 2.54 cm, CMU's unit 2.2 inches.
 UNLIKE_FACTOR = 2.0
+DURATION_EDGES = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,7 @@ class SourceSummary:
     num_skeletons: int
     joints: dict[str, int]
     quality_flags: dict[str, int]
+    durations: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,7 @@ def _summarise_source(source: str, rows: "pd.DataFrame") -> SourceSummary:
         num_skeletons=int(rows["skeleton"].nunique()),
         joints=_counts(rows["num_joints"]),
         quality_flags=dict(Counter(flag for flags in rows["quality_flags"] for flag in flags).most_common()),
+        durations=_durations(rows["duration_seconds"]),
     )
 
 
@@ -155,6 +159,15 @@ def _framerates(rows: "pd.DataFrame") -> dict[str, int]:
         for numerator, denominator in zip(rows["fps_numerator"].tolist(), rows["fps_denominator"].tolist(), strict=True)
     )
     return {format_fps(fps): counts[fps] for fps in sorted(counts)}
+
+
+def _durations(seconds: "pd.Series") -> dict[str, int]:
+    """How many sequences are so long; each class has its lower edge in it."""
+    edges = (0.0, *DURATION_EDGES, np.inf)
+    between = (f"{low:g} to {high:g} s" for low, high in pairwise(DURATION_EDGES))
+    names = [f"under {DURATION_EDGES[0]:g} s", *between, f"{DURATION_EDGES[-1]:g} s and more"]
+    counts = np.histogram(seconds, edges)[0].tolist()
+    return {name: count for name, count in zip(names, counts, strict=True) if count}
 
 
 def _counts(column: "pd.Series") -> dict[str, int]:

@@ -10,8 +10,19 @@ from pathlib import Path
 import pytest
 
 from eval.commands.report import report
+from eval.report.differences import SUFFIX
 from eval.report.render import format_cell, format_number, to_csv, to_html, to_latex, to_markdown
-from eval.report.results import Block, Cell, Result, ResultError, Row, find_results, read_result, write_result
+from eval.report.results import (
+    Block,
+    Cell,
+    Result,
+    ResultError,
+    Row,
+    find_results,
+    measure,
+    read_result,
+    write_result,
+)
 from motionkit.core.checksums import write_json
 from motionkit.core.errors import DamagedFileError
 
@@ -35,6 +46,21 @@ def result() -> Result:
         missing=("NeRM: no run",),
         provenance={"seed": 1},
     )
+
+
+def compared() -> tuple[Block, Block]:
+    """Three systems in two columns, the paired test tells the third apart; in B real motion is best."""
+    numbers = {"one": (2.1, 1.0), "two": (2.0, 2.0), "three": (2.2, 3.0), "far": (9.0, 9.0)}
+    rows = tuple(
+        Row(name, "ours", {"A": Cell(first, 0.1), "B": Cell(second, 0.1)}) for name, (first, second) in numbers.items()
+    )
+    less = {"one − two": (0.1, 0.11), "two − three": (-0.2, 0.19), "one − three": (-0.1, 0.3)}
+    pairs = tuple(Row(name, "ours", {"A": Cell(*less[name]), "B": Cell(0.0, 1.0)}) for name in less)
+    metrics = (measure("fid", column="A"), measure("fid", column="B"))
+    metrics = (replace(metrics[0], better="lower"), replace(metrics[1], better="as real"))
+    reference = Row("real", "reference", {"A": Cell(0.0, 0.1), "B": Cell(0.0)})
+    block = Block("numbers", ("A", "B"), (reference, *rows), metrics=metrics)
+    return block, Block("numbers" + SUFFIX, ("A", "B"), pairs, metrics=metrics)
 
 
 def test_a_result_survives_its_file(result: Result, tmp_path: Path) -> None:
@@ -201,6 +227,18 @@ def test_html_is_whole_and_escaped(result: Result) -> None:
     assert "real &amp; &lt;true&gt;" in text
     assert "src=" not in text
     assert "http" not in text
+
+
+def test_html_marks_the_best_and_what_the_paired_test_does_not_tell_from_it(result: Result) -> None:
+    text = to_html([replace(result, blocks=compared())])
+    marked = [part.split("</td>")[0] for part in text.split('<td class="best">')[1:]]
+    assert marked == ["<span>2.10</span> <span>± 0.10</span>", "<span>2.00</span> <span>± 0.10</span>"]
+    assert "Bold: the best" in text and "Bold: the best" not in to_html([result])
+
+
+def test_cards_stand_in_front_of_results(result: Result) -> None:
+    text = to_html([result], cards=["<article>corpus</article>"])
+    assert text.index("<article>corpus</article>") < text.index("Table 2</h2>")
 
 
 def test_csv_holds_every_number(result: Result) -> None:

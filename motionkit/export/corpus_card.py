@@ -1,0 +1,38 @@
+"""What a store holds, drawn: sources, framerates, durations, splits, licences, flags, as HTML that stands alone."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from motionkit.export.files import render
+
+if TYPE_CHECKING:
+    from motionkit.store.reports.summary import SourceSummary, StoreSummary
+
+
+def corpus_card(summary: "StoreSummary") -> str:
+    """An `<article>` for a page of others, with its own style."""
+    return _rendered(summary, whole=False)
+
+
+def corpus_page(summary: "StoreSummary") -> str:
+    """A page that needs no other file and no network."""
+    return _rendered(summary, whole=True)
+
+
+def _rendered(summary: "StoreSummary", *, whole: bool) -> str:
+    drawn = [(source, list(_counted(source))) for source in summary.sources]
+    return render("corpus_card.html.j2", summary=summary, sources=drawn, whole=whole)
+
+
+def _counted(source: "SourceSummary") -> Iterator[tuple[str, dict[str, int]]]:
+    """What is counted of a source: a title, and how many of its sequences each value has."""
+    counts = {
+        "framerate (fps)": source.framerates,
+        "duration": source.durations,
+        "split": source.splits,
+        "licence": source.licences,
+        "format": source.formats,
+        "flags": source.quality_flags,
+    }
+    for title, found in counts.items():
+        yield title, {name or "not stated": count for name, count in found.items()}
