@@ -7,7 +7,7 @@ from pathlib import Path
 def look_here_last() -> None:
     """Put the current folder, which `python -m` looks into first, behind what is installed.
 
-    A repository that lies there may have an `eval` package of its own, which would hide ours.
+    A repository that lies there may have a package of the name of one of ours, which it would hide.
     """
     if not sys.flags.safe_path and Path(sys.path[0]) != Path(__file__).parents[1]:
         sys.path.append(sys.path.pop(0))
