@@ -1,5 +1,6 @@
 """`motionkit eval`: build a table or a figure, or calibrate the feature sets."""
 
+import shlex
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from eval.report.results import Result
-    from eval.tables.registry import TableRequest
+    from eval.tables.registry import Table, TableRequest
 
 SHOWN_PROBLEMS = 10
 
@@ -92,6 +93,19 @@ def _refuse_broken(request: "TableRequest") -> None:
         raise SampleFolderError(f"the table was built without broken samples ({names}); --allow-broken accepts that")
 
 
+def _say_what_is_lacking(table: "Table", request: "TableRequest") -> None:
+    """The command that trains all systems without a row, where there are any."""
+    from motionkit.training.systems import options_for
+
+    run = request.evaluated.run
+    lacking = [each.title for each in table.shown().values() if run is None or not each.complete_in(run)]
+    if lacking:
+        kind, _, number = table.number.partition("figure")
+        options, _ = options_for(f"figure:{number}" if number else f"table:{kind}", table.paper)
+        named = "" if run is None or run.name == "nano" else f" --run {shlex.quote(run.name)}"
+        stderr.print(f"no rows of {', '.join(lacking)}: motionkit train {options}{named} trains what is lacking")
+
+
 def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool) -> "Result":
     """Build, write and print a table (None: the calibration)."""
     from dataclasses import asdict
@@ -108,6 +122,7 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
         if request.evaluated.samples and not found.takes_samples:
             raise UsageError(f"{found.title!r} has no rows of samples: leave out --samples")
         result = found.build(request)
+        _say_what_is_lacking(found, request)
     path = write_result(result, request.results)
     if result.figure:
         from eval.report.curves import calibration_figure

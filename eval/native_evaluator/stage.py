@@ -87,4 +87,5 @@ STAGE = Stage(
     description="the native-rate evaluator: corruption strengths and captions of clips at every framerate",
     recipes={"nano": nano, "small": nano, "demo": demo, "base": base, "paper": paper},
     train=train_evaluator,
+    share=0.2,
 )

@@ -32,6 +32,7 @@ from eval.tables.models import check_names, generated_fields, training_notes
 from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, ModelFields, framerate_label, samples_at
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.progress import task
+from motionkit.generate.models import installed_models
 
 VERSION = "physical/1"
 COLUMNS = (Fraction(20), Fraction(120))
@@ -158,7 +159,7 @@ def build_physical(request: TableRequest) -> Result:
     )
 
 
-TABLE = Table("nerm", "physical", "feet, floor and roughness", build_physical)
+TABLE = Table("nerm", "physical", "feet, floor and roughness", build_physical, shown=installed_models)
 
 
 def _sets(fps: Fraction, real: RealMotion, fields: ModelFields, request: TableRequest) -> Found[dict[str, SampleSet]]:

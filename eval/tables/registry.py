@@ -18,6 +18,7 @@ from eval.sets.real import of_split_and
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore, task
+from motionkit.training.loaders import Loader
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -131,13 +132,19 @@ class TableRequest:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a paper that can be built here; without `takes_samples` it has no rows of other systems' motions."""
+    """A table of a paper that can be built here; without `takes_samples` it has no rows of other systems' motions.
+
+    `shown` gives the loaders that it has rows of, `reads` names other stages of a run that it reads, evaluators: by
+    these `motionkit train --for` knows what it lacks (`motionkit.training.systems.ShowsSystems`).
+    """
 
     paper: str
     number: str
     title: str
     build: Callable[[TableRequest], Result]
     takes_samples: bool = True
+    shown: Callable[[], Mapping[str, Loader[Any]]] = dict
+    reads: tuple[str, ...] = ()
 
 
 def installed_tables() -> dict[str, str]:

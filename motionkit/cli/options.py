@@ -27,6 +27,14 @@ def parse_rate(text: str | None, option: str = "--fps") -> Fraction | None:
         raise UsageError(f"{option} {text}: {error}") from None
 
 
+def parse_duration(text: str, option: str) -> float:
+    """Seconds of "90s", "20m" or "1.5h"; raises `UsageError` that names the option."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)(s|m|h)", text)
+    if found is None or not float(found[1]):
+        raise UsageError(f"{option} {text}: a number above 0 with its unit, such as 90s, 20m or 1.5h")
+    return float(found[1]) * {"s": 1.0, "m": 60.0, "h": 3600.0}[found[2]]
+
+
 def of_source(message: str, error: Exception) -> str:
     """What a reader's error says, where `--fps` is the new framerate and `--source-fps` that of the file."""
     return re.sub(r"--fps\b(?!-)", "--source-fps", message) if isinstance(error, FormatError) else message

@@ -1,29 +1,45 @@
-"""`motionkit train`: train the stages of a model from a store into a run folder."""
+"""`motionkit train`: train the stages of a model, or of all that a table shows, from a store into a run folder."""
 
 import shlex
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
-from motionkit.cli.options import of_default
+from motionkit.cli.console import print_json, say_next
+from motionkit.cli.options import of_default, parse_duration
+from motionkit.cli.train_jobs import Job, train_all
 from motionkit.core.errors import UsageError
 from motionkit.core.settings import default_path
 from motionkit.store.sql import conjunction
 from motionkit.training.config import apply_overrides, flatten, parse_override, unknown_setting
 from motionkit.training.run import RunFolder, concerns
 from motionkit.training.stage import Stage, StageContext, choose_stages, registered_stages
+from motionkit.training.systems import (
+    Needed,
+    check_comparable,
+    is_kept,
+    options_for,
+    stages_for,
+    table_that_shows,
+)
 
 
 def train(
     stage: Annotated[str, typer.Option(help="One installed stage, or all of the model's in order.")] = "all",
+    wanted: Annotated[
+        str | None, typer.Option("--for", metavar="table:N", help="Instead: what this table, or figure:N, lacks.")
+    ] = None,
+    paper: Annotated[str, typer.Option(help="Paper whose table --for means.")] = "nerm",
     recipe: Annotated[str, typer.Option(help="Named configuration: nano, small, demo, base, paper.")] = "nano",
     store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
     run: Annotated[str | None, typer.Option(help="This run's name; the recipe's by default.")] = None,
+    budget: Annotated[
+        str | None, typer.Option(metavar="20m", help="Processor time of each system: as many steps as fit.")
+    ] = None,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting: field.schedule.steps=100.")
     ] = None,
@@ -35,7 +51,7 @@ def train(
         ),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on where a run stopped; complete stages are kept.")
+        bool, typer.Option("--resume", help="Go on where a run stopped; complete stages are kept. --for always does.")
     ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Start again where a run exists.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
@@ -43,65 +59,96 @@ def train(
     as_json: Annotated[bool, typer.Option("--json", help="Print the stages' summaries as JSON.")] = False,
 ) -> None:
     """Train a model's stages from a store into a run folder; Ctrl-C saves, --resume goes on exactly."""
-    from motionkit.store.manifest import read_manifest
-
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
-    chosen = choose_stages(stage, registered_stages())
-    configs = configure(chosen, recipe, overrides or [])
-    if where:
-        configs = narrowed(chosen, configs, where)
-    store_path = store or default_path("store")
-    read_manifest(store_path)  # a store that is missing is found before anything heavy is imported
-    if where:
-        _check_condition(store_path, where)
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))
-    context = StageContext(store_path, folder, recipe, seed=seed, resume=resume, overwrite=overwrite, device=device)
-    summaries = _train_all(list(zip(chosen, configs, strict=True)), context, as_json)
+    going_on = resume or (wanted is not None and not overwrite)
+    context = StageContext(
+        store or default_path("store"), folder, recipe, seed=seed, resume=going_on, overwrite=overwrite, device=device
+    )
+    asked = Asked(stage, wanted, paper, tuple(overrides or ()), where, budget)
+    summaries = train_all(planned(asked, context), context, as_json, title=wanted)
     if summaries is None:
         return
     if as_json:
         print_json({"run": str(folder.path), "stages": summaries})
     elif stage == "all":
         named = "" if folder.path.name == "nano" else f" --run {shlex.quote(folder.path.name)}"
-        say_next(f"motionkit eval --table 2{of_default('--store', store)}{of_default('--runs', runs)}{named}")
+        shown = "--table 2" if wanted is None else options_for(wanted, paper)[1]
+        say_next(f"motionkit eval {shown}{of_default('--store', store)}{of_default('--runs', runs)}{named}")
 
 
-def _train_all(jobs: list[tuple[Stage[Any], Any]], context: StageContext, as_json: bool) -> list[dict[str, Any]] | None:
-    """Train stages with their configurations in order; the summaries, on the first rank alone."""
+@dataclass(frozen=True)
+class Asked:
+    """What is to be trained: a stage or all of one's, or what a paper's table wants; changed how, on what, how long."""
+
+    stage: str
+    wanted: str | None
+    paper: str
+    overrides: tuple[str, ...]
+    where: str | None
+    budget: str | None
+
+
+def planned(asked: Asked, context: StageContext) -> list[Job]:
+    """The jobs, in order; raises what can be told of them without opening the store."""
     from motionkit.store.manifest import read_manifest
-    from motionkit.training.ranks import joined_ranks
 
+    kept = is_kept(context.run) if asked.wanted is not None and not context.overwrite else _nothing_kept
+    needed = _needed(asked, context, kept)
+    configs = _configs(needed, asked, context.recipe, kept)
+    # A store that is missing is found before anything heavy is imported.
     fingerprint = read_manifest(context.store).fingerprint
-    summaries: list[dict[str, Any]] = []
-    with joined_ranks() as ranks, progress() as show:
-        context = replace(context, on_progress=show)
-        for stage, config in jobs:
-            ranks.on_first(partial(_check, stage, context, config, fingerprint))
-        for stage, config in jobs:
-            # Again, since a stage that it builds on may just have been trained.
-            ranks.on_first(partial(_check_kept, stage, context, config, fingerprint))
-            _train_stage(stage, config, replace(context, shared=stage.shared), is_first=ranks.is_first)
-            if stage.shared:
-                ranks.wait()  # for what the first one saves at last: the next stage reads it
-            if not ranks.is_first:
-                continue
-            summary = context.run.stage(stage.name).read_summary()
-            summaries.append({"stage": stage.name, **summary})
-            if not as_json:
-                figures = ", ".join(f"{name} {_short(value)}" for name, value in summary.items())
-                stdout.print(f"{stage.name}: {figures}")
-    return summaries if ranks.is_first else None
+    if asked.where:
+        _check_condition(context.store, asked.where)
+    budgets = needed.budgets(_budget_seconds(asked))
+    for each in needed.stages:
+        if kept(each.name):
+            check_comparable(context.run.stage(each.name), fingerprint, budgets[each.name], configs)
+    return [
+        Job(each, configs.get(each.name), budgets[each.name], needed.parts.get(each.name, each.share))
+        for each in needed.stages
+    ]
 
 
-def _check(stage: Stage[Any], context: StageContext, config: Any, store_fingerprint: str) -> None:
-    _check_kept(stage, context, config, store_fingerprint)
-    stage.check(context, config)
+def _nothing_kept(name: str) -> bool:
+    return False
 
 
-def _check_kept(stage: Stage[Any], context: StageContext, config: Any, store_fingerprint: str) -> None:
-    if context.resume and context.run.stage(stage.name).is_complete:
-        stage.check_kept(context, config, store_fingerprint)
+def _needed(asked: Asked, context: StageContext, kept: Callable[[str], bool]) -> Needed:
+    """What `--stage` or `--for` means."""
+    stages = registered_stages()
+    if asked.wanted is None:
+        return Needed(choose_stages(asked.stage, stages), {asked.stage: 1.0})
+    if asked.stage != "all":
+        raise UsageError("--for trains what a table lacks, --stage one stage: give one of them")
+
+    def earlier_of(name: str) -> Iterable[str]:
+        if kept(name):
+            return tuple(context.run.stage(name).read_config().get("builds_on", {}))
+        return stages[name].builds_on(_configured(stages[name], context.recipe, list(asked.overrides)))
+
+    return stages_for(table_that_shows(asked.paper, asked.wanted), stages, earlier_of, kept)
+
+
+def _configs(needed: Needed, asked: Asked, recipe: str, kept: Callable[[str], bool]) -> dict[str, Any]:
+    """The configurations of all stages but those that are kept, by name.
+
+    Settings may be those of kept ones too: the same command goes on.
+    """
+    stages = tuple(each for each in needed.stages if recipe in each.recipes or not kept(each.name))
+    configs = configure(stages, recipe, list(asked.overrides))
+    if asked.where:
+        configs = narrowed(stages, configs, asked.where)
+    return {each.name: config for each, config in zip(stages, configs, strict=True) if not kept(each.name)}
+
+
+def _budget_seconds(asked: Asked) -> float | None:
+    if asked.budget is None:
+        return None
+    if asked.wanted is None and asked.stage == "all":
+        raise UsageError("--budget is for the systems of a table (--for table:2), or for one --stage")
+    return parse_duration(asked.budget, "--budget")
 
 
 def _check_condition(store: Path, where: str) -> None:
@@ -114,16 +161,20 @@ def _check_condition(store: Path, where: str) -> None:
 
 def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str]) -> list[Any]:
     """Each stage's configuration; an override goes to every stage that has the setting, and one must have it."""
-    configs = [stage.recipe(recipe) for stage in stages]
+    configs = [_configured(stage, recipe, overrides) for stage in stages]
     for override in overrides:
         key, _ = parse_override(override)
         if not any(key in flatten(config) for config in configs):
             of = f" --stage {stages[0].name}" if len(stages) == 1 else ""
             raise UsageError(f"{unknown_setting(key, configs)}; 'motionkit recipe {recipe}{of}' lists all")
-    return [
-        apply_overrides(config, [override for override in overrides if parse_override(override)[0] in flatten(config)])
-        for config in configs
-    ]
+    return configs
+
+
+def _configured(stage: Stage[Any], recipe: str, overrides: list[str]) -> Any:
+    """A stage's configuration with those of the overrides whose settings it has."""
+    config = stage.recipe(recipe)
+    known = flatten(config)
+    return apply_overrides(config, [override for override in overrides if parse_override(override)[0] in known])
 
 
 def narrowed(stages: tuple[Stage[Any], ...], configs: list[Any], where: str) -> list[Any]:
@@ -146,17 +197,3 @@ def narrowed(stages: tuple[Stage[Any], ...], configs: list[Any], where: str) -> 
         apply_overrides(config, [f"{key}={conjunction(value, where)}" for key, value in found.items()])
         for config, found in zip(configs, conditions, strict=True)
     ]
-
-
-def _train_stage(stage: Stage[Any], config: Any, context: StageContext, *, is_first: bool) -> None:
-    folder = context.run.stage(stage.name)
-    complete = context.resume and folder.is_complete
-    if is_first:
-        doing = "complete already, kept" if complete else f"{stage.description} → {folder.path}"
-        stderr.print(f"{stage.name}: {doing}")
-    if not complete and (stage.shared or is_first):
-        stage.train(context, config)
-
-
-def _short(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -39,8 +39,10 @@ class Loader(Generic[T]):
         return all(RunFolder(run).stage(name).is_complete for name in self.stages)
 
     def train_command(self, run: Path | None = None) -> str:
-        """The command that trains it, its last stage at least."""
-        return f"motionkit train --stage {self.stages[-1]}" + (f" --run {run.name}" if run else "")
+        """The commands that train it, of a run those of the stages that it lacks."""
+        named = f" --run {run.name}" if run else ""
+        lacking = [name for name in self.stages if run is None or not RunFolder(run).stage(name).is_complete]
+        return " && ".join(f"motionkit train --stage {name}{named}" for name in lacking or self.stages[-1:])
 
 
 LoaderT = TypeVar("LoaderT", bound=Loader[Any])

@@ -69,6 +69,11 @@ class StageFolder:
         return self.path / "summary.json"
 
     @property
+    def budget_path(self) -> Path:
+        """How many steps fit into a budget of processor time: budget.json, where one was given."""
+        return self.path / "budget.json"
+
+    @property
     def is_complete(self) -> bool:
         """Whether the stage was trained to its end."""
         return self.summary_path.is_file()
@@ -91,6 +96,14 @@ class StageFolder:
             self.metrics.check(summary.pop(LOGGED))
         return summary
 
+    def read_budget(self) -> dict[str, Any]:
+        """What budget.json says, plain numbers; raises `RunError` where there is none, `DamagedFileError`."""
+        budget = self._read(self.budget_path)
+        for name, value in budget.items():
+            if not isinstance(value, float | int) or isinstance(value, bool):
+                raise DamagedFileError(self.budget_path, f"{name} is {shown(value)}", MEND)
+        return budget
+
     @property
     def metrics(self) -> MetricsLog:
         """What is logged while it is trained."""
@@ -112,7 +125,8 @@ class StageFolder:
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the final figures, by which the stage counts as complete."""
-        write_json(self.summary_path, {**summary, LOGGED: self.metrics.extent()})
+        budget = self.read_budget() if self.budget_path.is_file() else {}
+        write_json(self.summary_path, {**summary, **budget, LOGGED: self.metrics.extent()})
 
     def _read(self, path: Path) -> dict[str, Any]:
         if not path.is_file():
@@ -149,17 +163,20 @@ def weights_sha256(run: Path) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class StageOrigin:
-    """What a stage is trained from: settings, seed and store, and other stages of the run that it reads, by sha256."""
+    """What a stage is trained from: settings, seed and store, other stages of the run that it reads, by sha256, and how
+    much processor time it may take where that was said."""
 
     config: ConfigLike
     recipe: str
     seed: int
     store_fingerprint: str
     builds_on: Mapping[str, str]
+    budget_seconds: float | None = None
 
     def plain(self) -> dict[str, Any]:
-        """As JSON."""
-        return {**vars(self), "config": to_plain(self.config), "builds_on": dict(self.builds_on)}
+        """As JSON; without a budget where none was given."""
+        found = {**vars(self), "config": to_plain(self.config), "builds_on": dict(self.builds_on)}
+        return {name: value for name, value in found.items() if value is not None}
 
 
 def begin_stage(folder: StageFolder, origin: StageOrigin, *, store: str, resume: bool, overwrite: bool) -> None:
@@ -169,15 +186,11 @@ def begin_stage(folder: StageFolder, origin: StageOrigin, *, store: str, resume:
     the stage was begun from something else. `LinkError` where the folder is a link.
     """
     require_no_link(folder.path, "delete the link, or train into another --run")
-    if folder.config_path.is_file() and resume:
-        check_same(folder, origin)
-        return
-    if _holds_something(folder):
-        if resume:
-            raise RunError(
-                f"{folder.path} cannot be resumed, for it has no {folder.config_path.name}: train the stage again with "
-                f"--overwrite"
-            )
+    if resume:
+        check_resumable(folder, origin)
+        if folder.config_path.is_file():
+            return
+    elif _holds_something(folder):
         if not overwrite:
             raise UsageError(
                 f"{folder.path} exists: --resume goes on with it, --overwrite starts again, --run NAME keeps both"
@@ -188,11 +201,28 @@ def begin_stage(folder: StageFolder, origin: StageOrigin, *, store: str, resume:
     write_json(folder.config_path, {"stage": folder.path.name, **origin.plain(), "store": store, **code})
 
 
+def check_resumable(folder: StageFolder, origin: StageOrigin) -> None:
+    """Raise `RunError` where a stage was begun from something else, or holds files and nobody knows of what."""
+    if folder.config_path.is_file():
+        check_same(folder, origin)
+    elif _holds_something(folder):
+        raise RunError(
+            f"{folder.path} cannot be resumed, for it has no {folder.config_path.name}: train the stage again with "
+            f"--overwrite"
+        )
+
+
 def _holds_something(folder: StageFolder) -> bool:
     """Whether a stage was begun there: one that was killed before it wrote its config.json was not."""
     if not folder.path.exists():
         return False
     return any(entry.name != temporary_name(folder.config_path).name for entry in folder.path.iterdir())
+
+
+def abandon_stage(folder: StageFolder) -> None:
+    """Delete all that a stage's folder holds, so that it was not begun; raises `LinkError`."""
+    clear_stage(folder)
+    folder.config_path.unlink()
 
 
 def clear_stage(folder: StageFolder) -> None:
@@ -237,6 +267,7 @@ def check_same(folder: StageFolder, origin: StageOrigin) -> None:
     for name, was, now in (
         ("seed", begun.get("seed"), origin.seed),
         ("store fingerprint", begun.get("store_fingerprint"), origin.store_fingerprint),
+        ("budget in seconds", begun.get("budget_seconds"), origin.budget_seconds),
     ):
         if was != now:
             begun_with = f"{name} {shown(was)}, not {now!r}"

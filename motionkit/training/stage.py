@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, Generic
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.training.config import ConfigLike, ConfigT, current_names
-from motionkit.training.run import RunFolder, StageFolder, StageOrigin, begin_stage, check_same
+from motionkit.training.run import RunFolder, StageFolder, StageOrigin, begin_stage, check_resumable
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
+    from motionkit.training.budget import Rescheduled
     from motionkit.training.ranks import Ranks
 
 
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
 class StageContext:
     """Where a stage is trained: from which store, into which run, with which seed, on which device.
 
-    `device` is "auto" or a torch device's name; `shared` whether all ranks that torchrun started train this stage.
+    `device` is "auto" or a torch device's name; `shared` whether all ranks that torchrun started train this stage;
+    `budget_seconds` how much processor time its steps may take, whatever their number (None: as many as its settings
+    say).
     `on_progress` is called during training and while caches are built for it.
     """
 
@@ -38,6 +41,7 @@ class StageContext:
     overwrite: bool = False
     device: str = "auto"
     shared: bool = False
+    budget_seconds: float | None = None
     on_progress: OnProgress = field(default=ignore, compare=False, repr=False)
 
     def open_store(self) -> "Store":
@@ -68,7 +72,20 @@ class StageContext:
 
     def origin(self, config: ConfigLike, store_fingerprint: str, builds_on: Sequence[str]) -> StageOrigin:
         """What a stage with these settings would be trained from now."""
-        return StageOrigin(config, self.recipe, self.seed, store_fingerprint, self.run.fingerprints(builds_on))
+        built_on = self.run.fingerprints(builds_on)
+        return StageOrigin(config, self.recipe, self.seed, store_fingerprint, built_on, self.budget_seconds)
+
+    def fit_budget(self, trainable: "Rescheduled", folder: StageFolder) -> None:
+        """Give a training as many steps as fit into the budget, where there is one; errors as in `plan_steps`."""
+        if self.budget_seconds is None:
+            return
+        from motionkit.training.budget import plan_steps, seconds_spent
+        from motionkit.training.precision import resolve_device
+
+        if self.ranks.size > 1:
+            raise UsageError("--budget is for one process: a rank does not know what the others have spent")
+        clock = seconds_spent(resolve_device(self.device))
+        plan_steps(trainable, folder, self.budget_seconds, self.seed, clock)
 
 
 def builds_on_nothing(config: Any) -> tuple[str, ...]:
@@ -90,7 +107,8 @@ class Stage(Generic[ConfigT]):
     `in_all` says whether this one is among them; `recipes` maps a recipe's name to the function that makes its
     configuration. Stages of one model may share a configuration whose parts are named after the stages: a change of
     another stage's part doesn't stop `--resume`. Under torchrun every rank calls the `train` of a stage that is
-    `shared` (`motionkit.training.ranks`); others are trained by the first rank alone.
+    `shared` (`motionkit.training.ranks`); others are trained by the first rank alone. `share` is its part of its
+    system's processor time beside those of the system's other stages (`motionkit.training.systems`).
     """
 
     name: str
@@ -101,12 +119,13 @@ class Stage(Generic[ConfigT]):
     in_all: bool = True
     check: Callable[[StageContext, ConfigT], None] = _nothing_to_check
     shared: bool = False
+    share: float = 1.0
     builds_on: Callable[[ConfigT], tuple[str, ...]] = builds_on_nothing
 
     def check_kept(self, context: StageContext, config: ConfigT, store_fingerprint: str) -> None:
-        """Raise `RunError` where this stage, which is complete, is not what the same command would train now."""
+        """Raise `RunError` where this stage, as far as it is trained, is not what the same command would train now."""
         origin = context.origin(config, store_fingerprint, self.builds_on(config))
-        check_same(context.run.stage(self.name), origin)
+        check_resumable(context.run.stage(self.name), origin)
 
     def recipe(self, name: str) -> ConfigT:
         """The configuration of a named recipe; raises `UsageError` naming those there are."""

@@ -30,6 +30,7 @@ class CodebookTraining:
             betas=(0.9, 0.99),
             weight_decay=config.schedule.weight_decay,
         )
+        self.steps = config.schedule.steps
         self.positions = joint_positions_block((len(corpus.mean) - 1) // 6)
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
@@ -52,7 +53,8 @@ class CodebookTraining:
         loss = share * (terms + config.loss.commitment_weight * quantised.commitment)
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        set_rate(self.optimizer, schedule.learning_rate * (schedule.drop if step >= schedule.drop_at else 1.0))
+        dropped = step * schedule.steps >= schedule.drop_at * self.steps
+        set_rate(self.optimizer, schedule.learning_rate * (schedule.drop if dropped else 1.0))
         self.ranks.add_up_gradients(self.network.parameters())
         self.optimizer.step()
         which = self.ranks.all_rows(quantised.which, schedule.batch_size)

@@ -44,7 +44,7 @@ class DenoiserTraining:
         self.space = measured_space(drawn, used, corpus.banks, config.latents.path, config.latents.scale)
         self.alphas = cumulative_alphas(config.diffusion)
         self.weights = loss_weights(config.diffusion.prediction, config.diffusion.loss, self.alphas)
-        self.num_steps = config.schedule.num_steps(len(corpus))
+        self.steps = config.schedule.num_steps(len(corpus))
         with seeded_initialisation(seed, "denoiser"):
             self.denoiser = Denoiser(config.network, self.first_read, corpus.layout).to(device)
         if config.compile:
@@ -57,7 +57,7 @@ class DenoiserTraining:
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
         """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over the numbers in use)."""
         config, diffusion, schedule = self.config, self.config.diffusion, self.config.schedule
-        set_rate(self.optimizer, schedule.factor(step, self.num_steps) * schedule.learning_rate)
+        set_rate(self.optimizer, schedule.factor(step, self.steps) * schedule.learning_rate)
         mine = self.ranks.part(schedule.batch_size)
         rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
         latents = self.space.standardise(self.corpus.draw(rows, generator))

@@ -19,6 +19,7 @@ CODEBOOK = Stage(
     RECIPES,
     lazily("nerm.stages.codebook:train_codebook"),
     check=lazily("nerm.stages.codebook:check_codebook"),
+    share=0.1,
     shared=True,
 )
 FIELD = Stage(
@@ -28,6 +29,7 @@ FIELD = Stage(
     RECIPES,
     lazily("nerm.stages.field:train_field"),
     check=lazily("nerm.stages.field:check_field"),
+    share=0.5,
     shared=True,
     builds_on=_codebook_where_used,
 )
@@ -38,6 +40,7 @@ DENOISER = Stage(
     RECIPES,
     lazily("nerm.stages.denoiser:train_denoiser"),
     check=lazily("nerm.stages.denoiser:check_denoiser"),
+    share=0.4,
     shared=True,
     builds_on=_field,
 )

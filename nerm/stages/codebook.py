@@ -44,10 +44,11 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     corpus = open_vectors(settings, vectors)
     training = CodebookTraining(corpus, settings, seed=context.seed, device=device, ranks=ranks)
     with float32_products(settings.precision):
+        context.fit_budget(training, folder)
         figures = train_loop(
             training,
             folder,
-            steps=settings.schedule.steps,
+            steps=training.steps,
             seed=context.seed,
             ranks=ranks,
             on_progress=context.on_progress,

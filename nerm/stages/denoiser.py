@@ -51,8 +51,9 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
     with float32_products(settings.precision):
+        context.fit_budget(training, folder)
         figures = train_loop(
-            training, folder, steps=training.num_steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
+            training, folder, steps=training.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
         )
     if not ranks.is_first:
         return
@@ -64,7 +65,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     folder.finish(
         {
             "loss": figures["loss"],
-            "steps": training.num_steps,
+            "steps": training.steps,
             "parameters": sum(parameter.numel() for parameter in training.denoiser.parameters()),
             "cpu_seconds": figures["cpu_seconds"],
             "windows": len(corpus),

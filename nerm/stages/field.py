@@ -50,6 +50,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         ranks=ranks,
     )
     with float32_products(settings.precision):
+        context.fit_budget(training, folder)
         figures = train_loop(
             training, folder, steps=training.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
         )

@@ -73,7 +73,7 @@ class PeerTraining:
     ) -> None:
         self.config, self.corpus, self.device = config, corpus, device
         self.network = network.to(device)
-        self.num_steps = config.schedule.num_steps(len(corpus))
+        self.steps = config.schedule.num_steps(len(corpus))
         self.average = WeightAverage(network, config.optimizer.ema_decay) if config.optimizer.ema_decay else None
         self.optimizer = torch.optim.AdamW(
             network.parameters(), lr=config.schedule.learning_rate, weight_decay=config.optimizer.weight_decay
@@ -82,7 +82,7 @@ class PeerTraining:
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
         """One optimiser step on a fresh batch."""
         schedule: Schedule = self.config.schedule
-        set_rate(self.optimizer, schedule.factor(step, self.num_steps) * schedule.learning_rate)
+        set_rate(self.optimizer, schedule.factor(step, self.steps) * schedule.learning_rate)
         rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
         batch = self.corpus.batch(rows, generator, drop=self.config.conditions.drop).to(self.device)
         assert isinstance(self.network, Generator)
@@ -147,9 +147,8 @@ def train_stage(peer: GenerativePeer, stage: PeerStage, context: StageContext, c
     folder = context.begin(stage.name, config, store_fingerprint=store.fingerprint, builds_on=stage.builds_on)
     training = PeerTraining(config, corpus, network, seed=context.seed, device=device)
     with float32_products(config.precision):
-        figures = train_loop(
-            training, folder, steps=training.num_steps, seed=context.seed, on_progress=context.on_progress
-        )
+        context.fit_budget(training, folder)
+        figures = train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
     tensors = prefixed("network", training.trained_tensors) | {
         "scaling.mean": corpus.scaling.mean,
         "scaling.scale": corpus.scaling.scale,
@@ -169,7 +168,7 @@ def train_stage(peer: GenerativePeer, stage: PeerStage, context: StageContext, c
     }
     save_tensors(folder.model_path, tensors, description)
     facts = {
-        "steps": training.num_steps,
+        "steps": training.steps,
         "parameters": sum(parameter.numel() for parameter in network.parameters()),
         "fps": config.motions.fps,
         "windows": len(corpus),

@@ -49,10 +49,12 @@ def tiny_config(name: str, **changed: Any) -> Any:
     return stage.config_type(**(parts | changed))
 
 
-def write_captioned_store(path: Path, motions: int = 4, seconds: int = 4) -> Path:
-    """Takes at 60 fps of other kinds each, with a caption and an action; the last one again for testing."""
+def write_captioned_store(
+    path: Path, motions: int = 4, seconds: int = 4, *, captioned: bool = True, held_out: int = 1
+) -> Path:
+    """Takes at 60 fps of other kinds, each with a caption and an action; the last, `held_out` times, for testing."""
     with StoreWriter.create(path) as writer:
-        for index in range(motions + 1):
+        for index in range(motions + held_out):
             kind = min(index, motions - 1)
             grid = TimeGrid(Fraction(60), 60 * seconds + 1)
             writer.add(
@@ -60,10 +62,10 @@ def write_captioned_store(path: Path, motions: int = 4, seconds: int = 4) -> Pat
                     analytic_positions(grid.seconds(), kind),
                     SMPL22,
                     grid,
-                    split="test" if index == motions else "train",
+                    split="test" if index >= motions else "train",
                     sequence_id=f"take-{index}",
                     action=f"kind-{kind}",
-                    captions=(Caption(f"motion of kind {kind}"),),
+                    captions=(Caption(f"motion of kind {kind}"),) if captioned else (),
                 )
             )
     return path

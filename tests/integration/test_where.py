@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import motionkit.cli.train as train_command
+import motionkit.cli.train_jobs as train_command
 from motionkit.cli.train import narrowed
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
@@ -112,7 +112,7 @@ def test_a_condition_is_tried_before_the_first_stage_starts(motionkit, store, tm
     def started(*_):
         raise AssertionError("a stage was started")
 
-    monkeypatch.setattr(train_command, "_train_stage", started)
+    monkeypatch.setattr(train_command, "train_stage", started)
     done = motionkit("train", "--store", store, "--runs", tmp_path, "--where", where)
     assert done.code == 2
     assert told in done.stderr

@@ -10,6 +10,7 @@ from eval.tables.nerm.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Y
 from eval.tables.nerm.table2 import COLUMNS, ROW_NOTES
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
+from motionkit.generate.models import installed_models
 
 VERSION = "unconditional/1"
 REAL = "real"
@@ -76,4 +77,11 @@ def build_figure5(request: TableRequest) -> Result:
     )
 
 
-TABLE = Table("nerm", "figure5", "unconditional generation", build_figure5, takes_samples=False)
+TABLE = Table(
+    "nerm",
+    "figure5",
+    "unconditional generation",
+    build_figure5,
+    takes_samples=False,
+    shown=installed_models,
+)

@@ -13,7 +13,7 @@ from eval.tables.nerm.run_figures import SYNTHESIS, Yardstick, label
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
 from motionkit.fields.motion_field import to_motion
-from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, installed_models
 
 VERSION = "cost/1"
 TARGET_FPS = Fraction(60)
@@ -100,4 +100,11 @@ def _renamed(cells: Mapping[str, Cell], column: str, name: str) -> dict[str, Cel
     return {name: cells[column]} if column in cells else {}
 
 
-TABLE = Table("nerm", "figure8", "inference time and quality", build_figure8, takes_samples=False)
+TABLE = Table(
+    "nerm",
+    "figure8",
+    "inference time and quality",
+    build_figure8,
+    takes_samples=False,
+    shown=installed_models,
+)

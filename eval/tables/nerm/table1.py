@@ -122,7 +122,7 @@ def build_table1(request: TableRequest) -> Result:
     )
 
 
-TABLE = Table("nerm", "1", "text-to-motion at 20 fps", build_table1)
+TABLE = Table("nerm", "1", "text-to-motion at 20 fps", build_table1, shown=installed_models, reads=("evaluator",))
 
 
 def _models(request: TableRequest) -> Found[dict[str, TrainedModel]]:

@@ -48,6 +48,7 @@ from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import require_no_link
 from motionkit.core.progress import task
+from motionkit.generate.models import installed_models
 from motionkit.store import Store
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
@@ -146,7 +147,7 @@ def build_table2(request: TableRequest) -> Result:
     )
 
 
-TABLE = Table("nerm", "2", "clip-FID by framerate", build_table2)
+TABLE = Table("nerm", "2", "clip-FID by framerate", build_table2, shown=installed_models, reads=("evaluator",))
 
 
 def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion) -> Found[list[Fraction]]:

@@ -26,6 +26,7 @@ from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
+from motionkit.generate.models import installed_models
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -119,7 +120,7 @@ def build_table3(request: TableRequest) -> Result:
     )
 
 
-TABLE = Table("nerm", "3", "action-to-motion", build_table3)
+TABLE = Table("nerm", "3", "action-to-motion", build_table3, shown=installed_models)
 
 
 def _choices(request: TableRequest) -> tuple[RecogniserSource, list[ActionProtocol]]:

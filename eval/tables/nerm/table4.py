@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,7 @@ from motionkit.clips.reconstruction import (
     separate_windows,
 )
 from motionkit.clips.windows import PositionSource, Windows
+from motionkit.complete.encoders import installed_encoders
 from motionkit.core.errors import UsageError
 from motionkit.fields.motion_field import MotionField
 
@@ -117,7 +119,14 @@ def build_table4(request: TableRequest) -> Result:
     )
 
 
-TABLE = Table("nerm", "4", "reconstruction MPJPE and MRE by framerate", build_table4, takes_samples=False)
+TABLE = Table(
+    "nerm",
+    "4",
+    "reconstruction MPJPE and MRE by framerate",
+    build_table4,
+    takes_samples=False,
+    shown=partial(installed_encoders, "reconstruction"),
+)
 
 
 def described_windows(

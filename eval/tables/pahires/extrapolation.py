@@ -1,6 +1,7 @@
 """Extrapolation: a second of motion continued, forwards and backwards, beside standing still and going on."""
 
 from dataclasses import replace
+from functools import partial
 
 from eval.completion.encoders import HOLD, INTERPOLATION
 from eval.completion.protocol import EXTRAPOLATION_VERSION, continuations
@@ -8,6 +9,7 @@ from eval.report.results import Result
 from eval.tables.pahires.inbetweening import definition
 from eval.tables.pahires.window_rows import WindowTable, measure_table
 from eval.tables.registry import Table, TableRequest
+from motionkit.complete.encoders import installed_encoders
 
 SLERP = next(row for row in INTERPOLATION if row.name == "SLERP")
 ROWS = (
@@ -46,4 +48,10 @@ def build_extrapolation(request: TableRequest) -> Result:
     )
 
 
-TABLE = Table("pahires", "extrapolation", "extrapolation, forwards and backwards", build_extrapolation)
+TABLE = Table(
+    "pahires",
+    "extrapolation",
+    "extrapolation, forwards and backwards",
+    build_extrapolation,
+    shown=partial(installed_encoders, "extrapolation"),
+)

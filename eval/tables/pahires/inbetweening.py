@@ -1,6 +1,7 @@
 """PA-HiRes' Table 3: in-betweening by the protocol of LaFAN1's benchmark, on LaFAN1 and on any data set at 30 fps."""
 
 from dataclasses import replace
+from functools import partial
 
 from eval.completion.encoders import INTERPOLATION
 from eval.completion.protocol import INBETWEENING_VERSION, gaps
@@ -8,6 +9,7 @@ from eval.report.results import Block, Cell, Result, Row
 from eval.tables.pahires.window_rows import WindowTable, measure_table
 from eval.tables.parts import SOURCES, Reported, reported_figures
 from eval.tables.registry import Table, TableRequest
+from motionkit.complete.encoders import installed_encoders
 from motionkit.formats.bvh import lafan1
 
 _NAMES = {"hold": "zero velocity", "SLERP": "interpolation (SLERP)"}
@@ -55,7 +57,13 @@ def build_inbetweening(request: TableRequest) -> Result:
     )
 
 
-TABLE = Table("pahires", "3", "in-betweening (LaFAN1's protocol)", build_inbetweening)
+TABLE = Table(
+    "pahires",
+    "3",
+    "in-betweening (LaFAN1's protocol)",
+    build_inbetweening,
+    shown=partial(installed_encoders, "inbetweening"),
+)
 
 
 def definition(request: TableRequest) -> dict[str, object]:

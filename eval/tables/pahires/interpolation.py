@@ -15,6 +15,7 @@ from eval.report.results import Block, Result
 from eval.tables.pahires.measured import Measured, measure_all
 from eval.tables.parts import SOURCES, Reported, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
+from motionkit.complete.encoders import installed_encoders
 
 METRICS = {
     "psnr": "PSNR (dB)",
@@ -73,8 +74,13 @@ def build_interpolation(number: str, scales: Sequence[Fraction], request: TableR
     )
 
 
-TABLE_1 = Table("pahires", "1", "interpolation at integer scales", partial(build_interpolation, "1", INTEGER_SCALES))
-TABLE_2 = Table("pahires", "2", "interpolation at other scales", partial(build_interpolation, "2", OTHER_SCALES))
+SHOWN = partial(installed_encoders, "interpolation")
+TABLE_1 = Table(
+    "pahires", "1", "interpolation at integer scales", partial(build_interpolation, "1", INTEGER_SCALES), shown=SHOWN
+)
+TABLE_2 = Table(
+    "pahires", "2", "interpolation at other scales", partial(build_interpolation, "2", OTHER_SCALES), shown=SHOWN
+)
 
 NOTES = (
     "± is half the 95 % interval over takes: all clips of a take are resampled together.",

@@ -167,6 +167,7 @@ def train_network(
         network = make(config, takes.num_numbers)
     training = TemporalTraining(network, WindowSampler(takes, settings), seed=context.seed, device=device)
     with float32_products(settings.precision):
+        context.fit_budget(training, folder)
         figures = train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
     tensors = prefixed("network", training.trained_tensors()) | prefixed(
         "scaling", {"mean": training.scaling.mean, "scale": training.scaling.scale}

@@ -1,0 +1,123 @@
+"""Stages trained one after another into a run: what `motionkit train` shows of it."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from motionkit.cli.console import progress, stderr, stdout
+from motionkit.core.progress import OnProgress, Progress, task
+from motionkit.training.stage import Stage, StageContext
+
+
+@dataclass(frozen=True)
+class Job:
+    """A stage with its configuration; without one it is complete and stays as it is. `weight` is what it takes beside
+    others."""
+
+    stage: Stage[Any]
+    config: Any | None
+    budget_seconds: float | None = None
+    weight: float = 1.0
+
+
+class TimeLeft:
+    """How long stages of known weights will still take, by what this session has done."""
+
+    def __init__(self, weights: Mapping[str, float], clock: Callable[[], float] = time.monotonic) -> None:
+        self._weights, self._clock, self._started = weights, clock, clock()
+        self._begun: dict[str, float] = {}
+        self._now: dict[str, float] = {}
+
+    def seconds(self, name: str, share: float) -> float | None:
+        """With this share of a stage done; None while too little is known. What was done before does not count."""
+        self._begun.setdefault(name, share)
+        self._now[name] = share
+        worked = sum(self._weights[each] * (now - self._begun[each]) for each, now in self._now.items())
+        left = sum(weight * (1.0 - self._now.get(each, 0.0)) for each, weight in self._weights.items())
+        elapsed = self._clock() - self._started
+        return elapsed * left / worked if worked > 0.01 * (worked + left) else None
+
+
+def told_left(seconds: float | None) -> str:
+    """In words: "about 1 h 5 min left"; empty for None."""
+    if seconds is None:
+        return ""
+    minutes = round(seconds / 60)
+    if minutes < 1:
+        return "less than a minute left"
+    return f"about {minutes // 60} h {minutes % 60} min left" if minutes >= 60 else f"about {minutes} min left"
+
+
+def train_all(
+    jobs: Sequence[Job], context: StageContext, as_json: bool, title: str | None = None
+) -> list[dict[str, Any]] | None:
+    """Train jobs in order; the summaries of all, on the first rank alone. With a title there is one bar over all."""
+    from motionkit.store.manifest import read_manifest
+    from motionkit.training.ranks import joined_ranks
+
+    fingerprint = read_manifest(context.store).fingerprint
+    summaries: list[dict[str, Any]] = []
+    left = TimeLeft({job.stage.name: job.weight for job in jobs if job.config is not None})
+    with joined_ranks() as ranks, progress() as show:
+        for job in jobs:
+            ranks.on_first(partial(_check, job, _of_job(context, job, show), fingerprint))
+        # Not of one stage, whose own bar says as much.
+        with task(show if title else lambda _: None, title or "", len(jobs)) as overall:
+            for number, job in enumerate(jobs, start=1):
+                name = job.stage.name
+
+                def report(state: Progress, name: str = name) -> None:
+                    show(state)
+                    if state.name == name and state.total:
+                        overall.note(told_left(left.seconds(name, state.done / state.total)))
+
+                of_job = _of_job(context, job, report)
+                # Again, since a stage that it builds on may just have been trained.
+                ranks.on_first(partial(_check_kept, job, of_job, fingerprint))
+                place = f" ({number} of {len(jobs)})" if title else ""
+                train_stage(job, replace(of_job, shared=job.stage.shared), is_first=ranks.is_first, place=place)
+                overall.advance()
+                if job.stage.shared:
+                    ranks.wait()  # for what the first one saves at last: the next stage reads it
+                if ranks.is_first:
+                    summaries.append({"stage": name, **context.run.stage(name).read_summary()})
+                    _tell(summaries[-1], as_json)
+    return summaries if ranks.is_first else None
+
+
+def _of_job(context: StageContext, job: Job, on_progress: OnProgress) -> StageContext:
+    return replace(context, budget_seconds=job.budget_seconds, on_progress=on_progress)
+
+
+def _check(job: Job, context: StageContext, store_fingerprint: str) -> None:
+    _check_kept(job, context, store_fingerprint)
+    if job.config is not None:
+        job.stage.check(context, job.config)
+
+
+def _check_kept(job: Job, context: StageContext, store_fingerprint: str) -> None:
+    if context.resume and job.config is not None:
+        job.stage.check_kept(context, job.config, store_fingerprint)
+
+
+def train_stage(job: Job, context: StageContext, *, is_first: bool, place: str = "") -> None:
+    """Train one job, saying so on the first rank."""
+    stage, folder = job.stage, context.run.stage(job.stage.name)
+    complete = job.config is None or (context.resume and folder.is_complete)
+    if is_first:
+        doing = "complete already, kept" if complete else f"{stage.description} → {folder.path}"
+        stderr.print(f"{stage.name}{place}: {doing}")
+    if not complete and (stage.shared or is_first):
+        stage.train(context, job.config)
+
+
+def _tell(summary: Mapping[str, Any], as_json: bool) -> None:
+    if not as_json:
+        figures = ", ".join(f"{name} {_short(value)}" for name, value in summary.items() if name != "stage")
+        stdout.print(f"{summary['stage']}: {figures}")
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,95 @@
+"""Trainings that end when their processor time is spent: at the start it is measured how many steps fit, and kept."""
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+
+from motionkit.core.checksums import write_json
+from motionkit.core.errors import DamagedFileError, UsageError
+from motionkit.training.loop import Trainable
+from motionkit.training.metrics_log import MEND
+from motionkit.training.run import StageFolder, abandon_stage
+from motionkit.training.schedule import step_generator
+
+# Steps of one round lie evenly in the whole training, for early ones may cost less; rounds go on until this share of
+# the budget is spent.
+ROUND, MEASURED_SHARE = 16, 0.02
+FEWEST_STEPS = 10
+
+
+@runtime_checkable
+class Rescheduled(Trainable, Protocol):
+    """A `Trainable` whose schedule is one of `steps`, which may be set before the first."""
+
+    steps: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How many steps fit into a budget: what was measured, and what measuring it has cost of the budget."""
+
+    budget_seconds: float
+    steps: int
+    measured_seconds_a_step: float
+    measuring_seconds: float
+
+
+def plan_steps(
+    trainable: Rescheduled, folder: StageFolder, budget_seconds: float, seed: int, clock: Callable[[], float]
+) -> None:
+    """Set a training's number of steps to what fits into its budget, and write it to budget.json.
+
+    What was written there is taken as it is, so a resumed training has as many steps as before; summary.json has it
+    too. The training is left as it was found. Raises `UsageError` where fewer than `FEWEST_STEPS` fit, and
+    `DamagedFileError`.
+    """
+    if folder.budget_path.is_file():
+        found = folder.read_budget()
+        if "steps" not in found:
+            raise DamagedFileError(folder.budget_path, "it says no number of steps", MEND)
+        trainable.steps = int(found["steps"])
+        return
+    plan = _measured(trainable, folder.path.name, budget_seconds, seed, clock)
+    if plan.steps < FEWEST_STEPS:
+        abandon_stage(folder)
+        raise UsageError(
+            f"{folder.path.name}: {budget_seconds:.3g} s of processor time are {max(plan.steps, 0)} steps of "
+            f"{plan.measured_seconds_a_step:.3g} s; give a larger --budget"
+        )
+    write_json(folder.budget_path, asdict(plan))
+    trainable.steps = plan.steps
+
+
+def _measured(
+    trainable: Rescheduled, purpose: str, budget_seconds: float, seed: int, clock: Callable[[], float]
+) -> Plan:
+    state = {name: tensor.clone() for name, tensor in trainable.state_tensors().items()}
+    asked = trainable.steps
+    begun = clock()
+    trainable.step(0, step_generator(seed, purpose, 0))  # what is done once is no part of a step
+    first, count = clock(), 0
+    while count == 0 or clock() - begun < MEASURED_SHARE * budget_seconds:
+        for number in range(ROUND):
+            step = (2 * number + 1) * asked // (2 * ROUND)
+            trainable.step(step, step_generator(seed, purpose, step))
+        count += ROUND
+    ended = clock()
+    trainable.load_state_tensors(state)
+    each = (ended - first) / count
+    left = budget_seconds - (ended - begun)
+    return Plan(budget_seconds, int(left / max(each, 1e-9)), round(each, 6), round(ended - begun, 3))
+
+
+def seconds_spent(device: torch.device) -> Callable[[], float]:
+    """The clock of a budget: this process' processor time; of a GPU the time that passes."""
+    if device.type != "cuda":
+        return time.process_time
+
+    def passed() -> float:
+        torch.cuda.synchronize(device)
+        return time.perf_counter()
+
+    return passed

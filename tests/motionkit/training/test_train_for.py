@@ -1,0 +1,323 @@
+"""`motionkit train --for`: which stages, in which order, for how long; what goes on and what is refused."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+
+import pytest
+import torch
+import typer
+from typer.testing import CliRunner
+
+from motionkit.cli import train as train_module
+from motionkit.cli.options import parse_duration
+from motionkit.cli.train_jobs import TimeLeft, told_left
+from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.store import StoreWriter
+from motionkit.store.manifest import read_manifest
+from motionkit.training import budget as budget_module
+from motionkit.training.budget import plan_steps
+from motionkit.training.loaders import Loader
+from motionkit.training.loop import train_loop
+from motionkit.training.run import StageFolder
+from motionkit.training.stage import Stage, StageContext
+from motionkit.training.systems import stages_for, table_that_shows
+from motionkit.training.tensors import load_tensors, save_tensors
+
+SECONDS_A_STEP = 2.0
+
+
+@dataclass(frozen=True)
+class Config:
+    steps: int = 6
+    codes: bool = True
+
+
+class Climb:
+    """A weight that grows by its schedule's rate; every step takes `SECONDS_A_STEP` of the clock below."""
+
+    def __init__(self, steps: int, clock: "Clock") -> None:
+        self.steps, self.clock, self.weight = steps, clock, torch.zeros(1)
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+        self.clock.now += SECONDS_A_STEP
+        self.weight += torch.rand(1, generator=generator) * (1 - step / self.steps)
+        return {"loss": self.weight[0]}
+
+    def state_tensors(self) -> dict[str, torch.Tensor]:
+        return {"weight": self.weight}
+
+    def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        self.weight = tensors["weight"].clone()
+
+
+class Clock:
+    """Processor time that passes in steps alone."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@dataclass(frozen=True)
+class Table:
+    shown: Callable[[], Mapping[str, Loader[object]]]
+    reads: tuple[str, ...] = ("judge",)
+
+
+def loader(*stages: str) -> Loader[object]:
+    return Loader(stages[-1].upper(), stages, load=lambda run: object())
+
+
+TABLE = Table(lambda: {"ours": loader("field", "denoiser"), "theirs": loader("vae", "latents"), "other": loader("gan")})
+
+
+@dataclass
+class World:
+    """Stages that write down in which order they were trained."""
+
+    clock: Clock = field(default_factory=Clock)
+    trained: list[str] = field(default_factory=list)
+
+    def stage(
+        self, name: str, order: int, builds_on: Callable[[Config], tuple[str, ...]], share: float = 1.0
+    ) -> Stage[Config]:
+        def train(context: StageContext, config: Config) -> None:
+            self.trained.append(name)
+            fingerprint = read_manifest(context.store).fingerprint
+            folder = context.begin(name, config, store_fingerprint=fingerprint, builds_on=builds_on(config))
+            training = Climb(config.steps, self.clock)
+            context.fit_budget(training, folder)
+            train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
+            save_tensors(folder.model_path, training.state_tensors(), {})
+            folder.finish({"steps": training.steps})
+
+        recipes = {"nano": Config} if name != "gan" else {"nano": Config, "big": Config}
+        return Stage(name, order, f"trains {name}", recipes, train, builds_on=builds_on, share=share)
+
+    def stages(self) -> dict[str, Stage[Config]]:
+        def nothing(config: Config) -> tuple[str, ...]:
+            return ()
+
+        made = (
+            self.stage("codes", 1, nothing),
+            self.stage("field", 2, lambda config: ("codes",) if config.codes else (), 3.0),
+            self.stage("denoiser", 3, lambda config: ("field",)),
+            self.stage("judge", 9, nothing),
+            self.stage("latents", 7, lambda config: ("vae",)),
+            self.stage("vae", 6, nothing),
+            self.stage("gan", 8, nothing),
+            self.stage("unwanted", 5, nothing),
+        )
+        return {stage.name: stage for stage in sorted(made, key=lambda stage: stage.order)}
+
+
+# Of a stage that is complete nothing before it is asked for: "codes" stays out.
+KEPT = ["field", "denoiser", "vae", "latents", "gan", "judge"]
+ORDER = ["codes", "field", "denoiser", "vae", "latents", "gan", "judge"]
+
+
+@pytest.fixture
+def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
+    world = World()
+    monkeypatch.setattr(train_module, "registered_stages", world.stages)
+    monkeypatch.setattr(train_module, "table_that_shows", lambda paper, wanted: TABLE)
+    monkeypatch.setattr(budget_module, "seconds_spent", lambda device: world.clock)
+    with StoreWriter.create(tmp_path / "store"):
+        pass
+    monkeypatch.chdir(tmp_path)
+    yield world
+
+
+def run(*arguments: str) -> dict[str, dict[str, float]]:
+    app = typer.Typer()
+    app.command()(train_module.train)
+    done = CliRunner().invoke(app, ["--for", "table:2", *arguments, "--json"], catch_exceptions=False)
+    assert done.exit_code == 0
+    return {stage["stage"]: stage for stage in json.loads(done.stdout)["stages"]}
+
+
+def test_what_a_table_lacks_is_trained_in_order(world: World) -> None:
+    assert list(run()) == world.trained == ORDER
+    world.trained.clear()
+    assert list(run()) == KEPT and not world.trained
+    run("--overwrite")
+    assert world.trained == ORDER
+
+
+def test_what_is_complete_is_kept_and_the_rest_goes_on(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = run("--run", "whole")
+    stop = Climb.step
+
+    def stopped(self: Climb, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+        if world.trained[-1] == "vae" and step == 3:
+            raise OSError("the disk is full")
+        return stop(self, step, generator)
+
+    monkeypatch.setattr(Climb, "step", stopped)
+    with pytest.raises(OSError, match="disk is full"):
+        run("--run", "parts")
+    monkeypatch.setattr(Climb, "step", stop)
+    world.trained.clear()
+    assert list(run("--run", "parts")) == KEPT
+    assert world.trained == ORDER[ORDER.index("vae") :]
+    for name in whole:
+        first, second = (Path("runs") / each / name / "model.safetensors" for each in ("whole", "parts"))
+        assert first.read_bytes() == second.read_bytes()
+
+
+def test_nothing_is_trained_for_a_stage_that_needs_nothing(world: World) -> None:
+    run("--set", "codes=false")
+    assert world.trained == [name for name in ORDER if name != "codes"]
+
+
+def test_every_system_has_the_same_budget(world: World) -> None:
+    found = run("--budget", "40m")
+    seconds = {name: summary.get("budget_seconds") for name, summary in found.items()}
+    # 1 : 3 : 1 of one system, 1 : 1 of another, and an evaluator has none.
+    assert seconds == {
+        **{"codes": 480, "field": 1440, "denoiser": 480, "vae": 1200, "latents": 1200, "gan": 2400},
+        "judge": None,
+    }
+    for name, summary in found.items():
+        if (budget := seconds[name]) is None:
+            assert summary["steps"] == 6
+            continue
+        assert summary["measured_seconds_a_step"] == SECONDS_A_STEP
+        assert summary["measuring_seconds"] + summary["steps"] * SECONDS_A_STEP == pytest.approx(budget, abs=2)
+    # What was measured leaves no trace: the same number of steps by its setting is the same training.
+    run("--run", "told", "--set", f"steps={int(found['gan']['steps'])}")
+    told, measured = (load_tensors(Path("runs") / each / "gan" / "model.safetensors")[0] for each in ("told", "nano"))
+    assert torch.equal(told["weight"], measured["weight"])
+
+
+def test_a_budget_that_was_measured_is_not_measured_again(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    run("--budget", "40m")
+    folder = StageFolder(Path("runs/nano/gan"))
+    steps = folder.read_summary()["steps"]
+    folder.summary_path.unlink()
+    monkeypatch.setattr("tests.motionkit.training.test_train_for.SECONDS_A_STEP", 7.0)
+    assert run("--budget", "40m")["gan"]["steps"] == steps
+    folder.summary_path.unlink()
+    folder.budget_path.write_text('{"steps": "many"}')
+    with pytest.raises(DamagedFileError, match=r"budget.json is damaged \(steps is 'many'\)"):
+        run("--budget", "40m")
+
+
+def test_a_budget_too_short_leaves_nothing_behind(world: World) -> None:
+    with pytest.raises(UsageError, match=r"codes: 8 s of processor time are 0 steps of 2 s; give a larger --budget"):
+        run("--budget", "40s")
+    assert not list(Path("runs/nano/codes").iterdir())
+    assert "gan" in run("--budget", "40m")
+
+
+def test_a_part_of_a_training_is_measured_all_over_it(tmp_path: Path) -> None:
+    """Early steps may be cheap: half of these cost nothing."""
+
+    class Uneven(Climb):
+        def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+            self.clock.now += 0.0 if step < self.steps / 2 else 2.0
+            return {}
+
+    clock, folder = Clock(), StageFolder(tmp_path)
+    training = Uneven(1000, clock)
+    plan_steps(training, folder, 2000.0, 0, clock)
+    assert json.loads(folder.budget_path.read_text())["measured_seconds_a_step"] == 1.0
+    assert 1900 < training.steps < 2000
+
+
+REFUSED = {
+    "stage": (("--stage", "gan"), "give one of them"),
+    "budget": (("--budget", "20"), "--budget 20: a number above 0 with its unit, such as 90s, 20m or 1.5h"),
+    "setting": (("--set", "stepps=4"), "no setting is called 'stepps', perhaps steps"),
+    "recipe": (("--recipe", "big"), "has no recipe 'big'; it has: nano"),
+    "both": (("--resume", "--overwrite"), "exclude each other"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_asked_amiss_is_one_line(world: World, name: str) -> None:
+    arguments, told = REFUSED[name]
+    with pytest.raises(UsageError) as found:
+        run(*arguments)
+    assert told in str(found.value) and "\n" not in str(found.value)
+    assert not world.trained
+
+
+def test_half_a_run_and_other_stores_are_found_before_anything_is_trained(world: World, tmp_path: Path) -> None:
+    run("--run", "mine")
+    mine = Path("runs/mine")
+    world.trained.clear()
+
+    def refuses(told: str, *arguments: str) -> None:
+        with pytest.raises(MotionkitError) as found:
+            run("--run", "mine", *arguments)
+        assert told in str(found.value) and "\n" not in str(found.value) and not world.trained
+
+    refuses("field was trained without a budget, not with one of 36 s", "--budget", "1m")
+    (mine / "judge" / "summary.json").unlink()
+    refuses("judge was begun with seed 0, not 1", "--seed", "1")
+    (mine / "judge" / "config.json").unlink()
+    refuses("judge cannot be resumed, for it has no config.json: train the stage again with --overwrite")
+    for path in (mine / "judge").iterdir():
+        path.unlink()
+    (mine / "field" / "summary.json").unlink()
+    refuses("denoiser was trained upon another field than this run's: train it again (motionkit train --stage denoiser")
+    with StoreWriter.create(tmp_path / "store", overwrite=True) as writer:
+        from tests.motionkit.training.test_train_command import MOTION
+
+        writer.add(MOTION)
+    refuses("codes was trained on another store, or on another state of it: train it again")
+
+
+def test_a_budget_of_stages_of_no_system_is_refused(world: World) -> None:
+    app = typer.Typer()
+    app.command()(train_module.train)
+    with pytest.raises(UsageError, match="--budget is for the systems of a table"):
+        CliRunner().invoke(app, ["--budget", "20m"], catch_exceptions=False)
+    CliRunner().invoke(app, ["--stage", "gan", "--budget", "20m"], catch_exceptions=False)
+    assert json.loads(Path("runs/nano/gan/summary.json").read_text())["budget_seconds"] == 1200
+
+
+def test_tables_are_known_by_what_they_show() -> None:
+    table = table_that_shows("nerm", "table:2")
+    assert {"nerm", "mdm", "mld"} <= set(table.shown()) and table.reads == ("evaluator",)
+    assert set(table_that_shows("pahires", "table:3").shown()) >= {"pahires", "ts-former"}
+    assert table_that_shows("nerm", "figure:8").reads == ()
+    for paper, wanted, told in (
+        ("nerm", "2", "--for 2: table:NUMBER or figure:NUMBER, such as table:2"),
+        ("nerm", "table:99", "'nerm' has no such table; installed tables: nerm-1"),
+        ("nerm", "table:5", "no rows of systems (of ablations: motionkit ablate)"),
+    ):
+        with pytest.raises(UsageError) as found:
+            table_that_shows(paper, wanted)
+        assert told in str(found.value)
+
+
+def test_a_system_whose_stage_is_not_installed_is_told() -> None:
+    stages = World().stages()
+    with pytest.raises(UsageError, match="no stage is called 'ghost'"):
+        stages_for(Table(lambda: {"ghost": loader("ghost")}), stages, lambda name: (), lambda name: False)
+
+
+def test_the_time_left_is_of_what_is_left() -> None:
+    clock = count(0.0, 100.0)
+    left = TimeLeft({"first": 1.0, "second": 3.0}, lambda: next(clock))
+    assert left.seconds("first", 0.5) is None  # where it went on from
+    # Half of the first after 200 s: half of 1 done, 3 to go.
+    assert left.seconds("first", 1.0) == pytest.approx(200 * 3 / 0.5)
+    assert left.seconds("second", 0.0) == pytest.approx(300 * 3 / 0.5)
+    assert left.seconds("second", 1.0) == 0.0
+    assert [told_left(seconds) for seconds in (None, 20.0, 130.0, 3900.0)] == [
+        *("", "less than a minute left", "about 2 min left", "about 1 h 5 min left"),
+    ]
+
+
+def test_durations_have_units() -> None:
+    assert [parse_duration(text, "--budget") for text in ("90s", "20m", "1.5h")] == [90.0, 1200.0, 5400.0]
+    for text in ("20", "0m", "m", "-3m", "20 m", "1h30m"):
+        with pytest.raises(UsageError):
+            parse_duration(text, "--budget")
