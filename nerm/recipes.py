@@ -56,7 +56,7 @@ def nano() -> NermConfig:
             schedule=CodebookScheduleConfig(steps=600, batch_size=48, learning_rate=1e-3, drop_at=480),
         ),
         field=replace(_local_field(steps=8000), contacts=ContactsConfig(steps=800)),
-        denoiser=_knot_denoiser(steps=8000),
+        denoiser=_knot_denoiser(steps=8000, paraphrases=12),
     )
 
 
@@ -147,11 +147,12 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
     )
 
 
-def _knot_denoiser(*, steps: int) -> DenoiserConfig:
+def _knot_denoiser(*, steps: int, paraphrases: int = 0) -> DenoiserConfig:
     return DenoiserConfig(
         network=TransformerConfig(num_layers=5, width=192, ffn_width=512, dropout=0.0, latent_tokens=8),
         diffusion=DiffusionConfig(prediction="velocity", loss="velocity", sampling_steps=10, guidance_scale=2.0),
         latents=LatentSpaceConfig(path="steps", scale="component"),
+        conditions=ConditionsConfig(paraphrases=paraphrases),
         schedule=Schedule(steps=steps, learning_rate=2e-3, kind="cosine", warmup_fraction=0.02),
         ema_decay=0.995,
         precision="auto",

@@ -33,10 +33,11 @@ SINCE = {
         *SAMPLING,
         "field.contacts.steps=0",
         "denoiser.schedule.steps=2500",
+        "denoiser.conditions.paraphrases=0",
         "denoiser.precision=float32",
     ],
     ("nerm", "demo"): [*SAMPLING, "denoiser.precision=float32"],
-    ("nerm", "base"): [*SAMPLING, "field.contacts.steps=0"],
+    ("nerm", "base"): [*SAMPLING, "field.contacts.steps=0", "denoiser.conditions.paraphrases=0"],
 }
 
 

@@ -40,7 +40,7 @@ def test_where_two_recipes_differ() -> None:
 
 
 def test_recipes_and_stages_that_are_not_there_are_refused() -> None:
-    with pytest.raises(UsageError, match="has no recipe 'huge'; it has: nano, demo, base, paper"):
+    with pytest.raises(UsageError, match="has no recipe 'huge'; it has: nano, small, demo, base, paper"):
         told("huge")
     with pytest.raises(UsageError, match="no stage is called 'huge'"):
         told("--stage", "huge")
