@@ -1,6 +1,6 @@
 """How well a run follows wordings that training has not.
 
-    python benchmarks/nerm/wordings.py RUN --store STORE [--wordings FILE.csv] [--guidance 2] [--steps 10] [--seed 0]
+    python -m benchmarks.nerm.wordings RUN --store STORE [--wordings FILE.csv] [--guidance 2] [--steps 10] [--seed 0]
 
 Asks for the test split's captions, and for another wording of each (columns `caption` and `wording`; by default the 118
 of the pack of docs/results/real-pack.md, written by hand), at 20 fps and as long as the real motions, planted. Both are
