@@ -101,7 +101,9 @@ def _say_what_is_lacking(table: "Table", request: "TableRequest") -> None:
     lacking = [each.title for each in table.shown().values() if run is None or not each.complete_in(run)]
     if lacking:
         kind, _, number = table.number.partition("figure")
-        options, _ = options_for(f"figure:{number}" if number else f"table:{kind}", table.paper)
+        options, _ = options_for(
+            f"figure:{number}" if number else f"table:{kind}", None if table.is_default else table.paper
+        )
         named = "" if run is None or run.name == "nano" else f" --run {shlex.quote(run.name)}"
         stderr.print(f"no rows of {', '.join(lacking)}: motionkit train {options}{named} trains what is lacking")
 

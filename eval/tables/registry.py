@@ -146,6 +146,11 @@ class Table:
     shown: Callable[[], Mapping[str, Loader[Any]]] = dict
     reads: tuple[str, ...] = ()
 
+    @property
+    def is_default(self) -> bool:
+        """Whether it is of the paper that is meant where none is named."""
+        return self.paper == "nerm"
+
 
 def installed_tables() -> dict[str, str]:
     """Names of all installed tables (`PAPER-NUMBER`) with the objects that build them."""

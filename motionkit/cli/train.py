@@ -32,7 +32,7 @@ def train(
     wanted: Annotated[
         str | None, typer.Option("--for", metavar="table:N", help="Instead: what this table, or figure:N, lacks.")
     ] = None,
-    paper: Annotated[str, typer.Option(help="Paper whose table --for means.")] = "nerm",
+    paper: Annotated[str | None, typer.Option(help="Paper whose table --for means.")] = None,
     recipe: Annotated[str, typer.Option(help="Named configuration: nano, small, demo, base, paper.")] = "nano",
     store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
@@ -84,7 +84,7 @@ class Asked:
 
     stage: str
     wanted: str | None
-    paper: str
+    paper: str | None
     overrides: tuple[str, ...]
     where: str | None
     budget: str | None

@@ -49,16 +49,25 @@ class Needed:
         }
 
 
-def table_that_shows(paper: str, wanted: str) -> ShowsSystems:
-    """The table of a paper that "table:2" or "figure:8" names; raises `UsageError` with those there are."""
+def table_that_shows(paper: str | None, wanted: str) -> ShowsSystems:
+    """The table of a paper that "table:2" or "figure:8" names; raises `UsageError` with those there are.
+
+    Of papers with such a table the one whose tables are the default's where none is named.
+    """
     kind, colon, number = wanted.partition(":")
     if not (colon and number and kind in KINDS):
         raise UsageError(f"--for {wanted}: table:NUMBER or figure:NUMBER, such as table:2")
-    found = entry_points(group=TABLES, name=f"{paper}-{KINDS[kind]}{number}")
-    table = next(iter(found)).load() if found else None
-    if table is None:
-        known = sorted(entry.name for entry in entry_points(group=TABLES))
-        raise UsageError(f"--for {wanted}: {paper!r} has no such table; installed tables: {', '.join(known) or 'none'}")
+    known = sorted(entry_points(group=TABLES), key=lambda entry: entry.name)
+    asked = "" if paper is None else paper
+    found = [
+        entry.load()
+        for entry in known
+        if entry.name.endswith(f"-{KINDS[kind]}{number}") and entry.name.startswith(asked and f"{asked}-")
+    ]
+    if not found:
+        names = ", ".join(entry.name for entry in known)
+        raise UsageError(f"--for {wanted}: there is no such table; installed tables: {names or 'none'}")
+    table = next((each for each in found if getattr(each, "is_default", False)), found[0])
     if not isinstance(table, ShowsSystems) or not table.shown():
         raise UsageError(f"--for {wanted}: that table has no rows of systems (of ablations: motionkit ablate)")
     return table
@@ -131,7 +140,7 @@ def is_kept(run: RunFolder) -> Callable[[str], bool]:
     return lambda name: run.stage(name).is_complete
 
 
-def options_for(wanted: str, paper: str) -> tuple[str, str]:
-    """The options of `motionkit train` and of `motionkit eval` for what `--for` names."""
-    of_paper = "" if paper == "nerm" else f" --paper {paper}"
+def options_for(wanted: str, paper: str | None) -> tuple[str, str]:
+    """The options of `motionkit train`, and of the command that builds tables, for what `--for` names."""
+    of_paper = "" if paper is None else f" --paper {paper}"
     return f"--for {wanted}{of_paper}", f"--{wanted.replace(':', ' ')}{of_paper}"
