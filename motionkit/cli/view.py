@@ -37,6 +37,15 @@ FormatName = Annotated[str, typer.Option(help="auto finds it by name and content
 SkeletonMaps = Annotated[
     list[Path] | None, typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md).")
 ]
+PathFile = Annotated[
+    Path | None, typer.Option("--path", help="Draw this path on the floor: a CSV as of `motionkit generate --path`.")
+]
+PoseFiles = Annotated[
+    list[str] | None, typer.Option("--pose", metavar="S=FILE[@S]", help="Draw this pose too; may be repeated.")
+]
+PosePlaced = Annotated[
+    bool, typer.Option("--pose-placed", help="Poses are drawn where their files say, not where the motion is.")
+]
 OutPlace = Annotated[Path | None, typer.Option(help="The page's file.", show_default="NAME.view.html here")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the page if it exists.")]
 OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
@@ -54,6 +63,9 @@ def view(
     unit_metres: UnitMetres = None,
     format: FormatName = "auto",
     skeleton_map: SkeletonMaps = None,
+    path: PathFile = None,
+    pose: PoseFiles = None,
+    pose_placed: PosePlaced = False,
     out: OutPlace = None,
     overwrite: Overwrite = False,
     open_page: OpenPage = False,
@@ -63,6 +75,8 @@ def view(
 
     The page is one file that loads nothing from elsewhere: open it in any browser, send it to anybody.
     """
+    from motionkit.generate.constraint_files import parse_pose, read_path
+    from motionkit.view.asked import with_asked
     from motionkit.view.job import Stretch, find_sources, page_path, read_takes, stored_where, write_view
 
     stretch = Stretch(from_seconds, to_seconds)
@@ -79,15 +93,17 @@ def view(
         stderr.print(f"motionkit: the first {limit} of {len(sources):,} motions are shown: --limit shows more")
         sources = sources[:limit]
     failures = [(str(problem.path), str(problem)) for problem in problems]
-    path = page_path(out, sources) if sources else Path()
-    if sources and path.exists() and not overwrite:
-        raise MotionkitError(f"{path} exists: --overwrite replaces it, --out writes elsewhere")
+    page = page_path(out, sources) if sources else Path()
+    if sources and page.exists() and not overwrite:
+        raise MotionkitError(f"{page} exists: --overwrite replaces it, --out writes elsewhere")
+    table = None if path is None else read_path(path)
+    poses = [parse_pose(each, placed=pose_placed) for each in pose or ()]
     with progress() as show, task(show, "read", len(sources)) as work:
-        takes, failed = read_takes(sources, stretch, work.advance)
+        takes, failed = read_takes(sources, stretch, work.advance, lambda take: with_asked(take, table, poses))
     failures += failed
     for name, message in failures:
         stderr.print(f"motionkit: {message if name in message else f'{name}: {message}'}")
-    viewed = write_view(path, takes, stretch) if takes else None
+    viewed = write_view(page, takes, stretch) if takes else None
     if as_json:
         plain = {"page": None, "bytes": 0, "motions": []} if viewed is None else viewed.plain()
         print_json({**plain, "failed": [{"clip": name, "message": message} for name, message in failures]})

@@ -20,7 +20,8 @@ class Change:
     """What became of a motion, m, m/s and s; of feet that are never down the speeds are None.
 
     `sliding` is the mean horizontal speed of what is down of a foot, the steadier of ankle and toe counting more.
-    `below_ground` is the farthest that a foot joint comes below its floor.
+    `below_ground` is the farthest that a foot joint comes below its floor; `largest_pose_change` is beside the first
+    joint, for a whole body that is carried elsewhere keeps its pose.
     """
 
     num_contacts: int
@@ -30,6 +31,7 @@ class Change:
     below_ground_before: float
     below_ground_after: float
     largest_change: float
+    largest_pose_change: float
     mean_change: float
     moved_share: float
 
@@ -46,13 +48,15 @@ def measure_change(
     Works through some thousand frames at once.
     """
     moved = np.zeros(len(times), bool)
-    largest, total = 0.0, 0.0
+    largest, of_pose, total = 0.0, 0.0, 0.0
     ground = field.correction.ground
     below = np.zeros(2)
     for start in range(0, len(times), FRAMES_AT_ONCE):
         some = slice(start, min(start + FRAMES_AT_ONCE, len(times)))
         before, after = field.field.query(times[some]).joint_positions, field.query(times[some]).joint_positions
-        change = np.linalg.norm(after - before, axis=-1)
+        step = after - before
+        change = np.linalg.norm(step, axis=-1)
+        of_pose = max(of_pose, float(np.linalg.norm(step - step[:, :1], axis=-1).max()))
         moved[some] = change.max(axis=1) > MOVED_METRES
         largest, total = max(largest, float(change.max())), total + float(change.mean(axis=1).sum())
         for place, positions in enumerate((before, after)):
@@ -69,6 +73,7 @@ def measure_change(
             below_ground_before=float(below[0]),
             below_ground_after=float(below[1]),
             largest_change=largest,
+            largest_pose_change=of_pose,
             mean_change=total / len(times),
             moved_share=float(moved.mean()),
         ),

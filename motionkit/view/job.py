@@ -103,16 +103,22 @@ class Viewed:
 
 
 def read_takes(
-    sources: Sequence[ViewSource], stretch: Stretch, advance: Callable[[], None]
+    sources: Sequence[ViewSource],
+    stretch: Stretch,
+    advance: Callable[[], None],
+    drawn: Callable[[Take], Take] = lambda take: take,
 ) -> tuple[list[Take], list[tuple[str, str]]]:
-    """The takes of sources, and name and message of each that cannot be shown: one that fails loses no other."""
+    """The takes of sources, and name and message of each that cannot be shown: one that fails loses no other.
+
+    `drawn` may add to a whole take what else is drawn with it.
+    """
     takes: list[Take] = []
     failures: list[tuple[str, str]] = []
     # File names without their folders, where these tell them apart.
     unique = len({source.short for source in sources}) == len(sources)
     for source in sources:
         try:
-            take = stretch.of(_take(source.read(), source.short if unique else source.name))
+            take = stretch.of(drawn(_take(source.read(), source.short if unique else source.name)))
             check_places(take)
         except (MotionkitError, OSError) as error:
             failures.append((source.name, describe(error)))

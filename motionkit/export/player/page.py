@@ -13,7 +13,7 @@ import numpy as np
 
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import write_whole
-from motionkit.export.player.takes import FARTHEST_METRES, Take, drawing_of, pack, packed_bytes
+from motionkit.export.player.takes import FARTHEST_METRES, Line, Take, drawing_of, pack, packed_bytes
 
 # What a browser opens in a few seconds, a phone's too.
 MOST_PAGE_BYTES = 64_000_000
@@ -101,7 +101,13 @@ def _shown(take: Take) -> dict[str, Any]:
         "head": drawing.head,
         "ends": list(drawing.ends),
         "yaw": drawing.yaw,
+        "lines": [_points(line) for line in take.lines],
     }
+
+
+def _points(line: Line) -> list[list[float | None]]:
+    """To 0.1 mm; None for what is not known."""
+    return [[None if np.isnan(each) else round(each, 4) for each in point] for point in line.tolist()]
 
 
 def _text(array: np.ndarray) -> str:

@@ -17,6 +17,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.transfer import counterpart_joints
 
 Colours = Literal["sides", "given", "plain"]
+Line = Float64[np.ndarray, "points 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,7 @@ class Take:
     Frames are counted from `first_frame`, where a take is a stretch of a file. `seen` says which frames hold what was
     observed: the others are drawn otherwise, and called `unseen`. Bones have the colours of left and right ("sides"),
     those of frames that were given and made ("given"), or one ("plain"). `labels` are said below the name, `details`
-    are pairs of what and its value.
+    are pairs of what and its value. `lines` are drawn in the motion's world, on the floor where a height is NaN.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Take:
     captions: tuple[Caption, ...] = ()
     labels: tuple[str, ...] = ()
     details: tuple[tuple[str, str], ...] = field(default=())
+    lines: tuple[Line, ...] = ()
 
     @property
     def num_frames(self) -> int:

@@ -1,0 +1,85 @@
+"""What planting does to real takes, whose feet stand already: how far it moves them, and what clip-FID says of that.
+
+    python -m benchmarks.fields.planted_takes STORE [--split test] [--fps 20,60,120] [--json]
+
+Takes are planted at their own framerates, as `motionkit plant` does it. clip-FID of the planted takes against the same
+takes, by the kinematic descriptor and by its first version, in multiples of the floor: of what the takes themselves
+score when clips are drawn from them once more.
+"""
+
+import argparse
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eval.clip_fid.clips import Protocol
+from eval.clip_fid.features import Comparison, kinematic1_source, kinematic_source
+from eval.report.results import provenance
+from eval.sets.real import RealMotion, real_motion, training_motion
+from eval.sets.sets import Ragged
+from motionkit.core.motion import Motion
+from motionkit.fields.contact.planted import planted_frames
+from motionkit.fields.motion_field import Observation
+from motionkit.plant.report import Change, measure_change
+from motionkit.store import Store
+
+PROTOCOL = Protocol(num_clips=2048, replications=6, resamplings=0)
+SHOWN = 5
+
+
+def planted_takes(real: RealMotion) -> tuple[RealMotion, list[Change]]:
+    """The takes with feet that stand, and what that changed."""
+    made, changes = [], []
+    for number, fps in enumerate(real.fps):
+        motion = Motion.from_joints(np.asarray(real.sequences[number]), fps)
+        field, times = planted_frames(Observation.of(motion), motion.timegrid), motion.timegrid.seconds()
+        changes.append(measure_change(field, times)[0])
+        made.append(field.query(times).joint_positions)
+    about = (real.fps, real.sequence_ids, real.captions, real.actions)
+    return RealMotion(f"{real.name}, planted", Ragged.of(made), *about), changes
+
+
+def scores(store: Store, split: str, framerates: list[Fraction]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """By framerate and version the floor, what planted takes score, and the ratio; and what was moved."""
+    real = real_motion(store, split)
+    train = training_motion(store, real)
+    planted, changes = planted_takes(real)
+    table: dict[str, Any] = {}
+    for fps in framerates:
+        for source in (kinematic1_source(), kinematic_source()):
+            comparison = Comparison(real.at(fps), source.fit(train.at(fps)), PROTOCOL, {})
+            found = comparison.scores({"floor": real.at(fps), "planted": planted.at(fps)})
+            row = {name: float(score.clip_fid.mean) for name, score in found.items()}
+            table[f"{source.name} at {fps} fps"] = row | {"ratio": row["planted"] / row["floor"]}
+    order = sorted(range(len(changes)), key=lambda number: -changes[number].largest_change)
+    largest = [(real.sequence_ids[number], 1000.0 * changes[number].largest_change) for number in order]
+    means = 1000.0 * np.mean([each.mean_change for each in changes])
+    moved = {"takes": len(changes), "mean mm": float(means), "largest mm": dict(largest[:SHOWN])}
+    moved["median of the largest mm"] = float(np.median([each for _, each in largest]))
+    return table, moved
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("store", type=Path)
+    parser.add_argument("--split", default="test")
+    parser.add_argument("--fps", default="20,60,120")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    framerates = [Fraction(each) for each in arguments.fps.split(",")]
+    table, moved = scores(Store.open(arguments.store), arguments.split, framerates)
+    if arguments.json:
+        print(json.dumps({"clip-FID": table, "moved": moved, "provenance": provenance()}, indent=2))
+        return
+    print("| | floor | planted | multiple of the floor |\n|---|---|---|---|")
+    for name, row in table.items():
+        print(f"| {name} | {row['floor']:.3f} | {row['planted']:.3f} | {row['ratio']:.2f} |")
+    print(f"\n{moved}")
+
+
+if __name__ == "__main__":
+    main()

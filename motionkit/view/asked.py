@@ -1,0 +1,45 @@
+"""What a generated motion was held to, drawn with it: its path on the floor, poses where it was to take them."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import SMPL22
+from motionkit.export.player.takes import Line, Take
+from motionkit.features.field import heading, to_world
+from motionkit.features.layout import SMPL22_LAYOUT
+from motionkit.generate.constraint_files import PathTable
+from motionkit.generate.constraints import Constraint
+
+
+def with_asked(take: Take, path: PathTable | None, poses: Sequence[Constraint]) -> Take:
+    """The take with lines in its world: the path, on the floor, and the bones of poses.
+
+    A pose that may stand anywhere stands where the motion is at its second. Raises `UsageError` for a point of the path
+    beyond the motion's end, and for such a pose of a motion that hasn't the 22 joints.
+    """
+    lines: list[Line] = []
+    if path is not None:
+        lines.append(path.constraint(take.duration_seconds).positions[:, 0])
+    for pose in poses:
+        placed = _placed(take, pose)
+        bones = [placed[[parent, joint]] for joint, parent in enumerate(SMPL22.parents) if parent >= 0]
+        lines += [bone for bone in bones if np.isfinite(bone).all()]
+    return replace(take, lines=tuple(lines))
+
+
+def _placed(take: Take, pose: Constraint) -> Float64[np.ndarray, "22 3"]:
+    """All 22 joints of a pose in the take's world; those of which nothing is asked are NaN."""
+    joints = np.full((SMPL22.num_joints, 3), np.nan)
+    joints[pose.joint_indices] = pose.positions[0]
+    if pose.frame == "world":
+        return joints
+    if take.skeleton.joint_names != SMPL22.joint_names:
+        raise UsageError(f"{take.name}: a pose is shown with motions of the 22 joints of {SMPL22.name}")
+    frame = int(np.abs(take.frame_seconds() - pose.seconds[0]).argmin())
+    here = take.joint_positions[[frame]].astype(np.float64)
+    yaw, place = heading(here, SMPL22_LAYOUT.facing), here[:, 0, [0, 2]]
+    return np.asarray(to_world(joints[None, None], yaw, place)[0, 0], np.float64)
