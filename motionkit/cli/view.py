@@ -75,8 +75,7 @@ def view(
 
     The page is one file that loads nothing from elsewhere: open it in any browser, send it to anybody.
     """
-    from motionkit.generate.constraint_files import parse_pose, read_path
-    from motionkit.view.asked import with_asked
+    from motionkit.view.asked import drawing_asked
     from motionkit.view.job import Stretch, find_sources, page_path, read_takes, stored_where, write_view
 
     stretch = Stretch(from_seconds, to_seconds)
@@ -96,10 +95,9 @@ def view(
     page = page_path(out, sources) if sources else Path()
     if sources and page.exists() and not overwrite:
         raise MotionkitError(f"{page} exists: --overwrite replaces it, --out writes elsewhere")
-    table = None if path is None else read_path(path)
-    poses = [parse_pose(each, placed=pose_placed) for each in pose or ()]
+    drawn = drawing_asked(path, pose or (), pose_placed)
     with progress() as show, task(show, "read", len(sources)) as work:
-        takes, failed = read_takes(sources, stretch, work.advance, lambda take: with_asked(take, table, poses))
+        takes, failed = read_takes(sources, stretch, work.advance, drawn)
     failures += failed
     for name, message in failures:
         stderr.print(f"motionkit: {message if name in message else f'{name}: {message}'}")

@@ -1,7 +1,8 @@
 """What a generated motion was held to, drawn with it: its path on the floor, poses where it was to take them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
@@ -11,8 +12,14 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.export.player.takes import Line, Take
 from motionkit.features.field import heading, to_world
 from motionkit.features.layout import SMPL22_LAYOUT
-from motionkit.generate.constraint_files import PathTable
+from motionkit.generate.constraint_files import PathTable, parse_pose, read_path
 from motionkit.generate.constraints import Constraint
+
+
+def drawing_asked(path: Path | None, poses: Sequence[str], placed: bool) -> Callable[[Take], Take]:
+    """`with_asked` of a path's file and of poses as `motionkit generate` is told them; raises what reading raises."""
+    table, parsed = None if path is None else read_path(path), [parse_pose(each, placed=placed) for each in poses]
+    return lambda take: with_asked(take, table, parsed)
 
 
 def with_asked(take: Take, path: PathTable | None, poses: Sequence[Constraint]) -> Take:

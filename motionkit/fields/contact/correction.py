@@ -33,7 +33,7 @@ LEVEL_COSTS = {
     "kept": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=3.0, body_sudden=3e-3),
 }
 HEIGHT_COSTS = Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=0.3, body_sudden=3e-3)
-REACH_METRES = {"near": (0.06, 0.12), "free": (0.15, 0.3), "kept": (0.15, 0.3)}
+REACH_METRES = {"near": (0.12, 0.25), "free": (0.15, 0.3), "kept": (0.15, 0.3)}
 """A foot that would have to be so far beside the body from where it was stands there, or was drawn: it is let be."""
 KEPT_SHARE = 0.02
 """Of its velocity a sliding foot keeps so much: none stands quite still."""
