@@ -17,10 +17,11 @@ NO_ACTION = -1
 
 @dataclass(frozen=True)
 class ConditionSizes:
-    """How many numbers a text's embedding has (0: no texts), and the names of the actions there are."""
+    """How many numbers a text's embedding has (0: no texts), the names of the actions, how many windows there are."""
 
     text_dimension: int
     actions: tuple[str, ...]
+    num_windows: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +52,16 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class MotionBatch:
-    """Standardised pose vectors of crops, zeros behind each one's length; `window` numbers the windows they are of."""
+    """Standardised pose vectors of crops, zeros behind each one's length; `window` numbers the windows they are of.
+
+    `frames` are the numbers that the rows have in their crops.
+    """
 
     rows: Float32[Tensor, "batch frames numbers"]
     lengths: Int64[Tensor, "batch"]
     conditions: Conditions
     window: Int64[Tensor, "batch"]
+    frames: Int64[Tensor, "batch frames"]
 
     @property
     def seen(self) -> Bool[Tensor, "batch frames"]:
@@ -65,9 +70,7 @@ class MotionBatch:
 
     def to(self, device: torch.device) -> "MotionBatch":
         """On a device."""
-        return MotionBatch(
-            self.rows.to(device), self.lengths.to(device), self.conditions.to(device), self.window.to(device)
-        )
+        return MotionBatch(**{name: each.to(device) for name, each in vars(self).items()})
 
 
 def frames_within(lengths: Int64[Tensor, "batch"], frames: int) -> Bool[Tensor, "batch frames"]:
@@ -99,9 +102,13 @@ class Wanted:
 
     def noise_of_frames(self, numbers: int) -> Float[Tensor, "batch frames numbers"]:
         """N(0, I) for every frame within its row's length, zeros behind: a row knows nothing of longer ones."""
-        made = torch.zeros((len(self.lengths), self.frames, numbers), dtype=torch.float64)
-        for row, (length, generator) in enumerate(zip(self.lengths.tolist(), self.generators, strict=True)):
-            made[row, :length] = torch.randn((length, numbers), generator=generator, dtype=torch.float64)
+        return self.noise_within(self.lengths, numbers)
+
+    def noise_within(self, counts: Int64[Tensor, "batch"], numbers: int) -> Float[Tensor, "batch most numbers"]:
+        """N(0, I) for so many places of every row, zeros behind."""
+        made = torch.zeros((len(counts), int(counts.max()), numbers), dtype=torch.float64)
+        for row, (count, generator) in enumerate(zip(counts.tolist(), self.generators, strict=True)):
+            made[row, :count] = torch.randn((count, numbers), generator=generator, dtype=torch.float64)
         return made
 
     @property

@@ -56,16 +56,32 @@ class MotionCorpus:
     def batch(self, rows: Int64[Tensor, "batch"], generator: torch.Generator, *, drop: float) -> MotionBatch:
         """A random crop of each of these windows under one of its captions or its action, or with `drop` under none."""
         chance = torch.rand((4, len(rows)), generator=generator, dtype=torch.float64)
-        available = self.last_tick[rows.numpy()] + 1
-        unit = self.config.crop_multiple
-        units = available // unit - (chance[0].numpy() < ONE_UNIT_LESS)
-        lengths = np.clip(units * unit, min(unit, self.config.max_frames), available)
+        lengths = available = self.last_tick[rows.numpy()] + 1
+        if self.config.crops == "random":
+            unit = self.config.crop_multiple
+            units = available // unit - (chance[0].numpy() < ONE_UNIT_LESS)
+            lengths = np.clip(units * unit, min(unit, self.config.max_frames), available)
         start = np.floor(chance[1].numpy() * (available - lengths + 1)).astype(np.int64)
-        ticks = np.minimum(start[:, None] + np.arange(lengths.max()), self.last_tick[rows.numpy()][:, None])
+        frames, made = self._seen_frames(lengths, generator)
+        ticks = np.minimum(start[:, None] + frames.numpy(), self.last_tick[rows.numpy()][:, None])
         vectors = self.scaling.apply(self.poses.at_rate(rows.numpy(), ticks, self.config.framerate).vectors)
-        made = torch.from_numpy(lengths)
         seen = frames_within(made, vectors.shape[1])
-        return MotionBatch(vectors * seen[..., None], made, self._conditions(rows, chance[2:], drop), rows)
+        return MotionBatch(vectors * seen[..., None], made, self._conditions(rows, chance[2:], drop), rows, frames)
+
+    def _seen_frames(
+        self, lengths: Int64[np.ndarray, "batch"], generator: torch.Generator
+    ) -> tuple[Int64[Tensor, "batch frames"], Int64[Tensor, "batch"]]:
+        """The frames of crops that a network sees, and how many of each crop: all, a stretch, or scattered ones."""
+        all_of_them, most = torch.from_numpy(lengths), self.config.seen_frames
+        if self.config.seen == "all":
+            return torch.arange(int(lengths.max())).expand(len(lengths), -1), all_of_them
+        if self.config.seen == "scattered":
+            chance = torch.rand((len(lengths), most), generator=generator, dtype=torch.float64)
+            return (chance * all_of_them[:, None]).to(torch.int64), torch.full((len(lengths),), most)
+        seen = all_of_them.clamp(max=most)
+        chance = torch.rand(len(lengths), generator=generator, dtype=torch.float64)
+        first = (chance * (all_of_them - seen + 1)).to(torch.int64)
+        return first[:, None] + torch.arange(int(seen.max())), seen
 
     def _conditions(self, rows: Tensor, chance: Tensor, drop: float) -> Conditions:
         counts = self.num_captions[rows]
@@ -110,7 +126,7 @@ def open_corpus(store: Store, config: PeerConfig, encoder: TextEncoder | None) -
         caption_rows=caption_rows,
         num_captions=torch.tensor([len(of_window) for of_window in captions], dtype=torch.int64),
         action=torch.tensor([names.index(action) if action else NO_ACTION for action in actions], dtype=torch.int64),
-        sizes=ConditionSizes(text.shape[1], names),
+        sizes=ConditionSizes(text.shape[1], names, len(windows)),
     )
 
 

@@ -4,8 +4,7 @@ from functools import partial
 
 from motionkit.generate.models import ModelLoader
 from motionkit.training.stage import lazily
-from peers.generative import recipes
-from peers.generative.recipes import GenerativePeer
+from peers.generative.recipes import PEERS, GenerativePeer
 
 
 def _loader(peer: GenerativePeer) -> ModelLoader:
@@ -14,4 +13,4 @@ def _loader(peer: GenerativePeer) -> ModelLoader:
     return ModelLoader(peer.title, stages, load, order=peer.stages[-1].order)
 
 
-MDM, MDM_50, MLD = map(_loader, (recipes.MDM, recipes.MDM_50, recipes.MLD))
+MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW = map(_loader, PEERS)

@@ -172,7 +172,7 @@ class PeerModel:
         own = network.diffusion
         if own is None:
             if sampling != SamplingOptions():
-                raise UsageError(f"{self.name} diffuses nothing: it has no guidance, sampler or steps")
+                raise UsageError(f"{self.name} has no guidance, sampler or steps to choose: its settings say them")
             return DiffusionConfig()
         return own.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
 

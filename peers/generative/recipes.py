@@ -12,12 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 from motionkit.training.config import Precision, Schedule
 from peers.generative.settings import (
+    ActorNetworkConfig,
+    CamdmNetworkConfig,
     ConditionsConfig,
+    FlowNetworkConfig,
+    InrMlpNetworkConfig,
     MdmNetworkConfig,
     MldNetworkConfig,
     MldVaeNetworkConfig,
     MotionsConfig,
     OptimizerConfig,
+    T2mAutoencoderNetworkConfig,
+    T2mNetworkConfig,
     TransformerSizes,
 )
 
@@ -29,7 +35,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PeerStage:
-    """One training: `network` is "module:Class", `recipes` the parts of its configuration by recipe and name."""
+    """One training: `network` is "module:Class", `recipes` the parts of its configuration by recipe and name.
+
+    `share` is its part of the peer's processor time beside those of the other stages.
+    """
 
     name: str
     order: int
@@ -37,6 +46,7 @@ class PeerStage:
     network: str
     recipes: Mapping[str, Mapping[str, Any]]
     builds_on: tuple[str, ...] = ()
+    share: float = 1.0
 
     @cached_property
     def config_type(self) -> type[Any]:
@@ -80,6 +90,12 @@ def stage_named(peer: GenerativePeer, name: str) -> PeerStage:
     return next(stage for stage in peer.stages if stage.name == name)
 
 
+# The whole of each window, of which a step sees five frames.
+WHOLE_IN_5 = MotionsConfig(pose_vectors="field", crops="whole", seen="scattered", seen_frames=5)
+IN_24 = MotionsConfig(seen="stretch", seen_frames=24)
+STRETCHES = MotionsConfig(fps=30.0, max_frames=294, seen="stretch", seen_frames=55)
+COORDINATES = MotionsConfig(pose_vectors="field", crops="whole")
+
 MINILM = ConditionsConfig(text_encoder="minilm", scaled=True)
 SMALL = TransformerSizes(4, 128, 4, 256)
 MDM_PAPER = {"network": MdmNetworkConfig(), "schedule": Schedule(steps=600_000)}
@@ -106,7 +122,7 @@ MDM = GenerativePeer(
             "mdm",
             80,
             "MDM: diffusion of whole motions in 1,000 steps (NeRM's peer)",
-            "peers.generative.mdm:Mdm",
+            "peers.generative.networks.mdm:Mdm",
             {"nano": MDM_NANO, "paper": MDM_PAPER},
         ),
     ),
@@ -118,7 +134,7 @@ MDM_50 = GenerativePeer(
             "mdm-50",
             81,
             "MDM trained with 50 diffusion steps",
-            "peers.generative.mdm:Mdm",
+            "peers.generative.networks.mdm:Mdm",
             {"nano": _in_50_steps(MDM_NANO, 0.995), "paper": _in_50_steps(MDM_PAPER, 0.9999)},
         ),
     ),
@@ -132,7 +148,7 @@ MLD = GenerativePeer(
             "mld-vae",
             82,
             "MLD, stage 1: a VAE of whole motions",
-            "peers.generative.mld:MldVae",
+            "peers.generative.networks.mld:MldVae",
             {
                 "nano": {
                     "network": MldVaeNetworkConfig(replace(SMALL_SKIPS, dropout=0.0)),
@@ -154,7 +170,7 @@ MLD = GenerativePeer(
             "mld",
             83,
             "MLD, stage 2: diffusion of the VAE's latents",
-            "peers.generative.mld:Mld",
+            "peers.generative.networks.mld:Mld",
             {
                 "nano": {
                     "network": MldNetworkConfig(replace(SMALL_SKIPS, dropout=0.0), time_features=128),
@@ -176,4 +192,173 @@ MLD = GenerativePeer(
         ),
     ),
 )
-PEERS = (MDM, MDM_50, MLD)
+# Systems that are not diffused have no use for guidance, so no condition is left out.
+GIVEN = ConditionsConfig(drop=0.0)
+GIVEN_NANO = replace(MINILM, drop=0.0)
+
+
+def _cosine(steps: int, batch_size: int, learning_rate: float) -> Schedule:
+    return Schedule(
+        steps=steps, batch_size=batch_size, learning_rate=learning_rate, kind="cosine", warmup_fraction=0.02
+    )
+
+
+INR_MLP = GenerativePeer(
+    "INR-MLP",
+    (
+        PeerStage(
+            "inr-mlp",
+            84,
+            "INR-MLP: an MLP of time and of a code for each training motion",
+            "peers.generative.networks.inr_mlp:InrMlp",
+            {
+                "nano": {
+                    "network": InrMlpNetworkConfig(reseeds=2),
+                    "motions": WHOLE_IN_5,
+                    "conditions": GIVEN_NANO,
+                    "schedule": _cosine(12_000, 256, 1e-3),
+                    "optimizer": OptimizerConfig(clip_norm=2.0),
+                    "precision": "auto",
+                },
+                "paper": {
+                    "network": InrMlpNetworkConfig(),
+                    "motions": WHOLE_IN_5,
+                    "conditions": replace(GIVEN, kind="action"),
+                    "schedule": Schedule(epochs=10_000, batch_size=512, learning_rate=1e-3),
+                    "optimizer": OptimizerConfig(clip_norm=2.0),
+                },
+            },
+        ),
+    ),
+)
+ACTOR = GenerativePeer(
+    "ACTOR",
+    (
+        PeerStage(
+            "actor",
+            85,
+            "ACTOR: a VAE of whole motions under a condition",
+            "peers.generative.networks.actor:Actor",
+            {
+                "nano": {
+                    "network": ActorNetworkConfig(replace(SMALL, dropout=0.0)),
+                    "conditions": GIVEN_NANO,
+                    "schedule": _cosine(1600, 32, 5e-4),
+                    "precision": "auto",
+                },
+                "paper": {
+                    "network": ActorNetworkConfig(),
+                    "motions": MotionsConfig(max_frames=60),
+                    "conditions": replace(GIVEN, kind="action"),
+                    "schedule": Schedule(epochs=5000, batch_size=20),
+                    "optimizer": OptimizerConfig(weight_decay=0.01),
+                },
+            },
+        ),
+    ),
+)
+T2M = GenerativePeer(
+    "T2M",
+    (
+        PeerStage(
+            "t2m-autoencoder",
+            86,
+            "T2M, stage 1: snippets of four frames",
+            "peers.generative.networks.t2m:T2mAutoencoder",
+            {
+                "nano": {
+                    "network": T2mAutoencoderNetworkConfig(width=192),
+                    "motions": IN_24,
+                    "conditions": ConditionsConfig(kind="none"),
+                    "schedule": _cosine(4000, 128, 1e-3),
+                    "precision": "auto",
+                },
+                "paper": {
+                    "network": T2mAutoencoderNetworkConfig(),
+                    "motions": IN_24,
+                    "conditions": ConditionsConfig(kind="none"),
+                    "schedule": Schedule(epochs=270, batch_size=128),
+                },
+            },
+            share=0.3,
+        ),
+        PeerStage(
+            "t2m",
+            87,
+            "T2M, stage 2: a recurrent VAE of snippets under a condition",
+            "peers.generative.networks.t2m:T2m",
+            {
+                "nano": {
+                    "network": T2mNetworkConfig(width=256, value=128, latent=64),
+                    "conditions": GIVEN_NANO,
+                    "schedule": _cosine(1500, 32, 5e-4),
+                    "optimizer": OptimizerConfig(clip_norm=0.5),
+                },
+                "paper": {
+                    "network": T2mNetworkConfig(),
+                    "conditions": GIVEN,
+                    "schedule": Schedule(steps=300_000, batch_size=32, learning_rate=2e-4),
+                    "optimizer": OptimizerConfig(clip_norm=0.5),
+                },
+            },
+            builds_on=("t2m-autoencoder",),
+            share=0.7,
+        ),
+    ),
+)
+CAMDM = GenerativePeer(
+    "CAMDM",
+    (
+        PeerStage(
+            "camdm",
+            88,
+            "CAMDM: stretches of motion, one after another, diffused in 4 steps",
+            "peers.generative.networks.camdm:Camdm",
+            {
+                "nano": {
+                    "network": CamdmNetworkConfig(SMALL),
+                    "motions": STRETCHES,
+                    "conditions": replace(MINILM, drop=0.15),
+                    "schedule": _cosine(4000, 64, 1e-3),
+                    "optimizer": OptimizerConfig(ema_decay=0.995),
+                    "precision": "auto",
+                },
+                "paper": {
+                    "network": CamdmNetworkConfig(),
+                    "motions": STRETCHES,
+                    "conditions": ConditionsConfig(drop=0.15),
+                    "schedule": Schedule(epochs=100, batch_size=512),
+                    "optimizer": OptimizerConfig(weight_decay=0.01),
+                },
+            },
+        ),
+    ),
+)
+FLOW = GenerativePeer(
+    "ACMDM-S (flow)",
+    (
+        PeerStage(
+            "flow",
+            89,
+            "ACMDM's small form: a rectified flow of absolute coordinates",
+            "peers.generative.networks.flow:Flow",
+            {
+                "nano": {
+                    "network": FlowNetworkConfig(TransformerSizes(4, 128, 4, 341, 0.0), sampling_steps=25),
+                    "motions": COORDINATES,
+                    "conditions": MINILM,
+                    "schedule": _cosine(1800, 32, 1e-3),
+                    "optimizer": OptimizerConfig(ema_decay=0.995),
+                    "precision": "auto",
+                },
+                "paper": {
+                    "network": FlowNetworkConfig(),
+                    "motions": COORDINATES,
+                    "schedule": Schedule(epochs=500, learning_rate=2e-4),
+                    "optimizer": OptimizerConfig(weight_decay=0.01, ema_decay=0.9999),
+                },
+            },
+        ),
+    ),
+)
+PEERS = (MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW)

@@ -15,11 +15,12 @@ from motionkit.training.diffusion.settings import DiffusionConfig
 
 @dataclass(frozen=True)
 class MotionsConfig:
-    """What is learnt: pose vectors of random crops at `fps`, of `max_frames` at most.
+    """What is learnt: pose vectors of crops at `fps`, of `max_frames` at most.
 
     Crops lie in windows that begin every `stride_seconds` of a sequence and last `min_seconds` at least; as HumanML3D's
     readers do, their lengths are whole multiples of `crop_multiple` frames, in one of three cases one multiple less
-    than would fit.
+    than would fit. With `crops="whole"` a crop is its whole window. Of a crop a network sees all frames, or
+    `seen_frames` of them: a random stretch, or frames scattered over it (the same one perhaps twice).
     """
 
     pose_vectors: PoseVectorsName = "native"
@@ -29,12 +30,17 @@ class MotionsConfig:
     stride_seconds: float = 2.0
     mirrored: bool = True
     crop_multiple: int = 4
+    crops: Literal["random", "whole"] = "random"
+    seen: Literal["all", "stretch", "scattered"] = "all"
+    seen_frames: int = 0
     where: str = "split = 'train'"
 
     def __post_init__(self) -> None:
         require_positive(self, "fps", "min_seconds", "stride_seconds", "crop_multiple")
         if self.max_frames < 2:
             raise ValueError(f"max_frames must be 2 or more, not {self.max_frames}")
+        if (self.seen == "all") != (self.seen_frames == 0):
+            raise ValueError(f"seen={self.seen} with seen_frames={self.seen_frames}: all with 0, else above 0")
 
     @property
     def framerate(self) -> Fraction:
@@ -68,10 +74,12 @@ class ConditionsConfig:
 
 @dataclass(frozen=True)
 class OptimizerConfig:
-    """AdamW; `ema_decay` above 0 keeps an average of the weights, which is what generates."""
+    """AdamW; `ema_decay` above 0 keeps an average of the weights, which is what generates; `clip_norm` above 0 is the
+    longest gradient."""
 
     weight_decay: float = 0.0
     ema_decay: float = 0.0
+    clip_norm: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.ema_decay < 1.0:
@@ -117,6 +125,85 @@ class TransformerSizes:
     heads: int
     inner: int
     dropout: float = 0.1
+
+
+@dataclass(frozen=True)
+class ActorNetworkConfig:
+    """ACTOR: transformers of these sizes to one latent of their width and back."""
+
+    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 256, 4, 1024))
+    joint_weight: float = 1.0
+    kl_weight: float = 1e-5
+
+
+@dataclass(frozen=True)
+class InrMlpNetworkConfig:
+    """INR-MLP: codes of `code` numbers, an MLP of these widths; `reseeds` says how often a mixture that copies
+    training motions is fitted again."""
+
+    code: int = 128
+    time_features: int = 256
+    hidden: tuple[int, ...] = (1000, 500, 500, 200, 100)
+    root_weight: float = 1.0
+    kl_weight: float = 1e-5
+    reseeds: int = 10
+
+
+@dataclass(frozen=True)
+class T2mAutoencoderNetworkConfig:
+    """T2M's autoencoder of movements: convolutions to one snippet for four frames, and back."""
+
+    width: int = 512
+    dropout: float = 0.2
+    size_weight: float = 1e-3
+    change_weight: float = 1e-3
+
+
+@dataclass(frozen=True)
+class T2mNetworkConfig:
+    """T2M's temporal VAE: widths of its cells, of the text's vector and of a snippet's latent.
+
+    Training sees `first_units` snippets of a motion, and `last_units` after the share `curriculum` of its steps.
+    """
+
+    width: int = 1024
+    value: int = 512
+    latent: int = 128
+    kl_weight: float = 0.01
+    teacher_forcing: float = 0.4
+    first_units: int = 10
+    last_units: int = 49
+    curriculum: float = 0.5
+
+
+@dataclass(frozen=True)
+class CamdmNetworkConfig:
+    """CAMDM: a transformer encoder makes `future` frames after `past` ones, with probability `no_past` after none."""
+
+    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(4, 256, 4, 1024))
+    past: int = 10
+    future: int = 45
+    no_past: float = 0.15
+    diffusion: DiffusionConfig = field(
+        default_factory=lambda: DiffusionConfig(
+            num_steps=4,
+            schedule="cosine",
+            prediction="latent",
+            loss="latent",
+            sampler="ddpm",
+            sampling_steps=4,
+            guidance_scale=1.0,
+        )
+    )
+
+
+@dataclass(frozen=True)
+class FlowNetworkConfig:
+    """ACMDM's small form: a transformer of these sizes, sampled by so many Euler steps."""
+
+    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 512, 8, 1365))
+    sampling_steps: int = 50
+    guidance_scale: float = 3.0
 
 
 @dataclass(frozen=True)

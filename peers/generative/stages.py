@@ -17,8 +17,9 @@ def _stage(peer: GenerativePeer, stage: PeerStage) -> Stage[Any]:
         in_all=False,
         check=lazily("peers.generative.training:check_stage"),
         builds_on=lambda config: stage.builds_on,
+        share=stage.share,
     )
 
 
 STAGES = {stage.name: _stage(peer, stage) for peer in PEERS for stage in peer.stages}
-MDM, MDM_50, MLD_VAE, MLD = (STAGES[name] for name in ("mdm", "mdm-50", "mld-vae", "mld"))
+MDM, MDM_50, MLD_VAE, MLD, INR_MLP, ACTOR, T2M_AUTOENCODER, T2M, CAMDM, FLOW = STAGES.values()

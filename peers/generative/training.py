@@ -59,6 +59,15 @@ class Sampler(Protocol):
         ...
 
 
+@runtime_checkable
+class KnowsSteps(Protocol):
+    """A network whose losses depend on how far its training is."""
+
+    def begin_step(self, step: int, steps: int) -> None:
+        """Step `step` of so many, from 0, comes next."""
+        ...
+
+
 class PeerTraining:
     """A `motionkit.training.loop.Trainable`: owns a network, its average and its optimiser."""
 
@@ -86,11 +95,15 @@ class PeerTraining:
         rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
         batch = self.corpus.batch(rows, generator, drop=self.config.conditions.drop).to(self.device)
         assert isinstance(self.network, Generator)
+        if isinstance(self.network, KnowsSteps):
+            self.network.begin_step(step, self.steps)
         self.network.train()
         with dropout_from(generator, self.device), autocast(self.config.precision, self.device):
             figures = self.network.losses(batch, generator)
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(figures["loss"])
+        if self.config.optimizer.clip_norm:
+            torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.config.optimizer.clip_norm)
         self.optimizer.step()
         if self.average is not None:
             self.average.update(self.network, step)
@@ -187,10 +200,11 @@ def check_stage(context: StageContext, config: Any) -> None:
 def _common_scaling(corpus: MotionCorpus, config: PeerConfig, earlier: Mapping[str, TrainedStage]) -> VectorScaling:
     """The numbers' scale: that of the stages before, which made what this one learns."""
     for name, stage in earlier.items():
-        if stage.config.motions != config.motions:
+        found, asked = (dataclasses.replace(each.motions, seen="all", seen_frames=0) for each in (stage.config, config))
+        if found != asked:
             raise RunError(
-                f"{name} was trained on other motions ({stage.config.motions}, not {config.motions}): give both stages "
-                "the same settings motions.…"
+                f"{name} was trained on other motions ({found}, not {asked}): give both stages the same settings "
+                "motions.…"
             )
         return VectorScaling(stage.space.mean.cpu(), stage.space.scale.cpu())
     return corpus.scaling
@@ -216,7 +230,8 @@ def load_stage(run: RunFolder, peer: GenerativePeer, name: str, device: torch.de
         vectors = restored(config.motions.pose_vectors, tensors)
         scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
         space = PoseSpace(vectors, scaling, config.motions.framerate).to(where)
-        sizes = ConditionSizes(len(tensors["nothing"]), tuple(map(str, description["actions"])))
+        actions = tuple(map(str, description["actions"]))
+        sizes = ConditionSizes(len(tensors["nothing"]), actions, len(tensors["durations"]))
         network = stage.make_network(config, space, sizes, earlier)
         network.load_state_dict(unprefixed("network", tensors))
     return TrainedStage(

@@ -14,11 +14,16 @@ from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from peers.generative.recipes import PEERS
 from peers.generative.settings import (
+    CamdmNetworkConfig,
     ConditionsConfig,
+    FlowNetworkConfig,
+    InrMlpNetworkConfig,
     MldNetworkConfig,
     MldVaeNetworkConfig,
     MotionsConfig,
     OptimizerConfig,
+    T2mAutoencoderNetworkConfig,
+    T2mNetworkConfig,
     TransformerSizes,
 )
 from peers.generative.stages import STAGES
@@ -31,18 +36,33 @@ ACTIONS = ConditionsConfig(kind="action")
 SCHEDULE = Schedule(steps=STEPS, batch_size=8, learning_rate=2e-3)
 NETWORKS: dict[str, Any] = {
     "mld-vae": MldVaeNetworkConfig(SIZES, longest=80),
-    "mld": replace(MldNetworkConfig(SIZES, time_features=32)),
+    "mld": MldNetworkConfig(SIZES, time_features=32),
+    "inr-mlp": InrMlpNetworkConfig(code=16, time_features=16, hidden=(64, 32), reseeds=0),
+    "t2m-autoencoder": T2mAutoencoderNetworkConfig(width=32, dropout=0.0),
+    "t2m": T2mNetworkConfig(width=32, value=16, latent=8, first_units=4, last_units=15),
+    "camdm": CamdmNetworkConfig(SIZES, past=4, future=12),
+    "flow": FlowNetworkConfig(TransformerSizes(2, 32, 2, 48, 0.0), sampling_steps=8, guidance_scale=2.0),
 }
+# Stages that see no condition.
+UNCONDITIONAL = ("mld-vae", "t2m-autoencoder")
 
 
 def tiny_config(name: str, **changed: Any) -> Any:
     """A stage's configuration, small; parts may be given."""
     stage = next(each for peer in PEERS for each in peer.stages if each.name == name)
-    network = NETWORKS.get(name) or replace(stage.recipes["paper"]["network"], transformer=SIZES)
+    paper = stage.recipes["paper"]
+    published = paper.get("motions", MOTIONS)
+    seen = {"camdm": 16}.get(name, published.seen_frames)
     parts = {
-        "network": network,
-        "motions": MOTIONS,
-        "conditions": ConditionsConfig(kind="none") if name == "mld-vae" else ACTIONS,
+        "network": NETWORKS.get(name) or replace(paper["network"], transformer=SIZES),
+        "motions": replace(
+            MOTIONS,
+            pose_vectors=published.pose_vectors,
+            crops=published.crops,
+            seen=published.seen,
+            seen_frames=seen,
+        ),
+        "conditions": ConditionsConfig(kind="none") if name in UNCONDITIONAL else ACTIONS,
         "schedule": SCHEDULE,
         "optimizer": OptimizerConfig(ema_decay=0.9) if name == "mdm-50" else OptimizerConfig(),
     }

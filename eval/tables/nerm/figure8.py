@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Mapping
 from fractions import Fraction
-from itertools import product
 
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
@@ -13,7 +12,13 @@ from eval.tables.nerm.run_figures import SYNTHESIS, Yardstick, label
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
 from motionkit.fields.motion_field import to_motion
-from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, installed_models
+from motionkit.generate.models import (
+    ChecksRequests,
+    GenerationRequest,
+    GenerativeModel,
+    SamplingOptions,
+    installed_models,
+)
 
 VERSION = "cost/1"
 TARGET_FPS = Fraction(60)
@@ -40,13 +45,13 @@ def build_figure8(request: TableRequest) -> Result:
     quality, column = f"clip-FID, {label(fps)}", label(fps)
     rows = [Row(name, "reference", _renamed(floors.rows.get(name, {}), column, quality)) for name in (P1, P2)]
     seconds = min(SECONDS, *(trained.loaded.max_duration_seconds for trained in models.values()))
-    for (name, trained), steps in product(models.items(), STEPS):
-        sampling = SamplingOptions(steps=steps)
-        part = yardstick.synthesis(trained, sampling)
-        missing.extend(part.missing)
-        cost = generation_cost(trained.loaded, sampling, fps, seconds)
-        cells = _renamed(part.rows[SYNTHESIS], column, quality) | cost
-        rows.append(Row(f"{name}, {steps} diffusion steps", "ours", cells))
+    for name, trained in models.items():
+        for told, sampling in _samplings(trained.loaded, seconds).items():
+            part = yardstick.synthesis(trained, sampling)
+            missing.extend(part.missing)
+            cost = generation_cost(trained.loaded, sampling, fps, seconds)
+            cells = _renamed(part.rows[SYNTHESIS], column, quality) | cost
+            rows.append(Row(f"{name}{told}", "ours", cells))
     return Result(
         task="nerm-figure8",
         version=VERSION,
@@ -98,6 +103,20 @@ def _seconds(work: Callable[[], None], clock: Callable[[], float]) -> float:
 
 def _renamed(cells: Mapping[str, Cell], column: str, name: str) -> dict[str, Cell]:
     return {name: cells[column]} if column in cells else {}
+
+
+def _samplings(model: GenerativeModel, seconds: float) -> dict[str, SamplingOptions]:
+    """The ways of sampling that a model has, by what its row says: so many steps, or none of these, but its own."""
+    found: dict[str, SamplingOptions] = {}
+    for steps in STEPS:
+        sampling = SamplingOptions(steps=steps)
+        try:
+            if isinstance(model, ChecksRequests):
+                model.check(GenerationRequest(seconds), sampling)
+        except UsageError:
+            continue
+        found[f", {steps} diffusion steps"] = sampling
+    return found or {"": SamplingOptions()}
 
 
 TABLE = Table(

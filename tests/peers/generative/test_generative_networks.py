@@ -12,9 +12,9 @@ from motionkit.clips.pose_vectors.native import NativeVectors
 from motionkit.features import native
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted
-from peers.generative.layers import diffusion_sample
-from peers.generative.mdm import Mdm
-from peers.generative.mld import Mld, MldVae
+from peers.generative.networks.layers import diffusion_sample
+from peers.generative.networks.mdm import Mdm
+from peers.generative.networks.mld import Mld, MldVae
 from peers.generative.recipes import MDM, MDM_50, MLD
 from peers.generative.settings import MdmNetworkConfig, MldNetworkConfig, MldVaeNetworkConfig, TransformerSizes
 from tests.helpers.nerm_corpus import analytic_positions
@@ -112,7 +112,7 @@ def test_a_pass_of_mlds_vae_is_the_one_by_hand() -> None:
     torch.manual_seed(2)
     vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), space(), ConditionSizes(0, ()), {}).eval()
     lengths, rows = torch.tensor([6, 4]), torch.randn(2, 6, 263)
-    batch = MotionBatch(rows, lengths, conditions(2, 0), torch.arange(2))
+    batch = MotionBatch(rows, lengths, conditions(2, 0), torch.arange(2), torch.arange(6).expand(2, -1))
     mean, log_variance = vae.encode(rows, lengths)
     made = vae.decode(mean, batch.seen)
     weights = vae.state_dict()

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int64, Shaped
 from torch import Tensor, nn
 
 from motionkit.training.diffusion.process import (
@@ -18,15 +18,47 @@ from motionkit.training.diffusion.process import (
     sampling_steps,
 )
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, Wanted, joined_conditions
+from peers.generative.batches import Conditions, ConditionSizes, Wanted, joined_conditions
 from peers.generative.settings import TransformerSizes
 
 
-def sinusoids(positions: Int[Tensor, "n"], width: int) -> Float[Tensor, "n width"]:
+def sinusoids(positions: Shaped[Tensor, "n"], width: int) -> Float[Tensor, "n width"]:
     """sin and cos in turn of positions, wavelengths from 2π to 20,000π (Vaswani et al. 2017)."""
     frequencies = torch.exp(-math.log(10_000.0) * torch.arange(0, width, 2, device=positions.device) / width)
     angles = positions[:, None].to(torch.float32) * frequencies
     return torch.stack((angles.sin(), angles.cos()), dim=-1).flatten(1)
+
+
+class ConditionVector(nn.Module):
+    """A vector of each text or action; zeros where none is given."""
+
+    def __init__(self, sizes: ConditionSizes, width: int) -> None:
+        super().__init__()
+        self.width = width
+        self.text = nn.Linear(sizes.text_dimension, width) if sizes.text_dimension else None
+        self.actions = nn.Embedding(len(sizes.actions), width) if sizes.actions else None
+
+    def forward(self, conditions: Conditions) -> Float[Tensor, "batch width"]:
+        """Of a batch of conditions."""
+        made = torch.zeros((len(conditions.given), self.width), device=conditions.given.device)
+        if self.text is not None:
+            made = made + self.text(conditions.text)
+        if self.actions is not None:
+            made = made + self.actions(conditions.action.clamp(min=0))
+        return made * conditions.given[:, None]
+
+
+def drawn(
+    mean: Float[Tensor, "batch *numbers"], log_variance: Float[Tensor, "batch *numbers"], generator: torch.Generator
+) -> Float[Tensor, "batch *numbers"]:
+    """z ~ N(μ, σ²), noise from a generator on the CPU."""
+    noise = torch.randn(mean.shape, generator=generator).to(mean.device)
+    return mean + (0.5 * log_variance).exp() * noise
+
+
+def kl_of(mean: Float[Tensor, "*numbers"], log_variance: Float[Tensor, "*numbers"]) -> Float[Tensor, "*numbers"]:
+    """Kullback-Leibler divergence of N(μ, σ²) from N(0, 1), number by number."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance)
 
 
 def encoder_layer(sizes: TransformerSizes) -> nn.TransformerEncoderLayer:
@@ -81,6 +113,17 @@ NetworkOutput = Callable[[Tensor, Tensor, Conditions], Tensor]
 """(noisy [batch, …], steps [batch], conditions) → what `DiffusionConfig.prediction` names, of the same shape."""
 
 
+def noisy_at_random(
+    clean: Float[Tensor, "batch frames numbers"], config: DiffusionConfig, generator: torch.Generator
+) -> tuple[Float[Tensor, "batch frames numbers"], Int64[Tensor, "batch"], Float[Tensor, "batch frames numbers"]]:
+    """Noisy motions on their device, each at a random step, with the steps and the noise (on the CPU)."""
+    steps = torch.randint(config.num_steps, (len(clean),), generator=generator)
+    noise = torch.randn(clean.shape, generator=generator)
+    flat = clean.to("cpu").flatten(1)
+    noisy = add_noise(flat, noise.flatten(1), steps, cumulative_alphas(config)).view(clean.shape)
+    return noisy.to(clean.device), steps, noise
+
+
 def diffusion_loss(
     output: NetworkOutput,
     clean: Float[Tensor, "batch frames numbers"],
@@ -90,12 +133,9 @@ def diffusion_loss(
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
     """Squared error at random steps: for each motion the mean over what is seen of it, then the mean over motions."""
-    device, count = clean.device, len(clean)
-    alphas = cumulative_alphas(config)
-    steps = torch.randint(config.num_steps, (count,), generator=generator)
-    noise = torch.randn(clean.shape, generator=generator)
+    device, alphas = clean.device, cumulative_alphas(config)
+    noisy, steps, noise = noisy_at_random(clean, config, generator)
     flat = clean.to("cpu").flatten(1)
-    noisy = add_noise(flat, noise.flatten(1), steps, alphas).view(clean.shape).to(device)
     target = prediction_target(config.prediction, flat, noise.flatten(1), steps, alphas).view(clean.shape).to(device)
     weights = loss_weights(config.prediction, config.loss, alphas)[steps].to(device, torch.float32)
     noisy = noisy * seen[..., None]

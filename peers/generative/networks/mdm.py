@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted, frames_within
-from peers.generative.layers import diffusion_loss, diffusion_sample, encoder_layer, sinusoids
+from peers.generative.networks.layers import diffusion_loss, diffusion_sample, encoder_layer, sinusoids
 from peers.generative.settings import MdmNetworkConfig
 
 

@@ -9,7 +9,16 @@ from torch.nn.functional import smooth_l1_loss
 
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted, frames_within
-from peers.generative.layers import LongSkips, among, decoder_layer, diffusion_loss, diffusion_sample, encoder_layer
+from peers.generative.networks.layers import (
+    LongSkips,
+    among,
+    decoder_layer,
+    diffusion_loss,
+    diffusion_sample,
+    drawn,
+    encoder_layer,
+    kl_of,
+)
 from peers.generative.settings import MldNetworkConfig, MldVaeNetworkConfig
 
 VAE = "mld-vae"
@@ -51,23 +60,13 @@ class MldVae(nn.Module):
         rows: Tensor = self.frame_out(tokens) * seen[..., None]
         return rows
 
-    def draw(
-        self,
-        mean: Float[Tensor, "batch width"],
-        log_variance: Float[Tensor, "batch width"],
-        generator: torch.Generator,
-    ) -> Float[Tensor, "batch width"]:
-        """z ~ N(μ, σ²)."""
-        noise = torch.randn(mean.shape, generator=generator).to(mean.device)
-        return mean + (0.5 * log_variance).exp() * noise
-
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
         """Smooth L1 of the numbers and of the joints, over the frames there are, and KL, each a mean over numbers."""
         mean, log_variance = self.encode(batch.rows, batch.lengths)
-        made = self.decode(self.draw(mean, log_variance, generator), batch.seen)
+        made = self.decode(drawn(mean, log_variance, generator), batch.seen)
         features = smooth_l1_loss(made[batch.seen], batch.rows[batch.seen])
         joints = smooth_l1_loss(self.space.joints(made)[batch.seen], self.space.joints(batch.rows)[batch.seen])
-        kl = 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).mean()
+        kl = kl_of(mean, log_variance).mean()
         loss = features + self.config.joint_weight * joints + self.config.kl_weight * kl
         return {"loss": loss, "features": features, "joints": joints, "kl": kl}
 
@@ -116,7 +115,7 @@ class Mld(nn.Module):
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
         """The squared error of ε, of latents drawn anew at every step."""
         with torch.no_grad():
-            latents = self.vae.draw(*self.vae.encode(batch.rows, batch.lengths), generator)[:, None]
+            latents = drawn(*self.vae.encode(batch.rows, batch.lengths), generator)[:, None]
         every = torch.ones(latents.shape[:2], dtype=torch.bool, device=latents.device)
         return {"loss": diffusion_loss(self, latents, every, batch.conditions, self.diffusion, generator)}
 

@@ -1,0 +1,1 @@
+"""The networks of generative peers, a file each, and the layers that they share."""

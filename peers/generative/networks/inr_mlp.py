@@ -1,0 +1,177 @@
+"""INR-MLP (Cervantes et al. 2022; PACerv/ImplicitMotion, models): an MLP of time and of a code for each motion."""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64, Int64
+from scipy.spatial.distance import cdist
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.mixture import GaussianMixture
+from torch import Tensor, nn
+
+from motionkit.training.diffusion.settings import DiffusionConfig
+from peers.generative.batches import NO_ACTION, ConditionSizes, MotionBatch, PoseSpace, Wanted
+from peers.generative.networks.layers import ConditionVector, drawn, kl_of, sinusoids
+from peers.generative.settings import InrMlpNetworkConfig
+
+INITIAL_LOG_VARIANCE = 1.0
+# Numbers of the root's place: the first of `field` vectors.
+ROOT = slice(0, 3)
+
+
+class InrMlp(nn.Module):
+    """A pose at a frame's number, from a code of the motion and one of its condition, each N(μ, σ²).
+
+    There is no encoder: the codes of training motions are trained with the network, in turn.
+    """
+
+    diffusion: DiffusionConfig | None = None
+
+    def __init__(
+        self, config: InrMlpNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
+    ) -> None:
+        super().__init__()
+        self.config, self.width = config, config.code
+        self.mean = nn.Parameter(torch.zeros(sizes.num_windows, config.code))
+        self.log_variance = nn.Parameter(torch.full((sizes.num_windows, config.code), INITIAL_LOG_VARIANCE))
+        self.condition_mean = ConditionVector(sizes, config.code)
+        self.condition_log_variance = ConditionVector(sizes, config.code)
+        for vector, start in ((self.condition_mean, 0.0), (self.condition_log_variance, INITIAL_LOG_VARIANCE)):
+            if vector.actions is not None:
+                nn.init.constant_(vector.actions.weight, start)
+        widths = (2 * config.code + config.time_features, *config.hidden)
+        layers = [layer for pair in pairwise(widths) for layer in (nn.Linear(*pair), nn.ELU())]
+        self.layers = nn.Sequential(*layers, nn.Linear(widths[-1], space.num_numbers))
+        # Whose motion a code is.
+        self.register_buffer("frames_of", torch.zeros(sizes.num_windows, dtype=torch.int64))
+        self.register_buffer("action_of", torch.full((sizes.num_windows,), NO_ACTION))
+        self.frames_of: Tensor
+        self.action_of: Tensor
+        self._codes_turn = True
+        self._mixtures: dict[tuple[int, int], CodeMixture] = {}
+
+    def forward(
+        self,
+        frames: Int64[Tensor, "batch frames"],
+        code: Float[Tensor, "batch code"],
+        condition_code: Float[Tensor, "batch code"],
+    ) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised poses at frames of these numbers."""
+        time = sinusoids(frames.flatten(), self.config.time_features).view(*frames.shape, -1)
+        codes = torch.cat((code, condition_code), dim=1)[:, None].expand(-1, frames.shape[1], -1)
+        rows: Tensor = self.layers(torch.cat((codes, time), dim=-1))
+        return rows
+
+    def begin_step(self, step: int, steps: int) -> None:
+        """Codes are trained in one step, the network in the next."""
+        self._codes_turn = step % 2 == 0
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """Squared errors of poses, and of the root by itself, and KL of both codes; codes and network take turns."""
+        told_of = batch.conditions
+        self.frames_of.scatter_reduce_(0, batch.window, batch.frames.amax(dim=1) + 1, "amax")
+        self.action_of[batch.window] = torch.where(told_of.given, told_of.action, self.action_of[batch.window])
+        pairs = [
+            (self.mean[batch.window], self.log_variance[batch.window]),
+            (self.condition_mean(told_of), self.condition_log_variance(told_of)),
+        ]
+        if not self._codes_turn:
+            pairs = [(mean.detach(), log_variance.detach()) for mean, log_variance in pairs]
+        self.layers.requires_grad_(not self._codes_turn)
+        made = self(batch.frames, *(drawn(*pair, generator) for pair in pairs))
+        self.layers.requires_grad_(True)
+        errors = (made - batch.rows).square()[batch.seen]
+        pose, root = errors.mean(), errors[:, ROOT].mean()
+        kl = torch.stack([kl_of(*pair).sum(dim=1).mean() for pair in pairs]).sum()
+        loss = pose + self.config.root_weight * root + self.config.kl_weight * kl
+        return {"loss": loss, "pose": pose, "root": root, "kl": kl}
+
+    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows of codes from the mixture of training motions of the action and about the length."""
+        conditions = wanted.conditions.to(wanted.device)
+        told = (self.condition_mean(conditions), self.condition_log_variance(conditions))
+        codes, noise = [], []
+        asked = zip(wanted.lengths.tolist(), wanted.conditions.action.tolist(), wanted.generators, strict=True)
+        for length, action, generator in asked:
+            codes.append(self.mixture(action, length).draw(generator))
+            noise.append(torch.randn(self.width, generator=generator))
+        own = torch.stack(codes).to(wanted.device, torch.float32)
+        condition = told[0] + (0.5 * told[1]).exp() * torch.stack(noise).to(wanted.device)
+        frames = torch.arange(wanted.frames, device=wanted.device).expand(len(own), -1)
+        rows: Tensor = self(frames, own, condition)
+        return rows
+
+    def mixture(self, action: int, length: int) -> "CodeMixture":
+        """The mixture of the codes of motions with this action (any: `NO_ACTION`), of lengths nearest to this one."""
+        known = (self.frames_of > 0) & ((self.action_of == action) | (action == NO_ACTION))
+        windows = np.flatnonzero((known if known.any() else self.frames_of > 0).cpu().numpy())
+        lengths = self.frames_of.cpu().numpy()[windows]
+        intervals = length_intervals(lengths)
+        nearest = int(np.argmin([abs(lengths[rows].mean() - length) for rows in intervals]))
+        if (action, nearest) not in self._mixtures:
+            rows = torch.from_numpy(windows[intervals[nearest]])
+            mean, log_variance = (each.detach().cpu()[rows].double().numpy() for each in (self.mean, self.log_variance))
+            self._mixtures[action, nearest] = fit_mixture(mean, np.exp(0.5 * log_variance), self.config.reseeds)
+        return self._mixtures[action, nearest]
+
+
+LEAST_CODES, LEAST_FRAMES = 50, 10
+
+
+def length_intervals(lengths: Int64[np.ndarray, "motions"]) -> list[Int64[np.ndarray, "some"]]:
+    """Rows of motions in intervals of their lengths, each of `LEAST_CODES` motions over `LEAST_FRAMES` frames."""
+    order = np.argsort(lengths, kind="stable")
+    cuts, first = [], 0
+    for place in range(1, len(order)):
+        shortest, before, here = (lengths[order[each]] for each in (first, place - 1, place))
+        enough = min(place - first, len(order) - place) >= LEAST_CODES
+        if enough and here > before and here - shortest >= LEAST_FRAMES:
+            cuts.append(place)
+            first = place
+    return np.split(order, cuts)
+
+
+@dataclass(frozen=True, eq=False)
+class CodeMixture:
+    """Gaussians over codes; `factors` are Cholesky's of their covariances."""
+
+    weights: Float64[np.ndarray, "parts"]
+    means: Float64[np.ndarray, "parts code"]
+    factors: Float64[np.ndarray, "parts code code"]
+
+    def draw(self, generator: torch.Generator) -> Float[Tensor, "code"]:
+        """A code, float64."""
+        chance = float(torch.rand((), generator=generator, dtype=torch.float64))
+        part = min(int(np.searchsorted(np.cumsum(self.weights), chance)), len(self.weights) - 1)
+        noise = torch.randn(self.means.shape[1], generator=generator, dtype=torch.float64).numpy()
+        return torch.from_numpy(self.means[part] + self.factors[part] @ noise)
+
+
+PARTS, DRAWS, MOST_DRAWS = 15, 50, 10_000
+# A part whose mean is nearer to a training code than this share of the codes' mean length is that motion again.
+COPY_SHARE = 0.1
+
+
+def fit_mixture(
+    mean: Float64[np.ndarray, "codes code"], deviation: Float64[np.ndarray, "codes code"], reseeds: int
+) -> CodeMixture:
+    """Fit a mixture to draws of every code; parts that are a training code are fitted anew, at last left out."""
+    count = int(np.clip(MOST_DRAWS // len(mean), 2, DRAWS))
+    rng = np.random.default_rng(0)
+    draws = (mean + deviation * rng.standard_normal((count, *mean.shape))).reshape(-1, mean.shape[1])
+    least = COPY_SHARE * np.linalg.norm(mean, axis=1).mean()
+    for seed in range(reseeds + 1):
+        fitted = GaussianMixture(min(PARTS, len(mean)), covariance_type="full", random_state=seed)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            fitted.fit(draws)
+        away = cdist(fitted.means_, mean).min(axis=1) >= least
+        if away.all():
+            break
+    kept = away if away.any() else np.ones_like(away)
+    weights = fitted.weights_[kept] / fitted.weights_[kept].sum()
+    return CodeMixture(weights, fitted.means_[kept], np.linalg.cholesky(fitted.covariances_[kept]))

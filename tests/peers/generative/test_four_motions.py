@@ -1,0 +1,116 @@
+"""Every generative network learns four motions by heart, and gives each when its action is asked for."""
+
+from dataclasses import replace
+from fractions import Fraction
+from math import cos, pi
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from motionkit.clips.pose_vectors.convention import VectorScaling
+from motionkit.clips.pose_vectors.field import FIELD_VECTORS
+from motionkit.clips.pose_vectors.native import NativeVectors
+from motionkit.features import field, native
+from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.schedule import dropout_from, step_generator
+from peers.generative.batches import NO_ACTION, Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted
+from peers.generative.recipes import PEERS, GenerativePeer
+from peers.generative.settings import TransformerSizes
+from peers.generative.training import KnowsSteps
+from tests.helpers.nerm_corpus import analytic_positions
+from tests.helpers.tiny_peers import tiny_config
+
+FPS, FRAMES = Fraction(20), 16
+SIZES = ConditionSizes(0, ("a", "b", "c", "d"), 4)
+# Steps of each stage, as many as it takes.
+STEPS = {"mdm": 500, "mdm-50": 500, "inr-mlp": 1200, "flow": 500, "t2m": 400, "camdm": 600, "mld": 800}
+# A prior from which a VAE's latents are not far, so that its draws say nothing; a motion without a past as often.
+CHANGED = {
+    "actor": {"kl_weight": 1e-2},
+    "mld-vae": {"kl_weight": 1e-3},
+    "camdm": {"no_past": 0.7},
+    # The velocity holds a frame's noise: tokens are wider than its 66 numbers.
+    "flow": {"guidance_scale": 1.0, "sampling_steps": 24, "transformer": TransformerSizes(2, 96, 2, 96, 0.0)},
+}
+EACH = torch.arange(4)
+CONDITIONS = Conditions(torch.zeros(4, 0), EACH, torch.ones(4, dtype=torch.bool))
+# How often each motion is in a batch: of many noises a step, where steps are cheap.
+COPIES = {"mld": 16, "inr-mlp": 4, "flow": 8}
+
+
+def motions(pose_vectors: str) -> tuple[PoseSpace, Tensor]:
+    """Four motions of a convention, standardised by their own mean and one scale."""
+    positions = np.stack([analytic_positions(np.arange(FRAMES) / float(FPS), kind) for kind in range(4)])
+    if pose_vectors == "field":
+        numbers, vectors = field.encode(positions, *field.window_frame(positions[:, 0])), FIELD_VECTORS
+    else:
+        numbers, vectors = np.stack([native.vectors(each, "smpl22", FPS) for each in positions]), NativeVectors()
+    rows = torch.from_numpy(numbers).float()
+    mean = rows.mean(dim=(0, 1))
+    scaling = VectorScaling(mean, torch.full_like(mean, float((rows - mean).std())))
+    return PoseSpace(vectors, scaling, FPS), scaling.apply(rows)
+
+
+def learnt(peer: GenerativePeer, *, steps: int | None = None) -> tuple[nn.Module, Tensor]:
+    """A peer's last network after training on four motions, and what it should give."""
+    earlier: dict[str, nn.Module] = {}
+    for stage in peer.stages:
+        config = tiny_config(stage.name)
+        network_config = replace(config.network, **CHANGED.get(stage.name, {}))
+        space, rows = motions(config.motions.pose_vectors)
+        torch.manual_seed(0)
+        network = stage.make_network(replace(config, network=network_config), space, SIZES, earlier)
+        rates = torch.optim.AdamW(network.parameters(), lr=0.0, weight_decay=0.0)
+        count = STEPS.get(stage.name, 300) if steps is None else steps
+        which = EACH.repeat(COPIES.get(stage.name, 1))
+        told = Conditions(torch.zeros(len(which), 0), which, torch.ones(len(which), dtype=torch.bool))
+        frames = torch.arange(FRAMES).expand(len(which), -1)
+        batch = MotionBatch(rows[which], torch.full((len(which),), FRAMES), told, which, frames)
+        for step in range(count):
+            generator = step_generator(0, stage.name, step)
+            if isinstance(network, KnowsSteps):
+                network.begin_step(step, count)
+            with dropout_from(generator, torch.device("cpu")):
+                loss = network.train().losses(batch, generator)["loss"]
+            rates.zero_grad()
+            loss.backward()
+            rates.param_groups[0]["lr"] = 4e-3 * min(1.0, (step + 1) / 20) * 0.5 * (1 + cos(pi * step / count))
+            rates.step()
+        earlier[stage.name] = network.eval().requires_grad_(False)
+    # What CAMDM makes of nothing is what followed four frames.
+    return earlier[peer.stages[-1].name], rows[:, 4:] if peer.title == "CAMDM" else rows
+
+
+def made(network: nn.Module, frames: int) -> Tensor:
+    """One motion of each action."""
+    nothing = Conditions(torch.zeros(4, 0), torch.full((4,), NO_ACTION), torch.zeros(4, dtype=torch.bool))
+    generators = [torch.Generator().manual_seed(row) for row in range(4)]
+    wanted = Wanted(torch.full((4,), frames), CONDITIONS, nothing, generators, torch.device("cpu"))
+    diffusion = network.diffusion or DiffusionConfig()
+    if network.diffusion is not None:
+        diffusion = replace(diffusion, guidance_scale=1.0)
+        if diffusion.num_steps == 1000 and diffusion.sampler == "ddpm":
+            diffusion = replace(diffusion, sampler="ddim", sampling_steps=50)
+    return network.sample(wanted, diffusion).float()
+
+
+def errors(found: Tensor, truth: Tensor) -> Tensor:
+    """Root mean squares between each motion that was made and each true one."""
+    return (found[:, None] - truth[None]).square().mean(dim=(2, 3)).sqrt()
+
+
+@pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer.stages[-1].name)
+def test_four_motions_are_learnt_by_heart(peer: GenerativePeer) -> None:
+    torch.set_num_threads(1)
+    network, truth = learnt(peer)
+    apart = errors(truth, truth)
+    nearest_other = (apart + 1e9 * torch.eye(4)).min(dim=1).values
+
+    def known(own: nn.Module) -> bool:
+        found = errors(made(own, truth.shape[1]), truth)
+        return bool((found.argmin(dim=1) == EACH).all() and (found.diagonal() < 0.6 * nearest_other).all())
+
+    assert known(network)
+    assert not known(learnt(peer, steps=1)[0])
