@@ -22,7 +22,10 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print Table 2 and where everything lies as JSON.")] = False,
 ) -> None:
-    """Do the whole job on an embedded corpus: ingest, train NeRM, generate, evaluate Table 2, draw it."""
+    """Do the whole job on an embedded corpus: ingest, train NeRM, generate, evaluate Table 2, draw it.
+
+    Example: motionkit demo --smallest
+    """
     import sys
 
     from eval.commands.demo_steps import FULL, SMALLEST, DemoFolder, run_demo

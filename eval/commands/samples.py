@@ -29,7 +29,10 @@ def samples(
     std: Annotated[Path | None, typer.Option(help="With --init: their standard deviation; copied into DIR.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
 ) -> None:
-    """Say what a folder of samples holds: motions, framerates, captions, prompts, bodies, and what is wrong."""
+    """Say what a folder of samples holds: motions, framerates, captions, prompts, bodies, and what is wrong.
+
+    Example: motionkit samples takes
+    """
     from dataclasses import asdict
 
     from eval.sample_folder import SampleFolderError, SampleOptions, read_sample_folder

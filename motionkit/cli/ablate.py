@@ -51,7 +51,10 @@ def ablate(
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1 …")] = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print the runs' summaries as JSON.")] = False,
 ) -> None:
-    """Train all variants of an ablation, a run each; what is complete is kept, what was stopped goes on."""
+    """Train all variants of an ablation, a run each; what is complete is kept, what was stopped goes on.
+
+    Example: motionkit ablate 5 --list
+    """
     ablations = find_ablations(paper)
     chosen = [ablations.find(table) for table in _named(tables or [], ablations)]
     # Runs of other models than the default one have its paper in their names.

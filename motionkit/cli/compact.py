@@ -26,6 +26,8 @@ def compact(
     Sequences are numbered 0, 1, 2 … again. Needs room for a second copy until it is done; whoever has the store open
     opens it again. There is no way back to what was removed but its sources or a copy of the store; the store is
     another one afterwards (its fingerprint changes), and its training caches are built anew.
+
+    Example: motionkit compact --dry-run
     """
     from motionkit.store.commit import leftovers
     from motionkit.store.life.rewrite import compact as compact_store

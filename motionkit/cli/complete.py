@@ -92,7 +92,10 @@ def complete(
     store: StorePath = None,
     as_json: AsJson = False,
 ) -> None:
-    """Complete clips: a higher framerate, gaps closed, ends continued; given frames and bones stay as they are."""
+    """Complete clips: a higher framerate, gaps closed, ends continued; given frames and bones stay as they are.
+
+    Example: motionkit complete takes/walk.bvh --fps 120 --model cubic
+    """
     from motionkit.complete.request import CompletionRequest, Reach, parse_extend, parse_keep
 
     before, after = parse_extend(extend) if extend else (Reach(0.0), Reach(0.0))

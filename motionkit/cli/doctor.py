@@ -22,6 +22,8 @@ def doctor(
 
     Cheap checks alone; 'motionkit validate' reads a whole store. Exit code 1 where there is a problem (!); what is
     worth knowing is marked by a point.
+
+    Example: motionkit doctor --store store
     """
     import torch
 

@@ -46,6 +46,8 @@ def export(
     """Write a store's motions as files that other tools read, and that `motionkit ingest` reads again.
 
     The folder appears when it is complete. Sequences that a format cannot hold are left out and reported.
+
+    Example: motionkit export out --format npz --where "split = 'test'"
     """
     from motionkit.export.run import export as export_selection
     from motionkit.export.selection import Selection

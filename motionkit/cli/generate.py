@@ -104,7 +104,9 @@ def generate(
     runs: RunsFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants."""
+    """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants.
+
+    Example: motionkit generate --unconditional --seconds 4 --fps 120 -n 4 --out made --format bvh"""
     from motionkit.generate.constraint_files import path_and_seconds, wanted_constraints
     from motionkit.generate.files import output_format
     from motionkit.generate.request import MotionsRequest, parse_times, wanted_prompts
@@ -120,16 +122,14 @@ def generate(
     from motionkit.clips.detail.stage import load_detail
     from motionkit.generate.folder import begin_folder, replace_folder, resume_folder
     from motionkit.generate.job import Job
-    from motionkit.generate.models import SamplingOptions, load_model, model_of, warn_above_training
+    from motionkit.generate.models import SamplingOptions, load_model, model_of
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)
     sampling, learnt = SamplingOptions(guidance, sampler, sampling_steps), load_detail(place) if detail else None
     job = Job(request, loaded, place, output, seed, sampling, plant, learnt)
-    warn_above_training(loaded, job.fps)
-    _say_joined(job)
-    opening = resume_folder if resume else replace_folder if overwrite else begin_folder
-    with opening(out, job.manifest()) as folder:
+    _say_beforehand(job)
+    with (resume_folder if resume else replace_folder if overwrite else begin_folder)(out, job.manifest()) as folder:
         report = _write_all(job, folder, as_json)
     if as_json:
         print_json({"model": loaded.name, "run": run, "seed": seed, "folder": str(out), **report})
@@ -165,10 +165,12 @@ def _write_all(job: "Job", folder: "GeneratedFolder", as_json: bool) -> dict[str
     return report
 
 
-def _say_joined(job: "Job") -> None:
-    """Say on stderr where motions are made in pieces."""
+def _say_beforehand(job: "Job") -> None:
+    """Warn of framerates above those of training, and say on stderr where motions are made in pieces."""
     from motionkit.generate.long_motions import goes_on
+    from motionkit.generate.models import warn_above_training
 
+    warn_above_training(job.model, job.fps)
     if job.num_joined:
         stderr.print(
             f"motionkit: {job.num_joined:,} of {len(job.request.motions):,} motions are joined from several of up to "

@@ -139,6 +139,8 @@ def ingest(
 
     A store that exists is added to: sequences that it holds from equal files are left alone, and the same id from
     another file is refused. The store is the same whatever the engine and the number of workers.
+
+    Example: motionkit ingest takes
     """
     from motionkit.engines import LOCAL
     from motionkit.store.ingest import PRELOADED

@@ -35,6 +35,8 @@ def merge(
     """Copy stores into one, or a subset of a store into a new one: frames and figures as they are.
 
     Sequences that are there from equal files are left alone.
+
+    Example: motionkit merge tests store --where "split = 'test'"
     """
     from motionkit.store.life.rewrite import merge as merge_stores
 

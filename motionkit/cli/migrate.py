@@ -17,6 +17,8 @@ def migrate(
     """Bring a store to the present format version, in its place; interrupted, it stays as it was.
 
     Needs room for a second copy until it is done.
+
+    Example: motionkit migrate --store store
     """
     from motionkit.store.life.rewrite import migrate as migrate_store
     from motionkit.store.manifest import read_manifest

@@ -64,6 +64,8 @@ def plant(
     """Let feet stand that slide, in captures and in anybody's samples; bones keep their length.
 
     With --store and no clip, all sequences of the store (or those of --where), into --out.
+
+    Example: motionkit plant takes/walk.bvh --page
     """
     from motionkit.complete.clips import clip_of_motion, find_clips
     from motionkit.complete.job import OutputPath

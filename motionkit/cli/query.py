@@ -29,7 +29,7 @@ def query(
 ) -> None:
     """Ask a store in SQL: the tables sequences, segments and skeletons; nothing can be changed.
 
-    For example: SELECT fps, count(*), sum(duration_seconds) / 3600 AS hours FROM sequences GROUP BY fps
+    Example: motionkit query "SELECT fps, count(*) FROM sequences GROUP BY fps"
     """
     from motionkit.store import Store
 

@@ -15,7 +15,10 @@ def recipe(
     stage: Annotated[str, typer.Option(help="One installed stage, or all of the model's.")] = "all",
     as_json: Annotated[bool, typer.Option("--json", help="Print the settings as JSON.")] = False,
 ) -> None:
-    """Say what a recipe sets, each line as train's --set takes it; of several recipes, where they differ."""
+    """Say what a recipe sets, each line as train's --set takes it; of several recipes, where they differ.
+
+    Example: motionkit recipe nano paper
+    """
     wanted = list(dict.fromkeys(names or ["nano"]))
     stages = choose_stages(stage, registered_stages())
     settings = {name: _settings(stages, name) for name in wanted}

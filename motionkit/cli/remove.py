@@ -30,6 +30,8 @@ def remove(
     They are gone from its tables at once; their frames leave the disk with 'motionkit compact'. The way back is
     'motionkit ingest' of the same sources, which stores what the store lacks; splits that 'motionkit split' gave are
     then given again. 'motionkit merge COPY STORE' beforehand keeps all of it.
+
+    Example: motionkit remove --where "duration_seconds > 1" --dry-run
     """
     from motionkit.store.life.rewrite import plan_removal
     from motionkit.store.life.rewrite import remove as remove_sequences

@@ -42,6 +42,8 @@ def split(
 
     Splits that the sources came with are replaced. A store is another one afterwards (its fingerprint changes): runs
     that were trained from it stay with the old one, so split before training, or split a copy ('motionkit merge').
+
+    Example: motionkit split --by sequence_id --shares train=0.6,test=0.4
     """
     from motionkit.store.life.splits import PERFORMER
     from motionkit.store.life.splits import split as split_store

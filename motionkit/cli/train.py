@@ -58,7 +58,9 @@ def train(
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1 …")] = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print the stages' summaries as JSON.")] = False,
 ) -> None:
-    """Train a model's stages from a store into a run folder; Ctrl-C saves, --resume goes on exactly."""
+    """Train a model's stages from a store into a run folder; Ctrl-C saves, --resume goes on exactly.
+
+    Example: motionkit train --recipe nano --run nano"""
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))

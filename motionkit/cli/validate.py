@@ -18,6 +18,8 @@ def validate(
     """Check every file of a store: checksums, counts, segments, finite frames, skeletons.
 
     One line for each fault and exit code 1; exit code 0 where there is none.
+
+    Example: motionkit validate --deep
     """
     from motionkit.store.manifest import read_manifest
     from motionkit.store.validate import faults
