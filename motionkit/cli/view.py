@@ -75,8 +75,7 @@ def view(
 
     The page is one file that loads nothing from elsewhere: open it in any browser, send it to anybody.
 
-    Example: motionkit view takes/walk.bvh takes/jump.bvh
-    """
+    Example: motionkit view takes/walk.bvh takes/jump.bvh"""
     from motionkit.view.asked import drawing_asked
     from motionkit.view.job import Stretch, find_sources, page_path, read_takes, stored_where, write_view
 
