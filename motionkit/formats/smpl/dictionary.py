@@ -67,8 +67,8 @@ def read_smpl(path: Path, options: ReadOptions | None = None) -> Motion:
     key = next((key for key in TRANSLATIONS if key in archive), None)
     moved = None if key is None else _translation(archive, key, len(rotations))
     fps, stated, operations = _framerate(archive, options)
-    betas = npz_archive.read_numbers(archive, "betas", _any(archive, "betas")) if "betas" in archive else None
-    shape = np.zeros(0, np.float32) if betas is None else betas.reshape(-1, betas.shape[-1])[0]
+    betas = _values(archive, "betas") if "betas" in archive else None
+    shape = np.zeros(0, np.float32) if betas is None else np.atleast_2d(betas).reshape(-1, betas.shape[-1])[0]
     motion = _motion(rotations, moved, layout, shape, fps, options)
     source = source_file.provenance(path, data, "smpl", (*operations, *motion.provenance.operations), stated_fps=stated)
     return Motion(
@@ -86,17 +86,22 @@ def _whole(
     return np.concatenate((root, body), axis=1)
 
 
-def _any(archive: NpzArchive, key: str) -> tuple[None, ...]:
-    return (None,) * len(npz_archive.read_shape(archive, key))
+def _values(archive: NpzArchive, key: str) -> Float32[np.ndarray, "..."]:
+    """Numbers of any shape but a single one."""
+    shape = npz_archive.read_shape(archive, key)
+    if not shape:
+        raise FormatError(f"{key}: a single number, expected an array", path=archive.path, reason="channel-count")
+    return npz_archive.read_numbers(archive, key, (None,) * len(shape))
 
 
 def _rotations(archive: NpzArchive, key: str, num_joints: int | None = None) -> Float32[np.ndarray, "frames joints 4"]:
     """Rotations of a key as quaternions, whatever they are written as."""
-    values = npz_archive.read_numbers(archive, key, _any(archive, key))
+    values = _values(archive, key)
     if values.ndim > 2 and len(values) == 1 and values.shape[-1] % 3 == 0 and values.shape[-1] > 3:
         values = values[0]  # one body of a batch
     frames, size = len(values), values[0].size
-    if values.shape[-2:] == (3, 3) and values.ndim == (4 if num_joints is None else values.ndim):
+    # Of one joint [3, 3] are three frames of vectors, and of several [frames, 3, 3] three joints'.
+    if values.shape[-2:] == (3, 3) and values.ndim in ((4,) if num_joints is None else (3, 4)):
         matrices = values.reshape(frames, -1, 3, 3)
         error = np.abs(np.einsum("tjki,tjkl->tjil", matrices, matrices) - np.eye(3)).max()
         if error > MAX_MATRIX_ERROR:
@@ -128,7 +133,7 @@ def _of_vectors(
 
 
 def _translation(archive: NpzArchive, key: str, num_frames: int) -> Float32[np.ndarray, "frames 3"]:
-    values = npz_archive.read_numbers(archive, key, _any(archive, key))
+    values = _values(archive, key)
     if values.size != 3 * num_frames or values.shape[-1] != 3:
         message = f"{key}: array of shape {values.shape}, expected ({num_frames}, 3)"
         raise FormatError(message, path=archive.path, reason="channel-count")

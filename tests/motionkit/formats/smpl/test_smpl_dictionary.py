@@ -58,6 +58,14 @@ def test_vectors_and_matrices_are_the_body_of_amass(tmp_path, poses, expected):
         np.testing.assert_allclose(motion.joint_positions, expected.joint_positions, atol=2e-6, err_msg=name)
 
 
+def test_three_frames_of_vectors_are_no_matrix(tmp_path, poses, expected):
+    joints, places = poses
+    arrays = {name: values[:3] for name, values in dictionary(joints, places).items()}
+    np.savez(tmp_path / "short.npz", **arrays, fps=30)
+    motion = read_smpl(tmp_path / "short.npz")
+    np.testing.assert_allclose(motion.joint_positions, expected.joint_positions[:3], atol=2e-6)
+
+
 def test_a_camera_s_view_is_turned_upright(tmp_path, poses, expected):
     """From z up to y up and on to y down, as images have it: the same body again."""
     joints, places = poses
@@ -101,6 +109,8 @@ def test_rows_of_motion_x(tmp_path, poses, expected):
         ({"transl": np.zeros((FRAMES + 1, 3))}, "channel-count", "transl"),
         ({"global_orient": np.zeros((FRAMES, 6))}, "channel-count", "global_orient"),
         ({"body_pose": np.zeros((FRAMES + 1, 63))}, "channel-count", "frames"),
+        ({"body_pose": np.float64(0.0)}, "channel-count", "body_pose: a single number"),
+        ({"betas": np.float64(0.0)}, "channel-count", "betas: a single number"),
         ({"body_pose": np.array([{}], object)}, "object-array", "Python objects"),
     ],
 )
