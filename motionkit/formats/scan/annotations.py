@@ -56,7 +56,7 @@ class Annotation:
     subset: str = ""
     group: str = ""
     num_frames: int | None = None
-    skip_frames: int = 0
+    skip_frames: int | None = None
     line: int = 0
 
 
@@ -213,8 +213,8 @@ def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotat
             reason="annotations",
             line=line,
         )
-    skip_frames = whole_number(cell["skip_frames"] or "0")
-    if skip_frames is None:
+    skip_frames = whole_number(cell["skip_frames"])
+    if skip_frames is None and cell["skip_frames"]:
         message = f"skip_frames {shown(cell['skip_frames'])}, expected how many frames to leave out at the start"
         raise FormatError(message, path=path, reason="annotations", line=line)
     sentences = dict.fromkeys(cell[name] for name in CAPTION_COLUMNS if cell[name])

@@ -58,7 +58,8 @@ class SourceItem:
 
     `path` is the file that holds it, `root` the source folder, `key` the sequence's name inside a folder format (empty
     where a file holds one sequence). `fps` and `stated_fps` are what an annotation says; the file's own are read later.
-    `cut` is the stretch of the file that the sequence is, None for all of it but for its first `skip_frames`.
+    `cut` is the stretch of the file that the sequence is, None for all of it but for its first `skip_frames` (None: as
+    many as the options say).
     """
 
     format: str
@@ -77,7 +78,7 @@ class SourceItem:
     subset: str = ""
     licence: str = ""
     cut: Cut | None = None
-    skip_frames: int = 0
+    skip_frames: int | None = None
     mirrored: bool = False
 
     def __str__(self) -> str:

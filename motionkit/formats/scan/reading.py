@@ -29,7 +29,8 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
     if item.cut is None and not item.mirrored:
         motion = _read_file(item, options)
         motion = replace(motion, captions=item.captions or motion.captions)
-        motion = cuts.without_first(motion, item.skip_frames or options.skip_frames, item.path)
+        skipped = options.skip_frames if item.skip_frames is None else item.skip_frames
+        motion = cuts.without_first(motion, skipped, item.path)
     else:
         motion = _read_stretch(item, options)
     check_size(motion.num_frames, motion.skeleton.num_joints, item.path)

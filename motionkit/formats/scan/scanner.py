@@ -251,7 +251,7 @@ def _stated(item: SourceItem, row: Annotation) -> SourceItem:
         split=row.split or item.split,
         fps=row.fps or item.fps,
         stated_fps=row.stated_fps or item.stated_fps,
-        skip_frames=row.skip_frames or item.skip_frames,
+        skip_frames=item.skip_frames if row.skip_frames is None else row.skip_frames,
         licence=row.licence or item.licence,
         source=row.source or item.source,
         # A folder's name is no subset of a source that the row names itself.

@@ -62,7 +62,7 @@ def test_a_column_performer_says_who_moves(tmp_path: Path) -> None:
     assert {target.name: row.subject for target, row in table.rows.items()} == {"a.bvh": "p1", "b.bvh": "s2"}
 
 
-@pytest.mark.parametrize(("table", "option", "kept"), [("2", 0, 2), ("", 3, 1), ("2", 3, 2), ("", 0, 4)])
+@pytest.mark.parametrize(("table", "option", "kept"), [("2", 0, 2), ("", 3, 1), ("2", 3, 2), ("0", 3, 4), ("", 0, 4)])
 def test_the_first_frames_are_left_out(tmp_path: Path, table: str, option: int, kept: int) -> None:
     (tmp_path / "walk.bvh").write_text(bvh_text())
     (tmp_path / "table.csv").write_text(f"file,skip_frames\nwalk.bvh,{table}\n")
