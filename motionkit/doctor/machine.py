@@ -72,12 +72,10 @@ def disk_findings(store: Path, runs: Path) -> Iterator[Finding]:
         free = shutil.disk_usage(there).free
         fact = f"{path} ({name}): {free / GIGABYTE:,.1f} GB free"
         other = f"name another place with {'MOTIONKIT_CACHE' if name == 'cache' else f'--{name}'}"
-        aside = "set MOTIONKIT_CACHE, so that trainings can keep their caches elsewhere"
         if not os.access(there, os.W_OK):
-            aside = (
-                "set MOTIONKIT_CACHE, so that trainings can keep their caches elsewhere" if name == "store" else other
-            )
-            yield Finding("disk", f"{fact}; {there} may not be written to", "problem", aside)
+            aside = "set MOTIONKIT_CACHE, so that trainings can keep their caches elsewhere"
+            remedy = aside if name == "store" else other
+            yield Finding("disk", f"{fact}; {there} may not be written to", "problem", remedy)
         elif free < LEAST_FREE_BYTES:
             yield Finding("disk", fact, "problem", f"make room, or {other}")
         else:

@@ -17,11 +17,10 @@ FIRST_FRAMES = 2
 
 @dataclass
 class StoredCounts:
-    """Of the sequences that were stored: how many carry which quality flag, any flag, a caption, a split, a name."""
+    """Of the sequences that were stored: how many carry which quality flag, any flag, a split, a performer."""
 
     flags: Counter[str] = field(default_factory=Counter)
     num_flagged: int = 0
-    num_captioned: int = 0
     num_in_splits: int = 0
     num_with_performer: int = 0
 
@@ -29,7 +28,6 @@ class StoredCounts:
         """Count one row of the table of sequences."""
         self.flags.update(row["quality_flags"])
         self.num_flagged += bool(row["quality_flags"])
-        self.num_captioned += bool(row["captions"])
         self.num_in_splits += bool(row["split"])
         self.num_with_performer += bool(row["subject"])
 
