@@ -14,7 +14,7 @@ from motionkit.fields.contact.planted import planted_frames
 from motionkit.fields.motion_field import Observation, Poses
 from motionkit.formats.bvh.document import BvhDocument, read_document
 from motionkit.formats.bvh.writing import ChannelLines, check_writable
-from motionkit.formats.characters.gltf_rig import GltfRig, read_rig
+from motionkit.formats.characters.gltf_rig import read_rig
 from motionkit.formats.characters.retargeting import retarget, standing_skeleton, stands
 from motionkit.formats.format import Format
 from motionkit.formats.scan.items import ReadOptions
@@ -54,7 +54,7 @@ def read_character(path: Path, options: ReadOptions) -> Character:
     if path.suffix.lower() == ".glb":
         rig = read_rig(path, options)
         _check_stands(standing_skeleton(rig.skeleton, rig.rest), path)
-        return Character(rig.skeleton, rig.rest, ".glb", _gltf_writer(rig))
+        return Character(rig.skeleton, rig.rest, ".glb", rig.write)
     raise UsageError(f"{path}: a character is a .bvh or a .glb file (Blender exports both)")
 
 
@@ -98,7 +98,3 @@ def _bvh_writer(document: BvhDocument) -> Callable[[Motion, Path], None]:
                 file.write(b"\n".join((*written, b"")))
 
     return write
-
-
-def _gltf_writer(rig: GltfRig) -> Callable[[Motion, Path], None]:
-    return rig.write

@@ -61,7 +61,10 @@ class GltfRig:
                 for number, (node, kind, _) in enumerate(values)
             ],
         }
-        buffer.write(path, {**self.document, "animations": [animation]})
+        nodes = [
+            _in_parts(node) if number in self.nodes else node for number, node in enumerate(self.document["nodes"])
+        ]
+        buffer.write(path, {**self.document, "nodes": nodes, "animations": [animation]})
 
 
 def read_rig(path: Path, options: ReadOptions) -> GltfRig:
@@ -144,6 +147,17 @@ def _matrix(node: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
     made[:3, :3] = kinematics.quaternion_to_matrix(np.array([w, x, y, z])) * np.array(node.get("scale", (1, 1, 1)))
     made[:3, 3] = node.get("translation", (0, 0, 0))
     return made
+
+
+def _in_parts(node: dict[str, Any]) -> dict[str, Any]:
+    """A node with translation, rotation and scale in place of a matrix, which no animated node may have (§3.5.3)."""
+    if "matrix" not in node:
+        return node
+    matrix = _matrix(node)
+    w, *xyz = kinematics.matrix_to_quaternion(_turn(matrix)[None])[0].tolist()
+    parts = {"translation": matrix[:3, 3].tolist(), "rotation": [*xyz, w]}
+    scale = np.linalg.norm(matrix[:3, :3], axis=0).tolist()
+    return {key: value for key, value in node.items() if key != "matrix"} | parts | {"scale": scale}
 
 
 def _product(matrices: list[Float64[np.ndarray, "4 4"]]) -> Float64[np.ndarray, "4 4"]:

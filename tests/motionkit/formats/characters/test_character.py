@@ -153,6 +153,12 @@ def read_glb(path: Path) -> tuple[dict[str, object], bytes]:
     return json.loads(data[20 : 20 + size]), data[28 + size :]
 
 
+def write_glb(path: Path, document: dict[str, object], binary: bytes) -> None:
+    text = json.dumps(document).encode()
+    head = struct.pack("<5I", 0x46546C67, 2, 28 + len(text) + len(binary), len(text), 0x4E4F534A)
+    path.write_bytes(head + text + struct.pack("<2I", len(binary), 0x004E4942) + binary)
+
+
 def world_places(path: Path) -> np.ndarray:
     """Where the nodes are in the world in every frame of a file's animation, by matrices."""
     document, binary = read_glb(path)
@@ -204,6 +210,24 @@ def test_a_glb_keeps_its_nodes_and_moves_as_the_source(walk: mk.Motion, rig: Ske
     )
 
 
+def test_joints_that_are_matrices_move_alike(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:
+    write_glb_rig(tmp_path / "parts.glb", rig)
+    document, binary = read_glb(tmp_path / "parts.glb")
+    for node in document["nodes"][1:-1]:
+        matrix = np.eye(4)
+        x, y, z, w = node.pop("rotation")
+        matrix[:3, :3], matrix[:3, 3] = kinematics.quaternion_to_matrix(np.array([w, x, y, z])), node.pop("translation")
+        node["matrix"] = matrix.T.ravel().tolist()
+    write_glb(tmp_path / "matrices.glb", document, binary)
+    for name in ("parts", "matrices"):
+        character = read_character(tmp_path / f"{name}.glb", ReadOptions())
+        character.write(character.perform(walk), tmp_path / f"{name}-walk.glb")
+    document, _ = read_glb(tmp_path / "matrices-walk.glb")
+    assert not any("matrix" in node for node in document["nodes"])
+    places = [world_places(tmp_path / f"{name}-walk.glb") for name in ("parts", "matrices")]
+    np.testing.assert_allclose(places[0], places[1], atol=1e-5)
+
+
 def test_our_own_glb_is_a_character_too(walk: mk.Motion, tmp_path: Path) -> None:
     mk.write(replace(t_pose(mean_shape_skeleton()), sequence_id="t"), tmp_path / "figure.glb")
     character = read_character(tmp_path / "figure.glb", ReadOptions())
@@ -229,9 +253,7 @@ def test_a_glb_that_is_no_rig_is_refused(rig: Skeleton, tmp_path: Path, damage: 
     write_glb_rig(tmp_path / "whole.glb", rig)
     document, binary = read_glb(tmp_path / "whole.glb")
     damage(document)  # type: ignore[operator]
-    text = json.dumps(document).encode()
-    head = struct.pack("<5I", 0x46546C67, 2, 28 + len(text) + len(binary), len(text), 0x4E4F534A)
-    (tmp_path / "bad.glb").write_bytes(head + text + struct.pack("<2I", len(binary), 0x004E4942) + binary)
+    write_glb(tmp_path / "bad.glb", document, binary)
     with pytest.raises(FormatError) as raised:
         read_character(tmp_path / "bad.glb", ReadOptions())
     assert raised.value.reason == "gltf"
