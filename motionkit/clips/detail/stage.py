@@ -11,10 +11,11 @@ from motionkit.core.errors import UsageError
 from motionkit.core.progress import task
 from motionkit.core.skeleton import SMPL22
 from motionkit.training.run import RunFolder
-from motionkit.training.stage import Stage, StageContext, lazily
+from motionkit.training.stage import Stage, StageContext
 
 if TYPE_CHECKING:
     from motionkit.fields.detail.model import Detail
+    from motionkit.store.cache.positions import PositionCache
 
 NAME = "detail"
 
@@ -57,10 +58,8 @@ def _takes(context: StageContext, config: DetailConfig) -> list[np.ndarray]:
 
     from motionkit.fields.detail.slow_motion import GRID_FPS
     from motionkit.fields.resample import resample_positions
-    from motionkit.store.cache.positions import open_cache
 
-    cache = open_cache(context.open_store(), layout=SMPL22.name, where=config.where or None)
-    fast = [index for index in range(cache.num_sequences) if cache.exact_fps(index) >= GRID_FPS]
+    cache, fast = _fast_takes(context, config)
     takes, frames = [], 0.0
     for index in np.random.default_rng(context.seed).permutation(fast).tolist():
         if frames >= config.minutes * 60 * GRID_FPS:
@@ -69,17 +68,28 @@ def _takes(context: StageContext, config: DetailConfig) -> list[np.ndarray]:
         if len(take) > 1:
             takes.append(take)
             frames += len(take)
-    if not takes:
+    return takes
+
+
+def _fast_takes(context: StageContext, config: DetailConfig) -> "tuple[PositionCache, list[int]]":
+    """The takes for training, and which of them have 120 fps or more; raises `UsageError` where none has."""
+    from motionkit.fields.detail.slow_motion import GRID_FPS
+    from motionkit.store.cache.positions import open_cache
+
+    cache = open_cache(context.open_store(), layout=SMPL22.name, where=config.where or None)
+    rates = map(cache.exact_fps, range(cache.num_sequences))
+    fast = [index for index, fps in enumerate(rates) if fps >= GRID_FPS and cache.num_frames[index] > fps / GRID_FPS]
+    if not fast:
         raise UsageError(
             f"{context.store}: detail is learnt from captures of {GRID_FPS} fps or more, and none of the "
             f"{cache.num_sequences} takes for training is as fast"
         )
-    return takes
+    return cache, fast
 
 
 def _check(context: StageContext, config: DetailConfig) -> None:
     """Raise what would stop a training: no take that is fast enough."""
-    _takes(context, config)
+    _fast_takes(context, config)
 
 
 def has_detail(run: Path) -> bool:
@@ -89,16 +99,12 @@ def has_detail(run: Path) -> bool:
 
 def load_detail(run: Path) -> "Detail":
     """The detail of a run; raises `RunError`, with the command that trains it, where it has none."""
-    RunFolder(run).stage(NAME).read_summary()
-    detail: Detail = lazily("motionkit.clips.detail.stage:_read")(run)
-    return detail
-
-
-def _read(run: Path) -> "Detail":
     from motionkit.fields.detail.model import Detail
     from motionkit.training.tensors import load_tensors, rebuilding
 
-    path = RunFolder(run).stage(NAME).model_path
+    stage = RunFolder(run).stage(NAME)
+    stage.read_summary()
+    path = stage.model_path
     tensors, _ = load_tensors(path)
     arrays: Mapping[str, np.ndarray] = {name: tensor.numpy() for name, tensor in tensors.items()}
     with rebuilding(path, NAME, tensors):
