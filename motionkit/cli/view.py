@@ -1,7 +1,9 @@
 """`motionkit view`: moving skeletons in a page."""
 
+from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +13,10 @@ from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
 from motionkit.view import MOST_MOTIONS
+
+if TYPE_CHECKING:
+    from motionkit.export.player.takes import Take
+    from motionkit.view.job import Viewed, ViewSource
 
 Clips = Annotated[
     list[str] | None, typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)
@@ -33,7 +39,13 @@ UnitMetres = Annotated[
     float | None,
     typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.", show_default=False),
 ]
-FormatName = Annotated[str, typer.Option(help="auto finds it by name and content; or one format's name.")]
+FormatName = Annotated[
+    str,
+    typer.Option(help="mp4, gif or png (a strip of poses) in place of a page; else how files are read, as in ingest."),
+]
+Speed = Annotated[
+    float | None, typer.Option(help="How fast an mp4 or a gif plays: 0.25 is slowed four times.", show_default="1")
+]
 SkeletonMaps = Annotated[
     list[Path] | None, typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md).")
 ]
@@ -67,20 +79,22 @@ def view(
     pose: PoseFiles = None,
     pose_placed: PosePlaced = False,
     out: OutPlace = None,
+    speed: Speed = None,
     overwrite: Overwrite = False,
     open_page: OpenPage = False,
     as_json: AsJson = False,
 ) -> None:
     """Look at motions: one page with moving skeletons, each at its native framerate, on one clock in seconds.
 
-    The page is one file that loads nothing from elsewhere: open it in any browser, send it to anybody.
+    It is one file that loads nothing from elsewhere; --format mp4, gif or png makes a film or a strip of poses.
 
     Example: motionkit view takes/walk.bvh takes/jump.bvh"""
     from motionkit.view.asked import drawing_asked
-    from motionkit.view.job import Stretch, find_sources, page_path, read_takes, stored_where, write_view
+    from motionkit.view.job import Stretch, find_sources, read_takes, stored_where, write_view
 
     stretch = Stretch(from_seconds, to_seconds)
-    options = read_options(parse_rate(fps), skeleton_map, format, unit_metres)
+    film, read_as = _film_asked(format, out, speed)
+    options = read_options(parse_rate(fps), skeleton_map, read_as, unit_metres)
     place = store or default_path("store")
     stored = [] if where is None else stored_where(place, where)
     if not clips and not stored:
@@ -93,16 +107,14 @@ def view(
         stderr.print(f"motionkit: the first {limit} of {len(sources):,} motions are shown: --limit shows more")
         sources = sources[:limit]
     failures = [(str(problem.path), str(problem)) for problem in problems]
-    page = page_path(out, sources) if sources else Path()
-    if sources and page.exists() and not overwrite:
-        raise MotionkitError(f"{page} exists: --overwrite replaces it, --out writes elsewhere")
+    page = _place(out, sources, film, overwrite)
     drawn = drawing_asked(path, pose or (), pose_placed)
     with progress() as show, task(show, "read", len(sources)) as work:
         takes, failed = read_takes(sources, stretch, work.advance, drawn)
     failures += failed
     for name, message in failures:
         stderr.print(f"motionkit: {message if name in message else f'{name}: {message}'}")
-    viewed = write_view(page, takes, stretch) if takes else None
+    viewed = (_write_film(page, takes, speed or 1.0) if film else write_view(page, takes, stretch)) if takes else None
     if as_json:
         plain = {"page": None, "bytes": 0, "motions": []} if viewed is None else viewed.plain()
         print_json({**plain, "failed": [{"clip": name, "message": message} for name, message in failures]})
@@ -112,6 +124,35 @@ def view(
         _open(viewed.path)
     if failures:
         raise typer.Exit(1)
+
+
+def _film_asked(format: str, out: Path | None, speed: float | None) -> tuple[str, str]:
+    """The suffix of a film or strip that is asked for (empty: a page), and the format that files are read as."""
+    films = ("mp4", "gif", "png")
+    named = format if format in films else "" if out is None else out.suffix.lower()[1:]
+    film = f".{named}" if named in films else ""
+    if speed is not None and not (film in (".mp4", ".gif") and 0 < speed < float("inf")):
+        raise UsageError("--speed is a positive number and goes with --format mp4 or gif; a page has its own speed")
+    return film, "auto" if format in films else format
+
+
+def _place(out: Path | None, sources: "Sequence[ViewSource]", film: str, overwrite: bool) -> Path:
+    from motionkit.view.job import SUFFIX, page_path
+
+    page = page_path(out, sources, film or SUFFIX) if sources else Path()
+    if sources and page.exists() and not overwrite:
+        raise MotionkitError(f"{page} exists: --overwrite replaces it, --out writes elsewhere")
+    return page
+
+
+def _write_film(path: Path, takes: "list[Take]", speed: float) -> "Viewed":
+    from motionkit.export.film import num_pictures, write_film
+    from motionkit.view.job import Viewed
+
+    exact = Fraction(speed).limit_denominator(1000)
+    with progress() as show, task(show, "draw", num_pictures(takes, exact, path.suffix)) as work:
+        write_film(path, takes, exact, work.advance)
+    return Viewed(path, path.stat().st_size, tuple(takes))
 
 
 def _open(path: Path) -> None:

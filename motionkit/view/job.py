@@ -136,12 +136,12 @@ def _take(read: ReadClip, name: str) -> Take:
     return take if read.seen.all() else replace(take, seen=read.seen)
 
 
-def page_path(out: Path | None, sources: Sequence[ViewSource]) -> Path:
-    """The page's file: `out`, a name in it where it is a folder, or NAME.view.html here."""
+def page_path(out: Path | None, sources: Sequence[ViewSource], suffix: str = SUFFIX) -> Path:
+    """The page's or the film's file: `out`, a name in it where it is a folder, or NAME.view.html (NAME.mp4) here."""
     first = sources[0].beside.name
     stem = first if len(sources) == 1 else f"{first}-and-{len(sources) - 1}-more"
     short = printable(stem).encode(errors="replace")[:LONGEST_STEM_BYTES].decode(errors="ignore")
-    name = f"{short or 'motion'}{SUFFIX}"
+    name = f"{short or 'motion'}{suffix}"
     if out is None:
         return Path(name)
     return out / name if out.is_dir() else out

@@ -240,3 +240,15 @@ def test_what_cannot_be_shown_is_told_in_a_line(
     outcome = motionkit("view", *arguments)
     assert outcome.code == code and outcome.stdout == "" and told in outcome.stderr.splitlines()[-1]
     assert not list(Path().glob("*.html"))
+
+
+def test_films_and_strips(motionkit: Run, motion: Motion, here: Path) -> None:
+    write_npz(motion.frames(0, 6), here / "walk.npz")
+    for options, name in ((("--format", "png"), "walk.png"), (("--out", "slow.gif", "--speed", 0.5), "slow.gif")):
+        outcome = motionkit("view", "walk.npz", *options)
+        assert (outcome.code, outcome.stdout.strip()) == (0, name), outcome.stderr
+        assert (here / name).stat().st_size > 1000
+    again = motionkit("view", "walk.npz", "--format", "png")
+    assert again.code == 1 and "--overwrite replaces it" in again.stderr
+    page = motionkit("view", "walk.npz", "--speed", 0.5)
+    assert page.code == 2 and "goes with --format mp4 or gif" in page.stderr
