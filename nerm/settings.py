@@ -232,6 +232,11 @@ class ContactsConfig:
     width: int = 128
     noise: float = 0.4
 
+    def __post_init__(self) -> None:
+        require_positive(self, "batch_size", "width")
+        if self.steps < 0:
+            raise ValueError(f"steps must be 0 or more, not {self.steps}")
+
 
 @dataclass(frozen=True)
 class FieldOptimizerConfig:
@@ -353,6 +358,8 @@ class ConditionsConfig:
         for name in ("drop", "action_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must lie in [0, 1], not {getattr(self, name)}")
+        if self.paraphrases < 0:
+            raise ValueError(f"paraphrases must be 0 or more, not {self.paraphrases}")
 
 
 @dataclass(frozen=True)

@@ -109,8 +109,11 @@ def wanted_constraints(
     """All constraints of a motion of each prompt, or of all in a row.
 
     `joints` are those of poses that count, separated by commas; None for all.
-    Raises what reading them raises, and `UsageError` for a point of the path beyond the motion's end.
+    Raises what reading them raises, and `UsageError` for a point of the path beyond the motion's end and for what is
+    said of poses where there are none.
     """
+    if (joints or placed) and not poses:
+        raise UsageError("--pose-joints and --pose-placed are about the poses of --pose: give one")
     names = joints.split(",") if joints else SMPL22.joint_names
     lengths = [prompt.request.duration_seconds or np.nan for prompt in prompts]
     length = sum(lengths) if is_joined else lengths[0] if len(set(lengths)) == 1 else np.nan

@@ -189,7 +189,7 @@ class Correction:
         stop = self.count if last else min(self.count, (number + 1) * self._block_length + margin)
         paths = self._paths(first, stop)
         offered = None if self.down is None else self.down(first, stop)
-        limits = GENERATED if self.path == "free" else CAPTURED
+        limits = CAPTURED if self.path == "near" else GENERATED
         contacts = find_contacts(paths, self.fps, self.ground, offered, limits)
         return Block(first, paths, contacts, offsets_of(paths, contacts, self.ground, self.fps, self.path))
 

@@ -102,7 +102,7 @@ def test_framerates_above_the_training_data_warn(run_command, recwarn):
         (("a walk", "--seconds", "4000"), "a motion lasts up to 3600 s"),
         (("a walk", "a jump", "--seconds", "0.5", "--join"), "part 1 of 2 of a joined motion lasts 0.5 s"),
         (("a walk", "a jump", "--seconds", "4", "--join", "--times", "8.5"), "outside the motion's 0 … 8 s"),
-        (("a walk", "--format", "fbx"), "one of bvh, joints-npy, npz, csv, gltf, humanml3d"),
+        (("a walk", "--format", "fbx"), "one of bvh, amass, joints-npy, npz, csv, gltf, humanml3d"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--format", "bvh"), "one framerate"),
     ],
 )
@@ -156,6 +156,7 @@ def test_a_path_of_a_long_motion_is_given_to_each_piece_by_its_clock(run_command
         (("--joint", "head@3=0,0,0", "--seconds", "2"), "'Drift' follows no constraints"),
         (("--pose", "1=many.npz", "--seconds", "2"), r"many\.npz holds 3 frames: say which by its second"),
         (("--pose", "1=many.npz@0.1", "--pose-joints", "head,tail", "--seconds", "2"), "no joint is called 'tail'"),
+        (("--pose-joints", "head", "--seconds", "2"), "are about the poses of --pose: give one"),
     ],
 )
 def test_what_a_motion_cannot_be_held_to_is_refused(run_command, tmp_path, arguments, message):

@@ -179,7 +179,16 @@ def test_a_corpus_without_captions_or_actions():
     assert corpus.layout.actions == ()
 
 
-@pytest.mark.parametrize("wrong", ["schedule.steps=5", "schedule.epochs=none", "conditions.drop=1.5", "ema_decay=1.0"])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "schedule.steps=5",
+        "schedule.epochs=none",
+        "conditions.drop=1.5",
+        "conditions.paraphrases=-1",
+        "ema_decay=1.0",
+    ],
+)
 def test_impossible_settings_are_refused(wrong):
     with pytest.raises(UsageError, match=f"{wrong}: .*must"):
         apply_overrides(DenoiserConfig(), [wrong])
