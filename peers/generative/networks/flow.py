@@ -157,7 +157,8 @@ class FlowLayer(nn.Module):
         self, tokens: Float[Tensor, "batch frames width"], seen: Bool[Tensor, "batch frames"]
     ) -> Float[Tensor, "batch frames width"]:
         q, k, v = self.qkv(tokens).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
-        q, k = turned(self.query_norm(q)), turned(self.key_norm(k))
+        # In float32 under autocast too: torch warns of a norm whose weights are of another type.
+        q, k = (turned(norm(each.float()).to(v.dtype)) for norm, each in ((self.query_norm, q), (self.key_norm, k)))
         mixed = scaled_dot_product_attention(q, k, v, attn_mask=seen[:, None, None])
         made: Tensor = self.attended(mixed.transpose(1, 2).flatten(2))
         return made

@@ -216,7 +216,7 @@ def test_a_store_without_captions_gives_an_evaluator_without_sentences(tmp_path:
 
 def test_the_stage_is_registered_with_recipes_of_every_size() -> None:
     assert registered_stages()["evaluator"] is STAGE
-    assert set(STAGE.recipes) == {"nano", "demo", "base", "paper"}
+    assert set(STAGE.recipes) == {"nano", "small", "demo", "base", "paper"}
     assert STAGE.recipe("demo").training.steps < STAGE.recipe("nano").training.steps
     assert torch.get_default_dtype() == torch.float32
 

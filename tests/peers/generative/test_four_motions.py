@@ -25,7 +25,7 @@ from tests.helpers.tiny_peers import tiny_config
 FPS, FRAMES = Fraction(20), 16
 SIZES = ConditionSizes(0, ("a", "b", "c", "d"), 4)
 # Steps of each stage, as many as it takes.
-STEPS = {"mdm": 500, "mdm-50": 500, "inr-mlp": 1200, "flow": 500, "t2m": 400, "camdm": 600, "mld": 800}
+STEPS = {"mdm": 1000, "mdm-50": 500, "inr-mlp": 1200, "flow": 500, "t2m": 400, "camdm": 600, "mld": 800}
 # A prior from which a VAE's latents are not far, so that its draws say nothing; a motion without a past as often.
 CHANGED = {
     "actor": {"kl_weight": 1e-2},
