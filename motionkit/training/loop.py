@@ -66,7 +66,7 @@ def train_loop(
     damaged. Only the first rank writes, and only it knows the figures.
     """
     purpose, spent = folder.path.name, time.process_time()
-    first, figures, before = _restore(trainable, folder, ranks)
+    first, figures, before = _restore(trainable, folder, steps, ranks)
     latest = (folder.read_metrics() or [{}])[-1]
     saved = time.perf_counter()
     started = saved - latest.get("seconds", 0.0)
@@ -143,7 +143,7 @@ def _save(
         save_tensors(folder.checkpoint_path, tensors, description)
 
 
-def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[int, _Figures, float]:
+def _restore(trainable: Trainable, folder: StageFolder, steps: int, ranks: Ranks) -> tuple[int, _Figures, float]:
     """Go back to the checkpoint, where there is one.
 
     Returns its step, the figures since the last logged one, and the processor seconds that were spent until then.
@@ -162,6 +162,8 @@ def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[i
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         fault = f"{path} does not fit these settings or this version ({one_line(error)})"
         raise CheckpointError(f"{fault}: {mend}") from None
+    if not 0 <= logged <= step <= steps:
+        raise CheckpointError(f"{path} is of a step that a training of {steps:,} steps does not have: {mend}")
     logged_until = description.get("metrics") or folder.metrics.extent_until(step)
     ranks.on_first(lambda: folder.metrics.cut(logged_until))
     figures = _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)
