@@ -97,7 +97,9 @@ def _values(archive: NpzArchive, key: str) -> Float32[np.ndarray, "..."]:
 def _rotations(archive: NpzArchive, key: str, num_joints: int | None = None) -> Float32[np.ndarray, "frames joints 4"]:
     """Rotations of a key as quaternions, whatever they are written as."""
     values = _values(archive, key)
-    if values.ndim > 2 and len(values) == 1 and values.shape[-1] % 3 == 0 and values.shape[-1] > 3:
+    # Of several joints [1, joints, 3] is one frame, and [1, 3, 3] is a matrix.
+    of_frames = values.shape[-1] > 3 or (num_joints == 1 and values.shape[1:] != (3, 3))
+    if values.ndim == 3 and len(values) == 1 and values.shape[-1] % 3 == 0 and of_frames:
         values = values[0]  # one body of a batch
     frames, size = len(values), values[0].size
     # Of one joint [3, 3] are three frames of vectors, and of several [frames, 3, 3] three joints'.

@@ -58,6 +58,13 @@ def test_vectors_and_matrices_are_the_body_of_amass(tmp_path, poses, expected):
         np.testing.assert_allclose(motion.joint_positions, expected.joint_positions, atol=2e-6, err_msg=name)
 
 
+def test_one_body_of_a_batch(tmp_path, poses, expected):
+    joints, places = poses
+    np.savez(tmp_path / "one.npz", **{key: value[None] for key, value in dictionary(joints, places).items()}, fps=30)
+    motion = read_smpl(tmp_path / "one.npz")
+    np.testing.assert_allclose(motion.local_rotations, expected.local_rotations[:, :22], atol=1e-5)
+
+
 def test_three_frames_of_vectors_are_no_matrix(tmp_path, poses, expected):
     joints, places = poses
     arrays = {name: values[:3] for name, values in dictionary(joints, places).items()}
