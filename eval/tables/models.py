@@ -93,7 +93,7 @@ def training_note(trained: Trained[Any]) -> str:
         summary = stage.read_summary() if stage.is_complete else {}
         steps = summary.get("steps", summary.get("step"))
         facts = [] if steps is None else [f"{int(steps):,} steps"]
-        facts += [f"{int(summary[key]):,} {key}" for key in ("parameters",) if key in summary]
+        facts += [f"{int(summary['parameters']):,} parameters"] if "parameters" in summary else []
         facts += [f"{summary['cpu_seconds']:,.0f} s of processor time"] if "cpu_seconds" in summary else []
         told += [f"{name}: {', '.join(facts)}"] if facts else []
     rate = f"trained at up to {float(trained.loaded.max_training_fps):g} fps"

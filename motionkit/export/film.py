@@ -153,8 +153,8 @@ class _Panel:
     """One take's part of a sheet; `show` moves its lines to another frame."""
 
     take: Take
-    drawing: Drawing
     view: _View
+    ends: Int64[np.ndarray, "bones 2"]
     bones: LineCollection
     ground: LineCollection
     clock: Text
@@ -169,8 +169,8 @@ class _Panel:
         axes.set(xlim=(-view.half, view.half), ylim=(-view.half, view.half))
         axes.set_axis_off()
         ground = LineCollection([], colors=GROUND, linewidths=0.8)
-        joints = [joint for joint, parent in enumerate(drawing.bones) if parent >= 0]
-        colours = [COLOURS[drawing.sides[joint]] for joint in joints]
+        ends = np.array([(joint, parent) for joint, parent in enumerate(drawing.bones) if parent >= 0]).reshape(-1, 2)
+        colours = [COLOURS[drawing.sides[joint]] for joint in ends[:, 0].tolist()]
         bones = LineCollection([], colors=colours, linewidths=2.5, capstyle="round")
         for lines in (ground, bones):
             axes.add_collection(lines)
@@ -178,15 +178,14 @@ class _Panel:
             title = f"{take.name}, {format_fps(take.fps)} fps"
             axes.text(0.03, 0.95, title, transform=axes.transAxes, fontsize=9, parse_math=False)
         clock = axes.text(0.03, 0.03, "", transform=axes.transAxes, fontsize=9, color="#666666")
-        return cls(take, drawing, view, bones, ground, clock)
+        return cls(take, view, ends, bones, ground, clock)
 
     def show(self, frame: int) -> None:
         places: Float32[np.ndarray, "joints 3"] = np.nan_to_num(self.take.joint_positions[frame])
         middle = places.mean(axis=0).astype(np.float64)
         middle[1] = self.view.floor + self.view.half / AIR
         flat = self.view.flat(places - middle)
-        joints = [joint for joint, parent in enumerate(self.drawing.bones) if parent >= 0]
-        self.bones.set_segments([flat[[joint, self.drawing.bones[joint]]] for joint in joints])
+        self.bones.set_segments(list(flat[self.ends]))
         self.ground.set_segments(list(self.view.flat(_grid(middle, self.view.floor) - middle)))
         seconds = self.take.frame_seconds()[frame]
         self.clock.set_text(f"{seconds:.3f} s, frame {self.take.first_frame + frame}")

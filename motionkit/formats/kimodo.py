@@ -23,6 +23,9 @@ from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file
 
+Bones = tuple[tuple[str, str], ...]
+"""Joints, each with the one above it."""
+
 FPS = Fraction(30)
 JOINTS, ROTATIONS = "posed_joints", "global_rot_mats"
 # Beyond this the joints are not where the rotations put them.
@@ -34,11 +37,11 @@ ARM = (("Shoulder", "Chest"), ("Arm", "Shoulder"), ("ForeArm", "Arm"), ("Hand", 
 LEG = (("Leg", "Hips"), ("Shin", "Leg"), ("Foot", "Shin"), ("ToeBase", "Foot"))
 
 
-def _sided(side: str, bones: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:
+def _sided(side: str, bones: Bones) -> Bones:
     return tuple((side + joint, above if above in ("Chest", "Hips") else side + above) for joint, above in bones)
 
 
-def _finger(name: str, bones: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+def _finger(name: str, bones: tuple[str, ...]) -> Bones:
     chain = ("Hand", *(f"Hand{name}{bone}" for bone in bones))
     return tuple(zip(chain[1:], chain[:-1], strict=True))
 
@@ -49,10 +52,9 @@ _FINGERS = _finger("Thumb", ("1", "2", "3", "End")) + tuple(
 _STUMPS = (("HandThumbEnd", "Hand"), ("HandMiddleEnd", "Hand"))
 
 
-def _soma(name: str, head: tuple[tuple[str, str], ...], hand: tuple[tuple[str, str], ...], toes: bool) -> Skeleton:
-    leg = (*LEG, ("ToeEnd", "ToeBase")) if toes else LEG
-    bones = (*TRUNK, *head, *(each for part in ((*ARM, *hand), leg) for side in ("Left", "Right")
-                              for each in _sided(side, part)))  # fmt: skip
+def _soma(name: str, head: Bones, arm: Bones, leg: Bones) -> Skeleton:
+    limbs = (each for part in (arm, leg) for side in ("Left", "Right") for each in _sided(side, part))
+    bones = (*TRUNK, *head, *limbs)
     names = tuple(joint for joint, _ in bones)
     return Skeleton(
         name=name,
@@ -70,8 +72,8 @@ SKELETONS = {
     each.num_joints: each
     for each in (
         SMPL22,
-        _soma("somaskel30", (*HEAD, *FACE), _STUMPS, toes=False),
-        _soma("somaskel77", (*HEAD, ("HeadEnd", "Head"), *FACE), _FINGERS, toes=True),
+        _soma("somaskel30", (*HEAD, *FACE), (*ARM, *_STUMPS), LEG),
+        _soma("somaskel77", (*HEAD, ("HeadEnd", "Head"), *FACE), (*ARM, *_FINGERS), (*LEG, ("ToeEnd", "ToeBase"))),
     )
 }
 
@@ -96,7 +98,7 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
         message = f"{JOINTS}: {positions.shape[1]} joints, expected {known}"
         raise FormatError(message, path=path, reason="channel-count")
     fps, stated, operations = _framerate(archive, options)
-    rotations, offsets = None, _offsets_at_rest(positions, skeleton)
+    rotations, offsets = None, _offsets_in_first_frame(positions, skeleton)
     if ROTATIONS in archive:
         matrices = npz_archive.read_numbers(archive, ROTATIONS, (*positions.shape[:2], 3, 3))
         rotations, offsets, operations = _rigid(positions, matrices, skeleton, operations)
@@ -124,7 +126,7 @@ def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str
     return used, "" if value is None else str(value), clock.replaced_fps(used, fps, who=who)
 
 
-def _offsets_at_rest(
+def _offsets_in_first_frame(
     positions: Float32[np.ndarray, "frames joints 3"], skeleton: Skeleton
 ) -> Float32[np.ndarray, "joints 3"]:
     offsets: Float32[np.ndarray, "joints 3"] = positions[0] - positions[0, [max(each, 0) for each in skeleton.parents]]
@@ -148,7 +150,7 @@ def _rigid(
     error = float(np.linalg.norm(made - positions, axis=-1)[:, 1:].max(initial=0.0))
     if error > RIGID_METRES:
         line = f"positions only: the rotations put joints {1000 * error:.0f} mm from where they are"
-        return None, _offsets_at_rest(positions, skeleton), [*operations, line]
+        return None, _offsets_in_first_frame(positions, skeleton), [*operations, line]
     return kinematics.matrix_to_quaternion(local).astype(np.float32), offsets, operations
 
 

@@ -90,6 +90,12 @@ def stage_named(peer: GenerativePeer, name: str) -> PeerStage:
     return next(stage for stage in peer.stages if stage.name == name)
 
 
+def _cosine(steps: int, batch_size: int, learning_rate: float) -> Schedule:
+    return Schedule(
+        steps=steps, batch_size=batch_size, learning_rate=learning_rate, kind="cosine", warmup_fraction=0.02
+    )
+
+
 # The whole of each window, of which a step sees five frames.
 WHOLE_IN_5 = MotionsConfig(pose_vectors="field", crops="whole", seen="scattered", seen_frames=5)
 IN_24 = MotionsConfig(seen="stretch", seen_frames=24)
@@ -102,7 +108,7 @@ MDM_PAPER = {"network": MdmNetworkConfig(), "schedule": Schedule(steps=600_000)}
 MDM_NANO = {
     "network": MdmNetworkConfig(SMALL),
     "conditions": MINILM,
-    "schedule": Schedule(steps=1800, batch_size=32, learning_rate=1e-3, kind="cosine", warmup_fraction=0.02),
+    "schedule": _cosine(1800, 32, 1e-3),
     "optimizer": OptimizerConfig(ema_decay=0.995),
     "precision": "auto",
 }
@@ -140,7 +146,6 @@ MDM_50 = GenerativePeer(
     ),
 )
 SMALL_SKIPS = TransformerSizes(5, 128, 4, 256)
-MLD_TEXTS = ConditionsConfig(nothing="empty")
 MLD = GenerativePeer(
     "MLD",
     (
@@ -175,15 +180,13 @@ MLD = GenerativePeer(
                 "nano": {
                     "network": MldNetworkConfig(replace(SMALL_SKIPS, dropout=0.0), time_features=128),
                     "conditions": replace(MINILM, nothing="empty"),
-                    "schedule": Schedule(
-                        steps=1500, batch_size=64, learning_rate=1e-3, kind="cosine", warmup_fraction=0.02
-                    ),
+                    "schedule": _cosine(1500, 64, 1e-3),
                     "optimizer": OptimizerConfig(ema_decay=0.995),
                     "precision": "auto",
                 },
                 "paper": {
                     "network": MldNetworkConfig(),
-                    "conditions": MLD_TEXTS,
+                    "conditions": ConditionsConfig(nothing="empty"),
                     "schedule": Schedule(epochs=2000),
                     "optimizer": OptimizerConfig(weight_decay=0.01),
                 },
@@ -195,12 +198,6 @@ MLD = GenerativePeer(
 # Systems that are not diffused have no use for guidance, so no condition is left out.
 GIVEN = ConditionsConfig(drop=0.0)
 GIVEN_NANO = replace(MINILM, drop=0.0)
-
-
-def _cosine(steps: int, batch_size: int, learning_rate: float) -> Schedule:
-    return Schedule(
-        steps=steps, batch_size=batch_size, learning_rate=learning_rate, kind="cosine", warmup_fraction=0.02
-    )
 
 
 INR_MLP = GenerativePeer(
