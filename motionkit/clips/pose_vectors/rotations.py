@@ -141,7 +141,7 @@ def with_rotations(store: Store, where: str | None, num_joints: int = SMPL22.num
         raise UsageError(
             f"pose_vectors=rotations needs sequences with the joint rotations of SMPL's {num_joints} joints "
             f"(AMASS, UESTC); {store.path} has none{among}: ingest some, or train on positions "
-            "(the setting pose_vectors of its part: field)"
+            "(pose_vectors=field)"
         )
     return condition
 

@@ -17,7 +17,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.transfer import counterpart_joints
 
 Colours = Literal["sides", "given", "plain"]
-Line = Float64[np.ndarray, "points 3"]
+Line = Float64[np.ndarray, "_ 3"]
 
 
 @dataclass(frozen=True, eq=False)
