@@ -24,6 +24,8 @@ REFERENCE_ENDINGS, CORRECTED_ENDINGS = ("_gt", "_ref"), ("_ik",)
 GENERATED_ENDING = "_pred"
 PROGRAMS = frozenset({".pkl", ".pickle", ".pt", ".pth", ".joblib"})
 SHOWN_KINDS = 3
+# All other formats say everything themselves; these may be normalised, and state no framerate.
+PLAIN_ARRAYS = frozenset({"joints-npy", "pose-vectors"})
 # Problems of a scan that are said here in other words, or are none.
 HANDLED_HERE = ("caption-without-motion", "empty-folder", "unknown-format")
 
@@ -73,8 +75,7 @@ def list_samples(name: str, source: Path) -> Listing:
     found = scan([source])
     known = {problem.path for problem in problems}
     problems += [each for each in found.problems if each.reason not in HANDLED_HERE and each.path not in known]
-    # Formats that say everything themselves; plain arrays are none.
-    items = [item for item in found.items if item.format != "joints-npy" and item.path not in damaged]
+    items = [item for item in found.items if item.format not in PLAIN_ARRAYS and item.path not in damaged]
     taken = {item.path for item in items}
     arrays = [
         path

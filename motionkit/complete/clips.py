@@ -20,14 +20,14 @@ from motionkit.fields.completion import Completion
 from motionkit.fields.interpolation.rigid import on_bones
 from motionkit.fields.long_observation import LongObservation
 from motionkit.fields.motion_field import Observation, Observed, Poses
+from motionkit.formats.arrays import pose_vectors
 from motionkit.formats.arrays.npz import write_npz
 from motionkit.formats.bvh.document import BvhDocument
 from motionkit.formats.bvh.writing import ChannelLines, check_writable
 from motionkit.formats.catalogue import writer_of, writers
-from motionkit.formats.humanml3d import VECTORS_FOLDER
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read_document
-from motionkit.store.named_motions.holes import ReadClip, read_vectors, read_with_holes, write_vectors
+from motionkit.store.named_motions.holes import ReadClip, read_with_holes, write_vectors
 from motionkit.store.named_motions.reading import Found, Readers, find_motions
 
 FRAMES_AT_ONCE = 2048
@@ -70,7 +70,7 @@ def find_clips(names: Sequence[str], options: ReadOptions, store: Path) -> tuple
 
     Raises `UsageError` for a name that says nothing.
     """
-    readers = Readers(partial(_read, options=options), partial(_vectors, options=options), clip_of_motion)
+    readers = Readers(partial(_read, options=options), clip_of_motion)
     found, problems = find_motions(names, replace(options, leave_out_made=True), store, readers)
     return found, problems
 
@@ -80,7 +80,7 @@ def _read(item: SourceItem, options: ReadOptions) -> Clip:
     if document is not None:
         return clip_of_document(document)
     read = read_with_holes(item, options)
-    if item.path.parent.name == VECTORS_FOLDER:
+    if pose_vectors.accepts(item.path):
         return _in_memory(read, ".npy", write_vectors)
     return _as_it_came(read, item)
 
@@ -153,10 +153,6 @@ def as_format(clip: Clip, suffix: str) -> Clip:
     if clip.suffix == suffix:
         return clip
     return replace(clip, suffix=suffix, write=_writing(_write_of(suffix), clip.timegrid, clip.label), note="")
-
-
-def _vectors(path: Path, options: ReadOptions) -> Clip:
-    return _in_memory(read_vectors(path, options), ".npy", write_vectors)
 
 
 def clip_of_motion(motion: Motion) -> Clip:

@@ -5,13 +5,12 @@ either. `foot_contacts` and what else can be computed from the joints is left. S
 https://github.com/nv-tlabs/kimodo (skeleton/definitions.py).
 """
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 
-from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
@@ -21,15 +20,13 @@ from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
 from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.source import clock, source_file
+from motionkit.formats.source import clock, rigid, source_file
 
 Bones = tuple[tuple[str, str], ...]
 """Joints, each with the one above it."""
 
 FPS = Fraction(30)
 JOINTS, ROTATIONS = "posed_joints", "global_rot_mats"
-# Beyond this the joints are not where the rotations put them.
-RIGID_METRES = 0.002
 TRUNK = (("Hips", ""), ("Spine1", "Hips"), ("Spine2", "Spine1"), ("Chest", "Spine2"), ("Neck1", "Chest"))
 HEAD = (("Neck2", "Neck1"), ("Head", "Neck2"))
 FACE = (("Jaw", "Head"), ("LeftEye", "Head"), ("RightEye", "Head"))
@@ -98,22 +95,20 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
         message = f"{JOINTS}: {positions.shape[1]} joints, expected {known}"
         raise FormatError(message, path=path, reason="channel-count")
     fps, stated, operations = _framerate(archive, options)
-    rotations, offsets = None, _offsets_in_first_frame(positions, skeleton)
-    if ROTATIONS in archive:
-        matrices = npz_archive.read_numbers(archive, ROTATIONS, (*positions.shape[:2], 3, 3))
-        rotations, offsets, operations = _rigid(positions, matrices, skeleton, operations)
-    body = Skeleton(
-        skeleton.name, skeleton.joint_names, skeleton.parents, offsets, skeleton.left_right_pairs, skeleton.feet
-    )
-    return Motion(
+    body = replace(skeleton, offsets=positions[0] - positions[0, [max(each, 0) for each in skeleton.parents]])
+    made = Motion(
         positions,
         body,
         TimeGrid(fps, len(positions)),
-        rotations,
-        None if rotations is None else positions[:, 0],
         sequence_id=path.stem,
         provenance=source_file.provenance(path, data, "kimodo", operations, stated_fps=stated),
     )
+    if ROTATIONS not in archive:
+        return made
+    matrices = npz_archive.read_numbers(archive, ROTATIONS, (*positions.shape[:2], 3, 3))
+    local = np.einsum("tjki,tjkl->tjil", matrices[:, [max(each, 0) for each in skeleton.parents]], matrices)
+    local[:, 0] = matrices[:, 0]
+    return rigid.with_rotations(made, local)
 
 
 def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
@@ -124,34 +119,6 @@ def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str
         raise FormatError(f"fps: {value} ({error})", path=archive.path, reason="framerate") from None
     used = options.fps or fps
     return used, "" if value is None else str(value), clock.replaced_fps(used, fps, who=who)
-
-
-def _offsets_in_first_frame(
-    positions: Float32[np.ndarray, "frames joints 3"], skeleton: Skeleton
-) -> Float32[np.ndarray, "joints 3"]:
-    offsets: Float32[np.ndarray, "joints 3"] = positions[0] - positions[0, [max(each, 0) for each in skeleton.parents]]
-    return offsets
-
-
-def _rigid(
-    positions: Float32[np.ndarray, "frames joints 3"],
-    matrices: Float32[np.ndarray, "frames joints 3 3"],
-    skeleton: Skeleton,
-    operations: list[str],
-) -> tuple[Float32[np.ndarray, "frames joints 4"] | None, Float32[np.ndarray, "joints 3"], list[str]]:
-    """Local rotations and offsets that reproduce the positions; none of the former where nothing does."""
-    above = np.array([max(each, 0) for each in skeleton.parents])
-    local = np.einsum("tjki,tjkl->tjil", matrices[:, above], matrices)
-    local[:, 0] = matrices[:, 0]
-    bones = np.einsum("tjki,tjk->tji", matrices[:, above], positions - positions[:, above])
-    offsets = np.median(bones, axis=0).astype(np.float32)
-    offsets[0] = 0.0
-    made = np.einsum("tjik,jk->tji", matrices[:, above], offsets) + positions[:, above]
-    error = float(np.linalg.norm(made - positions, axis=-1)[:, 1:].max(initial=0.0))
-    if error > RIGID_METRES:
-        line = f"positions only: the rotations put joints {1000 * error:.0f} mm from where they are"
-        return None, _offsets_in_first_frame(positions, skeleton), [*operations, line]
-    return kinematics.matrix_to_quaternion(local).astype(np.float32), offsets, operations
 
 
 FORMAT = Format(name="kimodo", read=of_path(read_kimodo), suffixes=(".npz",), accepts=accepts)

@@ -15,7 +15,7 @@ from motionkit.export.player.page import check_places, write_page
 from motionkit.export.player.takes import Take, take_of
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read_document
-from motionkit.store.named_motions.holes import ReadClip, read_vectors, read_with_holes
+from motionkit.store.named_motions.holes import ReadClip, read_with_holes
 from motionkit.store.named_motions.reading import Found, Readers, find_motions, find_stored
 
 ViewSource = Found[ReadClip]
@@ -23,7 +23,7 @@ ViewSource = Found[ReadClip]
 
 def find_sources(names: Sequence[str], options: ReadOptions, store: Path) -> tuple[list[ViewSource], list[FormatError]]:
     """The motions of these names, and what is wrong with some. Raises `UsageError` for a name that says nothing."""
-    readers = Readers(partial(_read, options=options), lambda path: read_vectors(path, options), ReadClip.whole)
+    readers = Readers(partial(_read, options=options), ReadClip.whole)
     return find_motions(names, options, store, readers)
 
 

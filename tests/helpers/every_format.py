@@ -13,11 +13,13 @@ import pyarrow.parquet as pq
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
+from motionkit.features import humanml3d
 from motionkit.formats import parquet
 from motionkit.formats.deepmimic import humanoid3d
 from motionkit.formats.humanml3d import Entry, write_humanml3d
 from tests.helpers.amass_samples import smplh_fields, write_amass
 from tests.helpers.format_samples import bvh_text, lafan1_text, write_asfamc
+from tests.helpers.vector_samples import interhuman_rows, motionstreamer_rows, walk
 
 
 def bodies(num_frames: int, joints: int) -> np.ndarray:
@@ -46,6 +48,11 @@ def write_array(name: str, array: np.ndarray) -> Callable[[Path], Path]:
         return folder / name
 
     return write
+
+
+def write_vectors(rows: Callable[[], np.ndarray]) -> Callable[[Path], Path]:
+    """A source of one .npy file of pose vectors."""
+    return lambda folder: write_array("take.npy", rows())(folder)
 
 
 def write_arrays(name: str, **arrays: np.ndarray) -> Callable[[Path], Path]:
@@ -139,6 +146,9 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
     "kit": write_published(21),
     "humanact12": write_array("P01G01R01F0069T0143A0102.npy", bodies(8, 24)),
     "joints-npy": write_array("take.npy", bodies(8, 22)),
+    "pose-vectors": write_vectors(lambda: humanml3d.vectors(walk(20, 2.0).joint_positions, "smpl22")),
+    "interhuman": write_vectors(lambda: interhuman_rows(walk(30, 2.0))),
+    "motionstreamer": write_vectors(lambda: motionstreamer_rows(walk(30, 2.0))),
     "npz": write_arrays("take.npz", joint_positions=bodies(5, 22), fps=np.array(30.0), captions=np.array(["walks"])),
     "parquet": write_rows,
     "csv": write_text("take.csv", "time_seconds,a_x,a_y,a_z\n0.0,1,2,3\n0.5,1,2,3.5\n1.0,1,2,3.25\n"),

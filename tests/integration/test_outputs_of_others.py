@@ -4,15 +4,21 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from motionkit.features import humanml3d
 from motionkit.formats.kimodo import SKELETONS
 from motionkit.synthetic import make_body, perform
+from tests.helpers import vector_samples
+from tests.helpers.vector_samples import interhuman_rows, motionstreamer_rows
 
 FRAMES = 40
 
 
 @pytest.fixture
 def outputs(tmp_path):
-    """A walk as Kimodo's joints and as SMPL-H's 52; a body at rest as SMPL's parameters and as Motion-X's rows."""
+    """A walk as Kimodo's joints and as SMPL-H's 52; a body at rest as SMPL's parameters and as Motion-X's rows.
+
+    Others as pose vectors: one person's and two persons' of InterHuman, MotionStreamer's.
+    """
     folder = tmp_path / "outputs"
     folder.mkdir()
     walk = perform(np.random.default_rng(0), make_body("test"), ["walk"], 2.0).query(np.arange(FRAMES) / 30)
@@ -23,15 +29,23 @@ def outputs(tmp_path):
     rest = np.zeros((FRAMES, 3), np.float32)
     np.savez(folder / "gvhmr.npz", global_orient=rest, body_pose=np.zeros((FRAMES, 63)), transl=rest + 0.9, fps=30)
     np.save(folder / "motionx.npy", np.zeros((FRAMES, 322), np.float32))
+    alone = interhuman_rows(vector_samples.walk())
+    np.save(folder / "alone.npy", alone)
+    np.save(folder / "two.npy", np.hstack((alone, alone)))
+    np.save(folder / "streamed.npy", motionstreamer_rows(vector_samples.walk()))
     return folder
 
 
 def test_they_are_ingested(motionkit, outputs, tmp_path):
     outcome = motionkit("ingest", outputs, "--store", tmp_path / "store")
-    assert outcome.code == 0 and "stored 4 sequences" in outcome.stdout
+    assert outcome.code == 0 and "stored 8 sequences" in outcome.stdout
     store = mk.Store.open(tmp_path / "store")
     kinds = dict(zip(store.sequences["source_format"], store.sequences["has_rotations"], strict=True))
-    assert kinds == {"kimodo": False, "joints-npy": False, "smpl": True, "motion-x": True}
+    assert kinds == {
+        **{"kimodo": False, "joints-npy": False, "smpl": True, "motion-x": True},
+        **{"interhuman": False, "motionstreamer": True},
+    }
+    assert {"outputs/two/person1", "outputs/two/person2", "outputs/alone"} < set(store.sequences["sequence_id"])
     np.testing.assert_array_equal(
         store.read("outputs/kimodo").joint_positions, store.read("outputs/joints52").joint_positions
     )
@@ -39,11 +53,37 @@ def test_they_are_ingested(motionkit, outputs, tmp_path):
 
 def test_they_are_samples(motionkit, outputs):
     outcome = motionkit("samples", outputs)
-    assert outcome.code == 0 and " 4, " in outcome.stdout.splitlines()[0]
-    assert "30 fps (4)" in outcome.stdout
+    assert outcome.code == 0 and " 8, " in outcome.stdout.splitlines()[0]
+    assert "30 fps (8)" in outcome.stdout
 
 
 def test_a_robot_s_joints_are_told(motionkit, tmp_path):
     np.savez(tmp_path / "g1.npz", posed_joints=np.zeros((4, 34, 3), np.float32))
     (line,) = motionkit("view", tmp_path / "g1.npz").error_lines
     assert f"34 joints, expected {', '.join(str(count) for count in SKELETONS)}"[:20] in line
+
+
+def test_one_file_of_pose_vectors_goes_everywhere(motionkit, tmp_path):
+    rows = humanml3d.vectors(vector_samples.walk(20).joint_positions, "smpl22")
+    np.save(tmp_path / "000021.npy", rows)
+    store, out = tmp_path / "store", tmp_path / "out"
+    assert motionkit("view", tmp_path / "000021.npy", "--out", tmp_path / "page.html").code == 0
+    outcome = motionkit("ingest", tmp_path / "000021.npy", "--store", store)
+    assert outcome.code == 0 and "stored 1 sequence" in outcome.stdout
+    assert motionkit("export", out, "--store", store, "--format", "bvh").code == 0
+    (written,) = out.glob("**/*.bvh")
+    found = mk.read(written)
+    assert found.fps == 20 and found.num_frames == len(rows)
+    stated = motionkit("samples", tmp_path / "000021.npy")
+    assert stated.code == 1 and "statistics" in stated.stderr
+
+
+def test_two_persons_are_two_motions_of_a_page(motionkit, outputs):
+    outcome = motionkit("view", outputs / "two.npy", "--json", "--out", outputs / "two.html")
+    assert outcome.code == 0 and "person1" in outcome.stdout and "person2" in outcome.stdout
+
+
+def test_normalised_vectors_are_told_and_how_to_restore_them(motionkit, tmp_path):
+    np.save(tmp_path / "raw.npy", np.random.default_rng(0).normal(size=(40, 263)))
+    outcome = motionkit("ingest", tmp_path / "raw.npy", "--store", tmp_path / "store")
+    assert outcome.code == 1 and "* std + mean" in outcome.stderr

@@ -47,6 +47,12 @@ def manifests(folder: Path) -> tuple[Path, ...]:
     return (folder / MANIFEST,)
 
 
+def manifest_of(path: Path) -> Path:
+    """The `motions.json` beside a file, else that of the folder above, there or not."""
+    beside = path.with_name(MANIFEST)
+    return beside if beside.is_file() else path.parent.with_name(MANIFEST)
+
+
 def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one array as positions in metres, turned to y up where the body stands along z.
 

@@ -3,7 +3,7 @@
 `scan` looks at names and folders only, `read` opens one sequence: so ingest can scan once and read in many processes.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -81,7 +81,7 @@ def _file_items(
 
     def item_of(path: Path, root: Path) -> SourceItem | None:
         kind = next((entry for entry in candidates if _takes(entry, path)), None)
-        if kind is None:
+        if kind is None or kind.keys(path):  # whose of several an index does not say
             return None
         licence, tables = around(path.parent, root)
         # What a table says about a whole file need not be true of a stretch.
@@ -187,7 +187,9 @@ def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, 
             found = entry.find(folder, root)
             return replace(found, items=tuple(replace(item, licence=item.licence or licence) for item in found.items))
     kinds = ((path, next((entry for entry in candidates if _takes(entry, path)), None)) for path in files)
-    return ScanResult(tuple(_file_item(kind, path, root, licence) for path, kind in kinds if kind is not None))
+    return ScanResult(
+        tuple(item for path, kind in kinds if kind is not None for item in _file_items_of(kind, path, root, licence))
+    )
 
 
 def with_tables_above(item: SourceItem, levels: int = 4) -> SourceItem:
@@ -210,7 +212,7 @@ def _recognise(path: Path, licence: str, options: ReadOptions) -> ScanResult:
     for entry in readers().values():
         fits = options.format in ("auto", entry.name) and (entry.accepts is None or entry.accepts(path))
         if fits and entry.begins and words.upper().startswith(entry.begins):
-            return ScanResult((_file_item(entry, path, path.parent, licence),))
+            return ScanResult(tuple(_file_items_of(entry, path, path.parent, licence)))
     return ScanResult(())
 
 
@@ -226,6 +228,12 @@ def _file_item(kind: Format, path: Path, root: Path, licence: str) -> SourceItem
         subset=folder if slash else "",
         licence=licence,
     )
+
+
+def _file_items_of(kind: Format, path: Path, root: Path, licence: str) -> Iterator[SourceItem]:
+    whole = _file_item(kind, path, root, licence)
+    for key in kind.keys(path) or ("",):
+        yield replace(whole, key=key, sequence_id=f"{whole.sequence_id}/{key}") if key else whole
 
 
 def _takes(entry: Format, path: Path) -> bool:

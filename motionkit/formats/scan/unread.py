@@ -53,7 +53,7 @@ def no_motion(source: Path, options: ReadOptions) -> FormatError:
 
 
 SHOWN_ARRAYS = 8
-POSE_VECTOR_WIDTHS = {263: "HumanML3D", 251: "KIT-ML"}
+POSE_VECTOR_WIDTHS = {263: "HumanML3D", 251: "KIT-ML", 262: "InterHuman", 272: "MotionStreamer"}
 
 
 @dataclass(frozen=True)
@@ -115,12 +115,10 @@ def _mend(path: Path, arrays: Mapping[str, _Array]) -> str:
     joints = next((name for name, array in arrays.items() if array.is_joints), None)
     vectors = next((name for name, array in arrays.items() if array.of_pose_vectors), None)
     if joints is None and vectors is not None:
-        folder = path.with_name(f"{path.stem}-motions")
-        target = str(folder / "new_joint_vecs" / f"{path.stem}.npy")
+        target = str(path.with_name(f"{path.stem}-motion.npy"))
         return (
-            f"write a folder that can be read, {folder}, with os.makedirs({str(Path(target).parent)!r}); "
-            f"np.save({target!r}, {_loaded(path, vectors)}), if these are pose vectors as those of "
-            f"{arrays[vectors].of_pose_vectors}"
+            f"write one that can be read with np.save({target!r}, {_loaded(path, vectors)}), if these are pose vectors "
+            f"as those of {arrays[vectors].of_pose_vectors}"
         )
     target = str(path.with_name(f"{path.stem}-motion.npz"))
     if joints is None:

@@ -28,12 +28,12 @@ from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.smpl.amass import FRAMERATE_KEYS, MAX_RADIANS
 from motionkit.formats.smpl.body import BODY, SMPL, SMPLX, PoseLayout, mean_body, own_body
 from motionkit.formats.source import body_frame, clock, source_file
+from motionkit.formats.source.rigid import MAX_MATRIX_ERROR
 
 WORLD, ORIENT, POSE = "pose_world", "global_orient", "body_pose"
 TRANSLATIONS = ("transl", "trans", "trans_world")
 RATES = ("fps", *FRAMERATE_KEYS)
 LAYOUTS = {BODY.num_joints: BODY, SMPL.num_joints: SMPL}
-MAX_MATRIX_ERROR = 0.01
 # Motion-X: its width, and where what is read lies.
 WIDTH, BODY_NUMBERS, MOVED, SHAPE = 322, slice(0, 66), slice(309, 312), slice(312, 322)
 MOTION_X_FPS = Fraction(30)

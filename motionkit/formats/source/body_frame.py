@@ -166,6 +166,24 @@ def y_up_to_z_up(vectors: Float64[np.ndarray, "*shape 3"]) -> Float64[np.ndarray
     return np.asarray(vectors[..., [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
 
 
+def standing_metres(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> float:
+    """Median length from the ankles along the bones to the head; raises `SkeletonMapError` for unknown joints."""
+    body = np.matmul(joint_map(skeleton, SMPL22.name).weights, joint_positions)
+    return float(np.median(_chain_lengths(body)))
+
+
+def is_plausible(metres: float) -> bool:
+    """Whether a person may measure this from ankle to head."""
+    return _factor(metres, TYPICAL_HEIGHT_METRES) <= PLAUSIBLE_FACTOR
+
+
+def _chain_lengths(body: Float32[np.ndarray, "frames 22 3"]) -> Float32[np.ndarray, "frames"]:
+    first, second = np.array([(SMPL22.index(a), SMPL22.index(b)) for a, b in TRUNK_AND_LEGS]).T
+    bones = np.linalg.norm(body[:, first] - body[:, second], axis=-1)
+    lengths: Float32[np.ndarray, " frames"] = bones.sum(axis=-1)
+    return lengths
+
+
 def _factor(size: float, typical: float) -> float:
     return max(size / typical, typical / size) if size > 0 else np.inf
 
@@ -176,8 +194,7 @@ def _size(skeleton: Skeleton) -> tuple[float, float, str]:
     except SkeletonMapError:
         return _longest_chain(skeleton), TYPICAL_CHAIN_METRES, "the longest chain"
     rest = weights @ rest_positions(skeleton)
-    bones = [rest[SMPL22.index(a)] - rest[SMPL22.index(b)] for a, b in TRUNK_AND_LEGS]
-    return float(np.linalg.norm(bones, axis=-1).sum()), TYPICAL_HEIGHT_METRES, "ankle to head"
+    return float(_chain_lengths(rest[None])[0]), TYPICAL_HEIGHT_METRES, "ankle to head"
 
 
 def _longest_chain(skeleton: Skeleton) -> float:

@@ -1,8 +1,8 @@
 """Clips with holes: frames that a tracker lost are nan, frames that a camera dropped leave uneven time stamps.
 
 Readers refuse both, for a corpus must not hold any. Here a copy without nan is read, each lost frame repeating a whole
-one, together with the mask that says which frames are whole and with the times at which they were. A single array of
-HumanML3D's (263) or KIT-ML's (251) pose vectors is read as joints, and written as vectors again.
+one, together with the mask that says which frames are whole and with the times at which they were. What came as
+HumanML3D's (263) or KIT-ML's (251) pose vectors is written as such again.
 """
 
 import io
@@ -20,18 +20,16 @@ from motionkit.core.checksums import write_json
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Motion
-from motionkit.core.timegrid import TimeGrid
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
 from motionkit.formats.arrays import joints_npy, npy, npz_archive
-from motionkit.formats.humanml3d import LAYOUTS, Layout, recover_positions
+from motionkit.formats.humanml3d import LAYOUTS
 from motionkit.formats.scan import reading
 from motionkit.formats.scan.items import ReadOptions, SourceItem
-from motionkit.formats.source import clock, source_file
+from motionkit.formats.source import source_file
 
 FRAME_ARRAYS = ("joint_positions", "local_rotations", "root_translation")
 NAN = "nan"
-LAYOUT_BY_WIDTH: dict[int, Layout] = {layout.num_values: layout for layout in LAYOUTS.values()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +113,9 @@ def _read_filled(item: SourceItem, options: ReadOptions) -> ReadClip:
         else:
             filled, seen = filled_rows({"": npy.parse_npy(item.path, data, None)}, item.path)
             np.save(copy, filled[""], allow_pickle=False)
-            if (item.path.parent / joints_npy.MANIFEST).is_file():
-                shutil.copy(item.path.parent / joints_npy.MANIFEST, folder)
+            stated = joints_npy.manifest_of(item.path)
+            if stated.is_file():
+                shutil.copy(stated, folder)
         motion, uneven = _read_timed(replace(item, path=copy, root=Path(folder)), options)
     provenance = replace(motion.provenance, source_sha256=source_file.sha256(data))
     lost = f"{int((~seen).sum())} frames hold nan: not observed"
@@ -138,39 +137,6 @@ def _copy_npz(path: Path, data: bytes, copy: Path) -> Bool[np.ndarray, "frames"]
     return seen
 
 
-def holds_vectors(path: Path) -> bool:
-    """Whether a .npy file holds rows of 263 or 251 numbers."""
-    shape = npy.peek_shape(path) if path.suffix.lower() == ".npy" else None
-    return shape is not None and len(shape) == 2 and shape[1] in LAYOUT_BY_WIDTH
-
-
-def read_vectors(path: Path, options: ReadOptions) -> ReadClip:
-    """The motion of pose vectors in metres, and which rows are whole; raises `FormatError`.
-
-    The framerate is the published one unless `motions.json` beside the file or one folder above, or `options`, say
-    another. A row that holds nan is not whole; where it breaks the path off, the path goes on from the row before.
-    """
-    data = source_file.read_bytes(path)
-    vectors = npy.parse_npy(path, data, (None, None))
-    layout = LAYOUT_BY_WIDTH[vectors.shape[1]]
-    filled, seen = filled_rows({"": vectors}, path)
-    manifests = (folder / joints_npy.MANIFEST for folder in (path.parent, path.parent.parent))
-    stated = next((read for read in map(joints_npy.read_manifest, manifests) if read.fps), None)
-    fps = options.fps or (stated.fps if stated and stated.fps else layout.fps)
-    checked = npy.read_npy(path, _bytes_of(filled[""]), (None, layout.num_values))
-    positions = recover_positions(checked, layout.skeleton.num_joints) * np.float32(layout.unit_metres)
-    operations = [f"joint positions recovered from {layout.num_values}-number pose vectors"]
-    operations += clock.replaced_fps(fps, layout.fps, who="the data set")
-    motion = Motion(
-        joint_positions=positions,
-        skeleton=layout.skeleton,
-        timegrid=TimeGrid(fps, len(positions)),
-        sequence_id=path.stem,
-        provenance=source_file.provenance(path, data, layout.name, operations, stated_fps=format_fps(fps)),
-    )
-    return ReadClip(motion, seen)
-
-
 def write_vectors(motion: Motion, path: Path) -> None:
     """Write T − 1 rows for T poses, and the framerate to `motions.json` beside them.
 
@@ -189,9 +155,3 @@ def write_vectors(motion: Motion, path: Path) -> None:
         raise MotionkitError(f"{manifest} says another framerate than {motion.fps}: one folder holds one, use --out")
     np.save(path, humanml3d.vectors(positions, name), allow_pickle=False)
     write_json(manifest, stated)
-
-
-def _bytes_of(array: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, array, allow_pickle=False)
-    return buffer.getvalue()

@@ -18,7 +18,6 @@ from motionkit.formats.scan.folders import dangling
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.scanner import scan, with_tables_above
 from motionkit.store import Store
-from motionkit.store.named_motions.holes import NAN, holds_vectors, read_vectors
 from motionkit.store.schema import MANIFEST_FILE, SEQUENCES_FILE
 
 ReadT = TypeVar("ReadT")
@@ -40,10 +39,9 @@ class Found(Generic[ReadT]):
 
 @dataclass(frozen=True)
 class Readers(Generic[ReadT]):
-    """How motions become what is asked for: those of files, of arrays of pose vectors alone, of a store."""
+    """How motions become what is asked for: those of files, of a store."""
 
     item: Callable[[SourceItem], ReadT]
-    vectors: Callable[[Path], ReadT]
     stored: Callable[[Motion], ReadT]
 
 
@@ -63,8 +61,6 @@ def find_motions(
             found.append(_stored_named(name, opened, readers.stored))
         elif (published := _of_pose_folder(path)) is not None:
             found.append(_of_item(published, path, readers.item))
-        elif path.is_file() and holds_vectors(path):
-            found.append(Found(name, path.name, path.with_suffix(""), partial(readers.vectors, path)))
         else:
             scanned = scan([path], options)
             # Of a file beside a data set's folders the data set is not meant.
@@ -232,20 +228,9 @@ def _find(path: Path, options: ReadOptions) -> tuple[list[_Sequence], list[Forma
     def of_item(item: SourceItem) -> _Sequence:
         return _Sequence(item.sequence_id, partial(one_sequence.read, item, options))
 
-    def of_vectors(file: Path) -> _Sequence:
-        return _Sequence(file.stem, partial(_read_vectors, file, options))
-
-    readers = Readers(of_item, of_vectors, lambda motion: _Sequence(motion.sequence_id, lambda: motion))
+    readers = Readers(of_item, lambda motion: _Sequence(motion.sequence_id, lambda: motion))
     found, problems = find_motions([str(path)], options, path, readers)
     return [each.read() for each in found], problems
-
-
-def _read_vectors(path: Path, options: ReadOptions) -> Motion:
-    clip = read_vectors(path, options)
-    if not clip.seen.all():
-        frame = int(clip.seen.argmin())
-        raise FormatError("the pose holds nan or infinity", path=path, reason=NAN, frame=frame)
-    return clip.motion
 
 
 def _named(found: list[_Sequence]) -> str:

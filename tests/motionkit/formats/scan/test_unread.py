@@ -11,6 +11,7 @@ from motionkit.formats.scan.scanner import scan
 from tests.helpers.amass_samples import smplh_fields, write_amass
 from tests.helpers.every_format import SOURCES, bodies
 from tests.helpers.format_samples import bvh_text, write_asfamc
+from tests.helpers.vector_samples import interhuman_rows, walk
 
 
 def ignored(source: Path, options: ReadOptions | None = None) -> list[str]:
@@ -98,8 +99,7 @@ def test_an_unknown_array_is_told_what_it_holds(tmp_path: Path) -> None:
         ("keyed.npz", {"betas": np.zeros(10), "xyz": bodies(6, 22).astype(np.float64)}),
         ("wide.npy", {"": np.zeros((6, 66))}),
         ("thing.npz", {"result": np.array({"motion": 1}, dtype=object)}),
-        ("vectors.npy", {"": np.zeros((6, 263))}),
-        ("vectors.npz", {"motion": np.zeros((6, 251)), "length": np.array(6)}),
+        ("vectors.npz", {"motion": interhuman_rows(walk(30, 2.0))[:6], "length": np.array(6)}),
     ],
 )
 def test_the_line_that_it_is_told_writes_one_that_is_read(

@@ -1,0 +1,54 @@
+"""Pose vectors as InterHuman and MotionStreamer lay them out, made frame by frame from a motion that is known."""
+
+from fractions import Fraction
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from motionkit.core.motion import Motion
+from motionkit.fields.motion_field import to_motion
+from motionkit.synthetic import make_body, perform
+
+
+def walk(fps: int = 30, seconds: float = 3.0, seed: int = 0) -> Motion:
+    """A walk in a circle with rotations, of the 22 joints."""
+    return to_motion(perform(np.random.default_rng(seed), make_body("test"), ["walk_circle"], seconds), Fraction(fps))
+
+
+def _matrix(quaternion: np.ndarray) -> np.ndarray:
+    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+
+
+def interhuman_rows(motion: Motion) -> np.ndarray:
+    """[T − 1, 262]: positions, steps to the next frame, two columns of 21 rotations, contacts."""
+    rows = []
+    for now, after, turns in zip(
+        motion.joint_positions[:-1], motion.joint_positions[1:], motion.local_rotations[:-1], strict=True
+    ):
+        sixes = [_matrix(turn)[:2].ravel() for turn in turns[1:]]
+        still = np.linalg.norm((after - now)[[7, 10, 8, 11]], axis=1) < 0.03
+        rows.append(np.concatenate([now.ravel(), (after - now).ravel(), *sixes, still]))
+    return np.array(rows, np.float32)
+
+
+def motionstreamer_rows(motion: Motion) -> np.ndarray:
+    """[T, 272]: the root's step and the turn since the frame before, joints and rotations seen from the heading."""
+    ahead = [_matrix(turn)[:, 2] for turn in motion.local_rotations[:, 0]]
+    seen_from = [Rotation.from_rotvec([0, -np.arctan2(x, z), 0]) for x, _, z in ahead]
+    rows = np.zeros((motion.num_frames, 272))
+    places = []
+    for frame, (joints, turns) in enumerate(zip(motion.joint_positions, motion.local_rotations, strict=True)):
+        level = joints - joints[0] * [1, 0, 1]
+        places.append(seen_from[frame].apply(level))
+        rows[frame, 8:74] = places[-1].ravel()
+        body = [_matrix(turn) for turn in turns]
+        body[0] = seen_from[frame].as_matrix() @ body[0]
+        rows[frame, 140:] = np.concatenate([matrix[:2].ravel() for matrix in body])
+        if frame == 0:
+            rows[frame, 2:8] = 1, 0, 0, 0, 1, 0
+            continue
+        step = seen_from[frame - 1].apply(joints[0] - motion.joint_positions[frame - 1, 0])
+        rows[frame, :2] = step[[0, 2]]
+        rows[frame, 2:8] = (seen_from[frame] * seen_from[frame - 1].inv()).as_matrix()[:2].ravel()
+        rows[frame, 74:140] = (places[-1] - places[-2]).ravel()
+    return rows
