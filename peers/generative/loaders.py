@@ -4,7 +4,8 @@ from functools import partial
 
 from motionkit.generate.models import ModelLoader
 from motionkit.training.stage import lazily
-from peers.generative.recipes import PEERS, GenerativePeer
+from peers.generative.peer import GenerativePeer
+from peers.generative.recipes import PEERS
 
 
 def _loader(peer: GenerativePeer) -> ModelLoader:
@@ -13,4 +14,4 @@ def _loader(peer: GenerativePeer) -> ModelLoader:
     return ModelLoader(peer.title, stages, load, order=peer.stages[-1].order)
 
 
-MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW = map(_loader, PEERS)
+MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW, JL2P, HIER = map(_loader, PEERS)

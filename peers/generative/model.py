@@ -25,7 +25,7 @@ from motionkit.training.schedule import step_generator
 from motionkit.training.text import TextEncoder
 from peers.generative.batches import NO_ACTION, Conditions, Wanted
 from peers.generative.corpus import embedded, text_encoder_of
-from peers.generative.recipes import GenerativePeer
+from peers.generative.peer import GenerativePeer
 from peers.generative.training import Sampler, TrainedStage, load_stage
 
 MOTIONS_PER_BATCH = 64

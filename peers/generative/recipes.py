@@ -4,19 +4,20 @@
 nano, 18 minutes of one core for all stages together.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, make_dataclass, replace
-from functools import cached_property, partial
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
-from motionkit.training.config import Precision, Schedule
+from motionkit.training.config import Schedule
+from peers.generative.peer import GenerativePeer, PeerStage
 from peers.generative.settings import (
     ActorNetworkConfig,
     CamdmNetworkConfig,
     ConditionsConfig,
     FlowNetworkConfig,
+    HierNetworkConfig,
     InrMlpNetworkConfig,
+    Jl2pNetworkConfig,
     MdmNetworkConfig,
     MldNetworkConfig,
     MldVaeNetworkConfig,
@@ -26,68 +27,6 @@ from peers.generative.settings import (
     T2mNetworkConfig,
     TransformerSizes,
 )
-
-if TYPE_CHECKING:
-    import torch
-
-    from peers.generative.batches import ConditionSizes, PoseSpace
-
-
-@dataclass(frozen=True)
-class PeerStage:
-    """One training: `network` is "module:Class", `recipes` the parts of its configuration by recipe and name.
-
-    `share` is its part of the peer's processor time beside those of the other stages.
-    """
-
-    name: str
-    order: int
-    description: str
-    network: str
-    recipes: Mapping[str, Mapping[str, Any]]
-    builds_on: tuple[str, ...] = ()
-    share: float = 1.0
-
-    @cached_property
-    def config_type(self) -> type[Any]:
-        """The stage's configuration (`peers.generative.settings.PeerConfig`)."""
-        sizes = type(self.recipes["paper"]["network"])
-        parts: list[tuple[str, Any, Any]] = [
-            ("network", sizes, field(default_factory=sizes)),
-            ("motions", MotionsConfig, field(default_factory=MotionsConfig)),
-            ("conditions", ConditionsConfig, field(default_factory=ConditionsConfig)),
-            ("schedule", Schedule, field(default_factory=partial(Schedule, epochs=1))),
-            ("optimizer", OptimizerConfig, field(default_factory=OptimizerConfig)),
-            ("precision", Precision, field(default="float32")),
-        ]
-        return make_dataclass(sizes.__name__.replace("Network", ""), parts, frozen=True)
-
-    @property
-    def configs(self) -> dict[str, Callable[[], Any]]:
-        """The recipes as functions that make their configurations."""
-        make: Callable[..., Any] = self.config_type
-        return {name: partial(make, **parts) for name, parts in self.recipes.items()}
-
-    def make_network(
-        self, config: Any, space: "PoseSpace", sizes: "ConditionSizes", earlier: "Mapping[str, torch.nn.Module]"
-    ) -> "torch.nn.Module":
-        """The network, its weights drawn from torch's generator."""
-        module, _, name = self.network.partition(":")
-        made: torch.nn.Module = getattr(import_module(module), name)(config.network, space, sizes, earlier)
-        return made
-
-
-@dataclass(frozen=True)
-class GenerativePeer:
-    """A published system: `title` names its rows in tables; the last of its stages generates."""
-
-    title: str
-    stages: tuple[PeerStage, ...]
-
-
-def stage_named(peer: GenerativePeer, name: str) -> PeerStage:
-    """One of a peer's stages."""
-    return next(stage for stage in peer.stages if stage.name == name)
 
 
 def _cosine(steps: int, batch_size: int, learning_rate: float) -> Schedule:
@@ -358,4 +297,62 @@ FLOW = GenerativePeer(
         ),
     ),
 )
-PEERS = (MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW)
+# A frame in twelve of KIT's 100 a second; 9.8 s as the others have them.
+SLOW = MotionsConfig(fps=25 / 3, max_frames=82)
+JL2P = GenerativePeer(
+    "JL2P",
+    (
+        PeerStage(
+            "jl2p",
+            90,
+            "JL2P: pose after pose of one code of motions and texts",
+            "peers.generative.networks.jl2p:Jl2p",
+            {
+                "nano": {
+                    "network": Jl2pNetworkConfig(width=256, lengths=(2, 4, 8, 16, 32, 82), mean_first=0.5),
+                    "motions": SLOW,
+                    "conditions": GIVEN_NANO,
+                    "schedule": _cosine(6000, 64, 1e-3),
+                    "optimizer": OptimizerConfig(clip_norm=1.0),
+                },
+                "paper": {
+                    "network": Jl2pNetworkConfig(),
+                    "motions": replace(SLOW, seen="stretch", seen_frames=16),
+                    "conditions": GIVEN,
+                    "schedule": Schedule(
+                        epochs=1000, batch_size=100, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=0.001
+                    ),
+                },
+            },
+        ),
+    ),
+)
+HIER = GenerativePeer(
+    "Hier",
+    (
+        PeerStage(
+            "hier",
+            91,
+            "Hier: pose after pose of a code for each half of the body",
+            "peers.generative.networks.hier:Hier",
+            {
+                "nano": {
+                    "network": HierNetworkConfig(limb=64, width=256, mean_first=0.5),
+                    "motions": SLOW,
+                    "conditions": GIVEN_NANO,
+                    "schedule": _cosine(3000, 32, 1e-3),
+                    "optimizer": OptimizerConfig(clip_norm=1.0),
+                },
+                "paper": {
+                    "network": HierNetworkConfig(),
+                    "motions": replace(SLOW, seen="stretch", seen_frames=32),
+                    "conditions": GIVEN,
+                    "schedule": Schedule(
+                        epochs=300, batch_size=32, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 300
+                    ),
+                },
+            },
+        ),
+    ),
+)
+PEERS = (MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW, JL2P, HIER)

@@ -177,6 +177,38 @@ class T2mNetworkConfig:
 
 
 @dataclass(frozen=True)
+class Jl2pNetworkConfig:
+    """JL2P: the width of its cells; of `mean_first` of the motions it is told no first pose.
+
+    Training sees so many frames as one after another of `lengths` says over the share `curriculum` of its steps, and
+    the last of these from there on.
+    """
+
+    width: int = 1024
+    lengths: tuple[int, ...] = (2, 4, 8, 16)
+    curriculum: float = 0.5
+    mean_first: float = 0.0
+
+
+@dataclass(frozen=True)
+class HierNetworkConfig:
+    """Hier: widths of body parts, of limbs with the trunk, of the codes of both halves, and of a critic's layers.
+
+    Of `mean_first` of the motions it is told no first pose.
+    """
+
+    part: int = 32
+    limb: int = 128
+    width: int = 512
+    critic: tuple[int, ...] = (64, 256, 128, 64)
+    change_weight: float = 0.1
+    match_weight: float = 0.1
+    kept_weight: float = 1e-3
+    critic_weight: float = 1e-3
+    mean_first: float = 0.0
+
+
+@dataclass(frozen=True)
 class CamdmNetworkConfig:
     """CAMDM: a transformer encoder makes `future` frames after `past` ones, with probability `no_past` after none."""
 

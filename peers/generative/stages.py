@@ -4,7 +4,8 @@ from functools import partial
 from typing import Any
 
 from motionkit.training.stage import Stage, lazily
-from peers.generative.recipes import PEERS, GenerativePeer, PeerStage
+from peers.generative.peer import GenerativePeer, PeerStage
+from peers.generative.recipes import PEERS
 
 
 def _stage(peer: GenerativePeer, stage: PeerStage) -> Stage[Any]:
@@ -22,4 +23,4 @@ def _stage(peer: GenerativePeer, stage: PeerStage) -> Stage[Any]:
 
 
 STAGES = {stage.name: _stage(peer, stage) for peer in PEERS for stage in peer.stages}
-MDM, MDM_50, MLD_VAE, MLD, INR_MLP, ACTOR, T2M_AUTOENCODER, T2M, CAMDM, FLOW = STAGES.values()
+MDM, MDM_50, MLD_VAE, MLD, INR_MLP, ACTOR, T2M_AUTOENCODER, T2M, CAMDM, FLOW, JL2P, HIER = STAGES.values()

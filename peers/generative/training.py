@@ -30,7 +30,7 @@ from motionkit.training.tensors import (
 )
 from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, Wanted
 from peers.generative.corpus import MotionCorpus, check_captioned, open_corpus, text_encoder_of
-from peers.generative.recipes import GenerativePeer, PeerStage, stage_named
+from peers.generative.peer import GenerativePeer, PeerStage, stage_named
 from peers.generative.settings import PeerConfig
 
 FORMAT, FORMAT_VERSION = "motionkit-generative-peer", 1

@@ -17,7 +17,9 @@ from peers.generative.settings import (
     CamdmNetworkConfig,
     ConditionsConfig,
     FlowNetworkConfig,
+    HierNetworkConfig,
     InrMlpNetworkConfig,
+    Jl2pNetworkConfig,
     MldNetworkConfig,
     MldVaeNetworkConfig,
     MotionsConfig,
@@ -41,6 +43,8 @@ NETWORKS: dict[str, Any] = {
     "t2m-autoencoder": T2mAutoencoderNetworkConfig(width=32, dropout=0.0),
     "t2m": T2mNetworkConfig(width=32, value=16, latent=8, first_units=4, last_units=15),
     "camdm": CamdmNetworkConfig(SIZES, past=4, future=12),
+    "jl2p": Jl2pNetworkConfig(width=32, lengths=(4, 15), mean_first=0.5),
+    "hier": HierNetworkConfig(part=8, limb=16, width=32, critic=(8, 16), mean_first=0.5),
     "flow": FlowNetworkConfig(TransformerSizes(2, 32, 2, 48, 0.0), sampling_steps=8, guidance_scale=2.0),
 }
 # Stages that see no condition.
@@ -52,7 +56,7 @@ def tiny_config(name: str, **changed: Any) -> Any:
     stage = next(each for peer in PEERS for each in peer.stages if each.name == name)
     paper = stage.recipes["paper"]
     published = paper.get("motions", MOTIONS)
-    seen = {"camdm": 16}.get(name, published.seen_frames)
+    seen = {"camdm": 16, "jl2p": 15, "hier": 15}.get(name, published.seen_frames)
     parts = {
         "network": NETWORKS.get(name) or replace(paper["network"], transformer=SIZES),
         "motions": replace(

@@ -61,6 +61,21 @@ def kl_of(mean: Float[Tensor, "*numbers"], log_variance: Float[Tensor, "*numbers
     return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance)
 
 
+def last_states(
+    states: Float[Tensor, "batch frames width"], lengths: Int64[Tensor, "batch"]
+) -> Float[Tensor, "batch width"]:
+    """A recurrent layer's states at the motions' last frames."""
+    return states[torch.arange(len(states), device=states.device), lengths - 1]
+
+
+def first_poses(
+    rows: Float[Tensor, "batch frames numbers"], mean_share: float, generator: torch.Generator
+) -> Float[Tensor, "batch numbers"]:
+    """The first pose of each motion, or for so many of them the mean pose, from which motions are generated."""
+    kept = torch.rand((len(rows), 1), generator=generator) >= mean_share
+    return rows[:, 0] * kept.to(rows.device)
+
+
 def encoder_layer(sizes: TransformerSizes) -> nn.TransformerEncoderLayer:
     """A layer of self-attention, post-norm, GELU."""
     return nn.TransformerEncoderLayer(

@@ -16,7 +16,8 @@ from motionkit.features import field, native
 from motionkit.training.diffusion.settings import DiffusionConfig
 from motionkit.training.schedule import dropout_from, step_generator
 from peers.generative.batches import NO_ACTION, Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted
-from peers.generative.recipes import PEERS, GenerativePeer
+from peers.generative.peer import GenerativePeer
+from peers.generative.recipes import PEERS
 from peers.generative.settings import TransformerSizes
 from peers.generative.training import KnowsSteps
 from tests.helpers.nerm_corpus import analytic_positions

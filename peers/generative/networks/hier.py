@@ -1,0 +1,176 @@
+"""Hier (Ghosh et al. 2021; anindita127/Complextext2animation, src/model): a code for each half of the body.
+
+Pose after pose of a code, as JL2P makes them, through a tree of body parts: limbs with the trunk, then pairs of limbs.
+"""
+
+from collections.abc import Mapping
+from itertools import chain, pairwise
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor, nn
+from torch.func import functional_call
+from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
+
+from motionkit.core.errors import UsageError
+from motionkit.features.layout import pose_layout
+from motionkit.training.diffusion.settings import DiffusionConfig
+from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted, frames_within
+from peers.generative.networks.layers import ConditionVector, first_poses, last_states
+from peers.generative.settings import HierNetworkConfig
+
+TRUNK = 4
+
+
+def body_parts(space: PoseSpace) -> list[list[int]]:
+    """Which numbers of `native` vectors are of right arm, left arm, right leg, left leg and, the root's too, the trunk.
+
+    Raises `UsageError` for vectors of another convention.
+    """
+    layout = pose_layout(space.vectors.skeleton.name)
+    vector = layout.vector
+    if space.num_numbers != vector.size:
+        raise UsageError("body parts are of native vectors: motions.pose_vectors=native")
+    numbers = list(range(vector.size))
+    positions, rotations, velocities = (
+        numbers[block] for block in (vector.joint_positions, vector.joint_rotations, vector.joint_velocities)
+    )
+
+    def of(joints: tuple[int, ...]) -> list[int]:
+        """The joints' numbers; a chain begins with a joint of another part."""
+        return [
+            number
+            for joint in joints[1:]
+            for block, first, size in ((positions, joint - 1, 3), (rotations, joint - 1, 6), (velocities, joint, 3))
+            for number in block[first * size : (first + 1) * size]
+        ]
+
+    right_leg, left_leg, spine, right_arm, left_arm = map(of, layout.chains)
+    contacts = numbers[vector.contacts]
+    root = numbers[: vector.root_height.stop] + velocities[:3]
+    return [right_arm, left_arm, right_leg + contacts[2:], left_leg + contacts[:2], root + spine]
+
+
+class TwoStreamEncoder(nn.Module):
+    """Frames → the codes of the upper and the lower body."""
+
+    def __init__(self, parts: list[list[int]], config: HierNetworkConfig) -> None:
+        super().__init__()
+        self.parts = parts
+        self.of_parts = nn.ModuleList(nn.Linear(len(part), config.part) for part in parts)
+        self.of_limbs = nn.ModuleList(nn.Linear(2 * config.part, config.limb) for _ in parts[:TRUNK])
+        self.norms = nn.ModuleList(nn.BatchNorm1d(2 * config.limb) for _ in range(2))
+        self.cells = nn.ModuleList(nn.GRU(2 * config.limb, config.width, batch_first=True) for _ in range(2))
+
+    def forward(
+        self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
+    ) -> Float[Tensor, "2 batch width"]:
+        """What both layers end with at the motions' last frames."""
+        seen = frames_within(lengths, rows.shape[1])
+        *limbs, trunk = (layer(rows[..., part]) for layer, part in zip(self.of_parts, self.parts, strict=True))
+        limbs = [layer(torch.cat((limb, trunk), dim=-1)) for layer, limb in zip(self.of_limbs, limbs, strict=True)]
+        codes = []
+        for half, (norm, cell) in enumerate(zip(self.norms, self.cells, strict=True)):
+            pair = torch.cat(limbs[2 * half : 2 * half + 2], dim=-1)
+            normed = torch.zeros_like(pair)
+            normed[seen] = norm(pair[seen])
+            codes.append(last_states(cell(normed)[0], lengths))
+        return torch.stack(codes)
+
+
+class TwoStreamDecoder(nn.Module):
+    """Codes → frames, each the one before and what the tree of body parts adds; both halves move the trunk."""
+
+    def __init__(self, parts: list[list[int]], config: HierNetworkConfig) -> None:
+        super().__init__()
+        right_arm, left_arm, right_leg, left_leg, trunk = parts
+        self.halves = [right_arm + left_arm + trunk, right_leg + left_leg + trunk]
+        self.back = torch.tensor(list(chain(*parts))).argsort().tolist()
+        self.cells = nn.ModuleList(nn.GRUCell(len(half), config.width) for half in self.halves)
+        self.to_pairs = nn.ModuleList(nn.Linear(config.width, 2 * config.limb) for _ in self.halves)
+        self.to_limbs = nn.ModuleList(nn.Linear(config.limb, 2 * config.part) for _ in parts[:TRUNK])
+        self.to_parts = nn.ModuleList(nn.Linear(config.part, len(part)) for part in parts)
+
+    def forward(
+        self, codes: Float[Tensor, "2 batch width"], first: Float[Tensor, "batch numbers"], frames: int
+    ) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows; before all comes `first`."""
+        pose, states, made = first, list(codes), []
+        for _ in range(frames):
+            limbs: list[Tensor] = []
+            for half, numbers in enumerate(self.halves):
+                states[half] = self.cells[half](pose[:, numbers], states[half])
+                limbs += self.to_pairs[half](states[half]).chunk(2, dim=1)
+            split = [layer(limb).chunk(2, dim=1) for layer, limb in zip(self.to_limbs, limbs, strict=True)]
+            # A linear map of the mean is the mean of the four predictions of the trunk.
+            inner = [own for own, _ in split] + [torch.stack([trunk for _, trunk in split]).mean(dim=0)]
+            change = torch.cat([layer(part) for layer, part in zip(self.to_parts, inner, strict=True)], dim=1)
+            pose = pose + change[:, self.back]
+            made.append(pose)
+        return torch.stack(made, dim=1)
+
+
+class Critic(nn.Module):
+    """How real a motion looks: above 0 where it is held for a real one."""
+
+    def __init__(self, numbers: int, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        self.cell = nn.GRU(numbers, widths[0], batch_first=True)
+        self.layers = nn.Sequential(
+            *chain(*((nn.Linear(*pair), nn.LeakyReLU()) for pair in pairwise(widths))), nn.Linear(widths[-1], 1)
+        )
+
+    def forward(
+        self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
+    ) -> Float[Tensor, "batch 1"]:
+        """Logits."""
+        made: Tensor = self.layers(last_states(self.cell(rows)[0], lengths))
+        return made
+
+
+class Hier(nn.Module):
+    """Two codes of a motion or of a condition, and poses of these."""
+
+    diffusion: DiffusionConfig | None = None
+
+    def __init__(
+        self, config: HierNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
+    ) -> None:
+        super().__init__()
+        parts = body_parts(space)
+        self.config, self.numbers = config, space.num_numbers
+        self.sentence = ConditionVector(sizes, 2 * config.width)
+        self.encoder, self.decoder = TwoStreamEncoder(parts, config), TwoStreamDecoder(parts, config)
+        self.critic = Critic(space.num_numbers, config.critic)
+
+    def said(self, conditions: Conditions) -> Float[Tensor, "2 batch width"]:
+        """Codes of conditions."""
+        return torch.stack(self.sentence(conditions).tanh().chunk(2, dim=1))
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """Smooth L1 of frames, their changes and the codes, of motions' codes and of conditions', and the critic's."""
+        rows, lengths, seen = batch.rows, batch.lengths, batch.seen
+        codes, said = self.encoder(rows, lengths), self.said(batch.conditions)
+        first = first_poses(rows, self.config.mean_first, generator)
+        again, told = (self.decoder(each, first, rows.shape[1]) * seen[..., None] for each in (codes, said))
+        frames = smooth_l1_loss(again[seen], rows[seen]) + smooth_l1_loss(told[seen], rows[seen])
+        again_changes, told_changes, true_changes = (each.diff(dim=1)[seen[:, 1:]] for each in (again, told, rows))
+        changes = smooth_l1_loss(again_changes, true_changes) + smooth_l1_loss(told_changes, true_changes)
+        matched = 2 * smooth_l1_loss(codes, said)
+        kept = 2 * smooth_l1_loss(self.encoder(again, lengths), codes)
+        # Of one loss two gradients: motions change against a critic that stays, the critic against motions that stay.
+        still = {name: weight.detach() for name, weight in self.critic.named_parameters()}
+        real, false = torch.ones_like(lengths, dtype=torch.float32)[:, None], torch.zeros_like(lengths)[:, None].float()
+        fooled = binary_cross_entropy_with_logits(functional_call(self.critic, still, (told, lengths)), real)
+        judged = self.critic(torch.cat((rows, told.detach())), lengths.repeat(2))
+        critic = binary_cross_entropy_with_logits(judged, torch.cat((real, false)))
+        of = self.config
+        loss = frames + of.change_weight * changes + of.match_weight * matched
+        loss = loss + of.kept_weight * kept + of.critic_weight * (fooled + critic)
+        return {"loss": loss, "frames": frames, "changes": changes, "matched": matched, "critic": critic}
+
+    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows, from the mean pose; nothing is drawn."""
+        said = self.said(wanted.conditions.to(wanted.device))
+        rows: Tensor = self.decoder(said, said.new_zeros(said.shape[1], self.numbers), wanted.frames)
+        return rows
