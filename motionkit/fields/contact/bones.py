@@ -38,13 +38,9 @@ class Bones:
     def of(cls, positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton) -> "Bones":
         """The bones of some frames: median lengths, and between the bones of one joint the angles that fit best."""
         values = positions.astype(np.float64)
-        parents = [max(parent, 0) for parent in skeleton.parents]
-        bones = values - values[:, parents]
-        lengths = np.linalg.norm(bones, axis=-1)
-        middle = np.median(lengths, axis=0)
-        spread = np.quantile(lengths, 0.95, axis=0) - np.quantile(lengths, 0.05, axis=0)
-        limits = [TRAVELLING_FROM_ROOT_METRES if parent == 0 else TRAVELLING_METRES for parent in parents]
-        moving = frozenset(np.flatnonzero((spread > limits) | (middle < NO_LENGTH)).tolist()) - {0}
+        bones = values - values[:, _parents(skeleton)]
+        middle, spread = _middle_and_spread(bones)
+        moving = _moving(skeleton, middle, spread)
         offsets = np.zeros((skeleton.num_joints, 3))
         offsets[:, 1] = middle
         found = cls(skeleton, offsets, moving, {})
@@ -92,12 +88,10 @@ class Bones:
 
         What is captured keeps it to some 5 %, as it is; what is generated is to keep it exactly.
         """
-        found = cls.of(positions, skeleton)
-        children = [child for child, parent in enumerate(skeleton.parents) if parent >= 0 and child not in found.moving]
-        lengths = _lengths(positions[:, children] - positions[:, [skeleton.parents[child] for child in children]])
-        spread = np.quantile(lengths, 0.95, axis=0) - np.quantile(lengths, 0.05, axis=0)
-        allowed = CAPTURED_SHARE * np.median(lengths, axis=0) + CAPTURED_METRES if captured else ROUNDING_METRES
-        return found if bool((spread > allowed).any()) else None
+        middle, spread = _middle_and_spread(positions - positions[:, _parents(skeleton)])
+        allowed = CAPTURED_SHARE * middle + CAPTURED_METRES if captured else ROUNDING_METRES
+        changes = set(np.flatnonzero(spread > allowed).tolist()) - {0} - _moving(skeleton, middle, spread)
+        return cls.of(positions, skeleton) if changes else None
 
     def applied(self, positions: Float32[np.ndarray, "frames joints 3"]) -> Float32[np.ndarray, "frames joints 3"]:
         """The poses with these bones, each joint as near as its bone lets it to where it is, from the root on."""
@@ -146,6 +140,27 @@ class Bones:
         bent = along * forth + side * np.sqrt(upper**2 - np.square(forth))
         old = reached[joint, rows] - reached[start, rows]
         reached[joint, rows] = reached[start, rows] + upper * _directions(old + gone[:, None] * (bent - old))[0]
+
+
+def _parents(skeleton: Skeleton) -> list[int]:
+    """Each joint's parent, the root's own index for the root."""
+    return [max(parent, 0) for parent in skeleton.parents]
+
+
+def _middle_and_spread(
+    bones: Float[np.ndarray, "frames joints 3"],
+) -> tuple[Float64[np.ndarray, "joints"], Float64[np.ndarray, "joints"]]:
+    """The median length of each bone, and how far its 5 % and 95 % quantiles are apart."""
+    low, middle, high = np.quantile(_lengths(bones), (0.05, 0.5, 0.95), axis=0)
+    return middle, high - low
+
+
+def _moving(
+    skeleton: Skeleton, middle: Float64[np.ndarray, "joints"], spread: Float64[np.ndarray, "joints"]
+) -> frozenset[int]:
+    """The joints that hang on no bone: those that travel, or lie on their parent."""
+    limits = [TRAVELLING_FROM_ROOT_METRES if parent == 0 else TRAVELLING_METRES for parent in _parents(skeleton)]
+    return frozenset(np.flatnonzero((spread > limits) | (middle < NO_LENGTH)).tolist()) - {0}
 
 
 def _shape(
