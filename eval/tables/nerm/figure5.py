@@ -1,18 +1,21 @@
 """NeRM's Figure 5: unconditional generation, by clip-FID and diversity."""
 
+from collections.abc import Mapping
 from fractions import Fraction
 
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
+from eval.sets.planted import PLANTED, PLANTED_NOTE
 from eval.tables.models import require_models
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
 from eval.tables.nerm.table2 import COLUMNS, ROW_NOTES
+from eval.tables.parts import Part
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
 from motionkit.generate.models import installed_models
 
-VERSION = "unconditional/1"
+VERSION = "unconditional/2"
 REAL = "real"
 
 
@@ -47,7 +50,7 @@ def build_figure5(request: TableRequest) -> Result:
                 columns,
                 (
                     *(Row(name, "reference", floors.rows.get(name, nothing), ROW_NOTES[name]) for name in (P1, P2)),
-                    *(Row(name, "ours", part.rows.get(SYNTHESIS, nothing)) for name, part in parts.items()),
+                    *_rows(parts, SYNTHESIS),
                 ),
                 metrics=(measure(CLIP_FID),),
             ),
@@ -56,7 +59,7 @@ def build_figure5(request: TableRequest) -> Result:
                 columns,
                 (
                     Row(REAL, "reference", first.rows.get(REAL_DIVERSITY, nothing)),
-                    *(Row(name, "ours", part.rows.get(DIVERSITY, nothing)) for name, part in parts.items()),
+                    *_rows(parts, DIVERSITY),
                 ),
                 lower_is_better=False,
                 note="Better the closer to real motion's. It sees clips, not whole motions.",
@@ -75,6 +78,15 @@ def build_figure5(request: TableRequest) -> Result:
         missing=tuple(dict.fromkeys(line for part in (*parts.values(), floors) for line in part.missing)),
         provenance=request.provenance(store, run=request.evaluated.run.name),
     )
+
+
+def _rows(parts: Mapping[str, Part], quantity: str) -> list[Row]:
+    """Each model's row of a quantity, and its planted motions'."""
+    return [
+        Row(form.format(name), "ours", part.rows.get(form.format(quantity), {}), note)
+        for name, part in parts.items()
+        for form, note in (("{}", ""), (PLANTED, PLANTED_NOTE))
+    ]
 
 
 TABLE = Table(

@@ -1,6 +1,6 @@
 """What one trained model scores: how it reconstructs and what it generates, by framerate."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -19,6 +19,7 @@ from eval.reconstruction.errors import mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Cell
 from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
+from eval.sets.planted import PLANTED, planted_fields
 from eval.sets.real import RealMotion, real_motion, training_motion
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed
@@ -40,6 +41,15 @@ WINDOW_SETS = {table4.TRAINING: TRAINING, table4.HELD_OUT: HELD_OUT}
 DIVERSITY, REAL_DIVERSITY = "diversity", "diversity of real motion"
 MPJPE, MRE = "root-aligned MPJPE (mm)", "MRE"
 ERRORS = {MPJPE: mpjpe_cell, MRE: mre_cell}
+_Fields = Mapping[Window, MotionField]
+
+
+def _as_is(fields: _Fields) -> dict[str, _Fields]:
+    return {"{}": fields}
+
+
+def _and_planted(fields: _Fields) -> dict[str, _Fields]:
+    return {"{}": fields, PLANTED: planted_fields(fields)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +80,19 @@ class Yardstick:
         terms = {**self._generated_terms(trained), "sampling": asdict(sampling)}
         return kept(self.request.results, "synthesis", terms, lambda: self._synthesis(trained, sampling))
 
+    def synthesis_and_planted(self, trained: TrainedModel, sampling: SamplingOptions = SamplingOptions()) -> Part:
+        """As `synthesis`, and the same of these motions planted."""
+        terms = {**self._generated_terms(trained), "sampling": asdict(sampling)}
+
+        def made() -> Part:
+            return self._synthesis(trained, sampling, _and_planted)
+
+        return kept(self.request.results, "synthesis-and-planted", terms, made)
+
     def unconditional(self, trained: TrainedModel) -> Part:
         """clip-FID and diversity of what a model generates without any condition but the real sequences' durations.
 
-        Raises `RunError` where a stage of it is not trained.
+        As it is, and planted. Raises `RunError` where a stage of it is not trained.
         """
         terms = self._generated_terms(trained)
         return kept(self.request.results, "unconditional", terms, lambda: self._unconditional(trained))
@@ -139,22 +158,29 @@ class Yardstick:
         """What a model is asked for: the real sequences' durations and conditions."""
         return windows_of(self.real.at(min(self._columns.value)), model.max_duration_seconds)
 
-    def _synthesis(self, trained: TrainedModel, sampling: SamplingOptions) -> Part:
+    def _synthesis(
+        self,
+        trained: TrainedModel,
+        sampling: SamplingOptions,
+        variants: Callable[[_Fields], Mapping[str, _Fields]] = _as_is,
+    ) -> Part:
         if not self._columns.value:
             return Part({SYNTHESIS: {}}, self._columns.missing)
         model, request = trained.loaded, self.request
         fields = generate_fields(model, self._windows(model), request.seed, request.evaluated.max_motions, sampling)
-        cells: dict[str, Cell] = {}
+        rows: dict[str, dict[str, Cell]] = {}
         missing = list(self._columns.missing)
-        for fps in self._columns.value:
-            samples = self._sampled(trained.run.name, fields, fps)
-            if samples is None:
-                missing.append(f"{trained.run.name}, {label(fps)}: {NOT_SO_FAST}")
-                continue
-            found = self._scored(samples)
-            missing += found.missing
-            cells |= {label(fps): cell for cell in found.value.cells.values()}
-        return Part({SYNTHESIS: cells}, tuple(missing))
+        for form, made in variants(fields).items():
+            rows[form.format(SYNTHESIS)] = {}
+            for fps in self._columns.value:
+                samples = self._sampled(trained.run.name, made, fps)
+                if samples is None:
+                    missing.append(f"{trained.run.name}, {label(fps)}: {NOT_SO_FAST}")
+                    continue
+                found = self._scored(samples)
+                missing += found.missing
+                rows[form.format(SYNTHESIS)] |= {label(fps): cell for cell in found.value.cells.values()}
+        return Part(rows, tuple(missing))
 
     def _unconditional(self, trained: TrainedModel) -> Part:
         if not self._columns.value:
@@ -164,18 +190,22 @@ class Yardstick:
             replace(window, request=GenerationRequest(window.request.duration_seconds))
             for window in self._windows(model)
         ]
-        fields = generate_fields(model, windows, request.seed, request.evaluated.max_motions)
-        rows: dict[str, dict[str, Cell]] = {SYNTHESIS: {}, DIVERSITY: {}, REAL_DIVERSITY: {}}
+        variants = _and_planted(generate_fields(model, windows, request.seed, request.evaluated.max_motions))
+        rows: dict[str, dict[str, Cell]] = {
+            form.format(name): {} for form in variants for name in (SYNTHESIS, DIVERSITY)
+        }
         missing = list(self._columns.missing)
         for fps, comparison in self._columns.value.items():
-            samples = self._sampled(trained.run.name, fields, fps)
-            if samples is not None:
+            for form, fields in variants.items():
+                samples = self._sampled(trained.run.name, fields, fps)
+                if samples is None:
+                    continue
                 found = self._scored(samples)
                 missing += found.missing
                 for cell in found.value.cells.values():
-                    rows[SYNTHESIS][label(fps)] = cell
-                    rows[DIVERSITY][label(fps)] = _diversity(samples, comparison)
-            rows[REAL_DIVERSITY][label(fps)] = _diversity(comparison.real, comparison)
+                    rows[form.format(SYNTHESIS)][label(fps)] = cell
+                    rows[form.format(DIVERSITY)][label(fps)] = _diversity(samples, comparison)
+            rows.setdefault(REAL_DIVERSITY, {})[label(fps)] = _diversity(comparison.real, comparison)
         return Part(rows, tuple(missing))
 
     def _sampled(self, name: str, fields: Mapping[Window, MotionField], fps: Fraction) -> SampleSet | None:
