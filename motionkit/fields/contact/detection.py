@@ -28,19 +28,29 @@ CREEP_SPEED, CREEP_AT_ONE_SECOND, CREEP_POWER = 0.015, 0.02, 1.3
 MOST_TIMES = 4.0
 AROUND_SECONDS = 10.0
 STEADY_SPEED = 0.05
-REST_SPEED, REST_TIMES, LEAD_TIMES = 0.12, 1.6, 4.0
 _FEWEST = 10
 
 
 class Limits(NamedTuple):
-    """At how many times real feet's creep feet begin to count as sliding, and surely do: over 10 s, and by itself."""
+    """At how many times real feet's creep feet begin to count as sliding, and surely do: over 10 s, and by itself.
+
+    A foot is held while it goes no faster than `rest_speed` m/s and `rest_times` its slowest; it leads `lead_times` as
+    long.
+    """
 
     around: tuple[float, float]
     here: tuple[float, float]
+    rest_speed: float
+    rest_times: float
+    lead_times: float
 
 
-CAPTURED, GENERATED = Limits((1.15, 1.45), (2.5, 3.5)), Limits((0.5, 0.7), (1.0, 1.5))
-"""Captures that creep are right; of generated motion only feet that stand stiller than most real ones are let be."""
+CAPTURED = Limits((1.15, 1.45), (2.5, 3.5), 0.12, 1.6, 4.0)
+GENERATED = Limits((0.5, 0.7), (1.0, 1.5), 0.03, 1.0, 2.0)
+"""Captures that creep are right; of generated motion only feet that stand stiller than most real ones are let be.
+
+Generated feet are held around their slowest alone: as they come and go they are as fast as real ones (docs/plant.md).
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +120,8 @@ def find_contacts(
         down = np.where((around > 0.5)[:, None, None], _down(height, speed, fps, 1), down)
         rests = Rests.of(down, level_speed, fps)
     steadiest = _steadiest(down, velocity, level_speed)
-    faster = np.hypot(steadiest[..., 0], steadiest[..., 2]) / (REST_SPEED + REST_TIMES * rests.speed)
-    hold, lead = (rests.on_ground / (1.0 + (faster / times) ** 4) for times in (1.0, LEAD_TIMES))
+    faster = np.hypot(steadiest[..., 0], steadiest[..., 2]) / (limits.rest_speed + limits.rest_times * rests.speed)
+    hold, lead = (rests.on_ground / (1.0 + (faster / times) ** 4) for times in (1.0, limits.lead_times))
     return Contacts(down, np.maximum(here, around[:, None]), steadiest, hold, lead, beside)
 
 
