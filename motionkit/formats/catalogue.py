@@ -8,7 +8,7 @@ from pathlib import Path
 from motionkit.core.errors import UsageError
 from motionkit.core.files import whole_file
 from motionkit.core.motion import Motion
-from motionkit.formats import asfamc, c3d, deepmimic, gltf, humanact12, humanml3d, joints_csv, kimodo, parquet
+from motionkit.formats import asfamc, c3d, deepmimic, gltf, humanact12, humanml3d, joints_csv, kimodo, parquet, trc
 from motionkit.formats.arrays import joints_npy, npz, pose_vectors
 from motionkit.formats.bvh import lafan1, style100
 from motionkit.formats.bvh import writing as bvh
@@ -19,7 +19,16 @@ GROUP = "motionkit.formats"
 
 # The first that accepts a file has it.
 _BUILT_IN = (
-    *(lafan1.FORMAT, style100.FORMAT, bvh.FORMAT, asfamc.FORMAT, c3d.FORMAT, deepmimic.FORMAT, uestc.FORMAT),
+    *(
+        lafan1.FORMAT,
+        style100.FORMAT,
+        bvh.FORMAT,
+        asfamc.FORMAT,
+        c3d.FORMAT,
+        trc.FORMAT,
+        deepmimic.FORMAT,
+        uestc.FORMAT,
+    ),
     *(kimodo.FORMAT, dictionary.FORMAT, dictionary.MOTION_X_FORMAT),
     *(amass.FORMAT, humanml3d.FORMAT, humanml3d.KIT_FORMAT, humanact12.FORMAT, joints_npy.FORMAT, npz.FORMAT),
     *(pose_vectors.FORMAT, pose_vectors.INTERHUMAN_FORMAT, pose_vectors.MOTIONSTREAMER_FORMAT),

@@ -2,7 +2,7 @@
 
 import json
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -123,6 +123,31 @@ def write_published(joints: int) -> Callable[[Path], Path]:
     return write
 
 
+# Markers as detectors of key points name them, and the joints of the 22 that they are.
+TRC_JOINTS = {
+    **{"RHip": 2, "RKnee": 5, "RAnkle": 8, "RBigToe": 11, "LHip": 1, "LKnee": 4, "LAnkle": 7, "LBigToe": 10},
+    **{"RShoulder": 17, "RElbow": 19, "RWrist": 21, "LShoulder": 16, "LElbow": 18},
+    **{"LWrist": 20, "Head": 15, "Neck": 12},
+}
+
+
+def trc_text(points: np.ndarray, names: Sequence[str] = tuple(TRC_JOINTS)) -> str:
+    """A TRC table at 60 fps of points in metres, in millimetres; NaN is empty."""
+    head = [
+        "PathFileType\t4\t(X/Y/Z)\twalk.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"60\t60\t{len(points)}\t{len(names)}\tmm\t60\t1\t{len(points)}",
+        "Frame#\tTime\t" + "".join(f"{name}\t\t\t" for name in names),
+        "\t\t" + "".join(f"X{number}\tY{number}\tZ{number}\t" for number in range(1, len(names) + 1)),
+        "",
+    ]
+    rows = (
+        "\t".join([str(frame + 1), f"{frame / 60:.6f}", *("" if np.isnan(x) else repr(float(x)) for x in row.ravel())])
+        for frame, row in enumerate(1000 * points.astype(np.float64))
+    )
+    return "\n".join((*head, *rows)) + "\n"
+
+
 # Each writes a source into an empty folder and returns the file that holds the motion.
 SOURCES: dict[str, Callable[[Path], Path]] = {
     "lafan1": write_text("walk1_subject5.bvh", lafan1_text(6)),
@@ -130,6 +155,7 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
     "bvh": write_text("take.bvh", bvh_text()),
     "asfamc": write_acclaim,
     "c3d": write_markers,
+    "trc": write_text("take.trc", trc_text(bodies(4, len(TRC_JOINTS)))),
     "deepmimic": write_motion_of_frames,
     "uestc": write_arrays("a0_d1_p001_c1_color.npz", pose=np.full((3, 72), 0.1, np.float32)),
     "amass": lambda folder: write_amass(folder / "take_poses.npz", smplh_fields()),

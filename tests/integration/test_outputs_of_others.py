@@ -8,6 +8,7 @@ from motionkit.features import humanml3d
 from motionkit.formats.kimodo import SKELETONS
 from motionkit.synthetic import make_body, perform
 from tests.helpers import vector_samples
+from tests.helpers.every_format import TRC_JOINTS, trc_text
 from tests.helpers.vector_samples import interhuman_rows, motionstreamer_rows
 
 FRAMES = 40
@@ -87,3 +88,15 @@ def test_normalised_vectors_are_told_and_how_to_restore_them(motionkit, tmp_path
     np.save(tmp_path / "raw.npy", np.random.default_rng(0).normal(size=(40, 263)))
     outcome = motionkit("ingest", tmp_path / "raw.npy", "--store", tmp_path / "store")
     assert outcome.code == 1 and "* std + mean" in outcome.stderr
+
+
+def test_tracks_of_a_markerless_system(motionkit, tmp_path):
+    points = vector_samples.walk().joint_positions[:30, list(TRC_JOINTS.values())]
+    takes, store = tmp_path / "takes", tmp_path / "store"
+    takes.mkdir()
+    (takes / "walk.trc").write_text(trc_text(points))
+    outcome = motionkit("ingest", takes, "--store", store)
+    assert outcome.code == 0 and "stored 1 sequence" in outcome.stdout and "cannot be mapped" not in outcome.stderr
+    (takes / "markers.trc").write_text(trc_text(points, [f"M{number}" for number in range(len(TRC_JOINTS))]))
+    outcome = motionkit("ingest", takes, "--store", store)
+    assert outcome.stderr.count("cannot be mapped") == 1 and "--skeleton-map" in outcome.stderr
