@@ -1,7 +1,11 @@
 """What other systems write, through the command line: as captures, and as samples of a model."""
 
+import pickle
+import shlex
+
 import numpy as np
 import pytest
+import torch
 
 import motionkit as mk
 from motionkit.features import humanml3d
@@ -100,3 +104,33 @@ def test_tracks_of_a_markerless_system(motionkit, tmp_path):
     (takes / "markers.trc").write_text(trc_text(points, [f"M{number}" for number in range(len(TRC_JOINTS))]))
     outcome = motionkit("ingest", takes, "--store", store)
     assert outcome.stderr.count("cannot be mapped") == 1 and "--skeleton-map" in outcome.stderr
+
+
+def test_fbx_is_told_the_way_round(motionkit, tmp_path):
+    path = tmp_path / "walk.fbx"
+    path.write_bytes(b"Kaydara FBX Binary  \0")
+    for command in (("ingest", path, "--store", tmp_path / "store"), ("view", path), ("samples", path)):
+        outcome = motionkit(*command)
+        assert outcome.code == 1
+    (line,) = motionkit("view", path).error_lines
+    words = shlex.split(line.partition("of it: ")[2])
+    assert words[:3] == ["blender", "--background", "--python-expr"]
+    compile(words[3], "blender", "exec")
+    assert repr(str(path)) in words[3] and repr(str(tmp_path / "walk.bvh")) in words[3]
+    assert "name one of its files" in motionkit("ingest", tmp_path, "--store", tmp_path / "store").stderr
+
+
+@pytest.mark.parametrize("suffix", [".pt", ".pth", ".pkl", ".pickle"])
+def test_pickles_are_never_loaded_and_the_remedy_works(motionkit, tmp_path, suffix):
+    path = tmp_path / f"walk{suffix}"
+    path.write_bytes(b"cos\nmkdir\n(S'" + str(tmp_path / "sprung").encode() + b"'\ntR.")
+    (line,) = motionkit("view", path).error_lines
+    assert "a pickle" in line and not (tmp_path / "sprung").exists()
+    rest = np.zeros((40, 3), np.float32)
+    found = {"global_orient": torch.tensor(rest), "body_pose": torch.zeros(40, 63), "transl": torch.tensor(rest)}
+    if suffix.startswith(".pt"):
+        torch.save(found, path)
+    else:
+        path.write_bytes(pickle.dumps({name: value.numpy() for name, value in found.items()}))
+    exec(line.partition("arrays with ")[2].partition(", if it is")[0], {})
+    assert mk.read(tmp_path / "walk.npz").num_frames == 40

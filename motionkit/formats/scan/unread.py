@@ -1,5 +1,6 @@
 """Files that are no motions: which ones a source has, and what is said of them."""
 
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -43,13 +44,49 @@ def no_motion(source: Path, options: ReadOptions) -> FormatError:
     """The problem of a file or folder in which nothing is a motion."""
     expected = options.format if options.format != "auto" else ", ".join(readers())
     if source.is_file():
+        if options.format == "auto" and source.suffix.lower() in PICKLES:
+            return FormatError(_of_pickle(source), path=source, reason="pickle")
         arrays = describe_arrays(source) if options.format in ("auto", "npz", "joints-npy") else ""
-        message = arrays or f"of no known format, expected {expected}"
+        message = arrays or (_of_fbx(source) if source.suffix.lower() == FBX else "")
+        message = message or f"of no known format, expected {expected}"
         return FormatError(message, path=source, reason="unknown-format")
     kinds = kinds_of(islice((path for path in source.rglob("*") if path.is_file()), SEEN_FILES))
     there = ", ".join(f"{count} {kind}" for kind, count in list(kinds.items())[:SHOWN_KINDS]) or "no files"
     message = f"no motions in this folder (it has {there}), expected {expected}"
+    if kinds.keys() & {FBX, *PICKLES}:
+        message += "; name one of its files alone to be told how it can be converted"
     return FormatError(message, path=source, reason="empty-folder")
+
+
+FBX = ".fbx"
+# What Python would import to load it, and how.
+_TORCH = ("torch", "torch.load({!r}, map_location='cpu', weights_only=True)")
+_PICKLE = ("pathlib, pickle", "pickle.loads(pathlib.Path({!r}).read_bytes())")
+PICKLES = {".pt": _TORCH, ".pth": _TORCH, ".pkl": _PICKLE, ".pickle": _PICKLE}
+
+
+def _of_pickle(path: Path) -> str:
+    modules, load = PICKLES[path.suffix.lower()]
+    target = str(path.with_suffix(".npz"))
+    return (
+        f"a pickle, which can run code when it is loaded, so it is not; one that you trust is written as arrays with "
+        f"import numpy as np, {modules}; found = {load.format(str(path))}; np.savez({target!r}, fps=30, "
+        "**{name: np.asarray(value) for name, value in found.items()}), if it is a dictionary and 30 its framerate "
+        "(docs/formats.md, SMPL's parameters from other systems)"
+    )
+
+
+def _of_fbx(path: Path) -> str:
+    # No reader of FBX in the registry is kept well enough to be trusted with strangers' files.
+    script = (
+        f"import bpy; bpy.ops.wm.read_factory_settings(use_empty=True); bpy.ops.import_scene.fbx(filepath={str(path)!r}"
+        "); rig = next(each for each in bpy.data.objects if each.type == 'ARMATURE'); "
+        "bpy.context.view_layer.objects.active = rig; first, last = map(int, rig.animation_data.action.frame_range); "
+        f"bpy.ops.export_anim.bvh(filepath={str(path.with_suffix('.bvh'))!r}, frame_start=first, frame_end=last, "
+        "root_transform_only=True)"
+    )
+    quoted = shlex.quote(script) if set(str(path)) & set('"$`\\!') else f'"{script}"'
+    return f"FBX is not read; Blender makes a BVH file of it: blender --background --python-expr {quoted}"
 
 
 SHOWN_ARRAYS = 8
