@@ -100,11 +100,6 @@ def training_note(trained: Trained[Any]) -> str:
     return "; ".join((*told, rate)) if told else ""
 
 
-def training_notes(run: Path | None) -> dict[str, str]:
-    """`training_note` of each model of a run by the name of its row, "" where nothing is known."""
-    return {name: training_note(model) for name, model in trained_models(run).value.items()}
-
-
 def require_models(run: Path) -> dict[str, TrainedModel]:
     """As `trained_models`; raises `RunError` where there is none."""
     found = trained_models(run)
@@ -113,10 +108,18 @@ def require_models(run: Path) -> dict[str, TrainedModel]:
     return found.value
 
 
+@dataclass(frozen=True, eq=False)
+class Generated:
+    """Motion fields by the names of their rows, and each model's `training_note` by its name."""
+
+    rows: Mapping[str, dict[Window, MotionField]]
+    training: Mapping[str, str]
+
+
 def generated_fields(
     run: Path | None, real: SampleSet, seed: int, max_motions: int, draws: int = 1
-) -> Found[dict[str, dict[Window, MotionField]]]:
-    """What each model of a run generates for the captions and durations of a real set, by the names of their rows.
+) -> Found[Generated]:
+    """What each model of a run generates for the captions and durations of a real set.
 
     As the model gives it, planted, and where the run has learnt detail, planted with detail.
     """
@@ -134,7 +137,8 @@ def generated_fields(
         rows |= {name: fields, PLANTED.format(name): standing}
         if detail is not None:
             rows[DETAILED.format(name)] = detailed_fields(standing, detail, seed)
-    return Found(rows, (*models.missing, *found.missing))
+    training = {name: training_note(model) for name, model in models.value.items()}
+    return Found(Generated(rows, training), (*models.missing, *found.missing))
 
 
 def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:

@@ -28,7 +28,7 @@ from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion
 from eval.sets.sets import SampleSet
-from eval.tables.models import check_names, generated_fields, training_notes
+from eval.tables.models import check_names, generated_fields
 from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, ModelFields, framerate_label, samples_at
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.progress import task
@@ -133,13 +133,14 @@ def build_physical(request: TableRequest) -> Result:
     evaluated = request.evaluated
     with task(request.on_progress, "generating", 1):
         wanted = real.at(min(rates.value))
-        fields = generated_fields(evaluated.run, wanted, request.seed, evaluated.max_motions, evaluated.draws)
-    check_names(evaluated.samples, (REAL, *fields.value))
+        generated = generated_fields(evaluated.run, wanted, request.seed, evaluated.max_motions, evaluated.draws)
+    fields = generated.value.rows
+    check_names(evaluated.samples, (REAL, *fields))
     blocks: list[Block] = []
     slow: list[str] = []
     for fps in rates.value:
-        sets = _sets(fps, real, fields.value, request)
-        blocks += _blocks(fps, sets.value, request)
+        sets = _sets(fps, real, fields, request)
+        blocks += _blocks(fps, sets.value, generated.value.training, request)
         slow += sets.missing
         real.forget_all_but(min(rates.value))
     return Result(
@@ -150,10 +151,10 @@ def build_physical(request: TableRequest) -> Result:
         blocks=tuple(blocks),
         definition={"split": request.real.split, "where": request.real.where, "version": VERSION},
         notes=tuple(f"{folder.name}: {folder.describe()}" for folder in folders),
-        missing=(*rates.missing, *fields.missing, *slow),
+        missing=(*rates.missing, *generated.missing, *slow),
         provenance=request.provenance(
             store,
-            run=evaluated.run.name if evaluated.run and fields.value else None,
+            run=evaluated.run.name if evaluated.run and fields else None,
             samples={folder.name: folder.fingerprint for folder in folders},
         ),
     )
@@ -172,14 +173,15 @@ def _sets(fps: Fraction, real: RealMotion, fields: ModelFields, request: TableRe
     return Found({REAL: reference, **made, **samples.value}, (*slow, *samples.missing))
 
 
-def _blocks(fps: Fraction, sets: Mapping[str, SampleSet], request: TableRequest) -> list[Block]:
+def _blocks(
+    fps: Fraction, sets: Mapping[str, SampleSet], training: Mapping[str, str], request: TableRequest
+) -> list[Block]:
     """Ours and the field's, at one framerate."""
     rows: dict[str, Measured] = {}
     for name, samples in sets.items():
         with task(request.on_progress, f"{name}, {framerate_label(fps)}", samples.num_sequences) as work:
             rows[name] = measured(samples, work.advance)
-    trained = training_notes(request.evaluated.run)
-    notes = {name: "; ".join(filter(None, (_size(samples), trained.get(name)))) for name, samples in sets.items()}
+    notes = {name: "; ".join(filter(None, (_size(samples), training.get(name)))) for name, samples in sets.items()}
     label = framerate_label(fps)
     return [
         *blocks_of(f"Per second, at {label}", OURS, rows, notes, NOTE, request.seed),

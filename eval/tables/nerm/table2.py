@@ -21,7 +21,7 @@ from eval.sets.memorisation import set_remarks
 from eval.sets.planted import PLANTED, PLANTED_NOTE, is_planted, planted_note
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
 from eval.sets.sets import SampleSet
-from eval.tables.models import check_names, generated_fields, training_notes
+from eval.tables.models import check_names, generated_fields
 from eval.tables.nerm.clip_fid_column import (
     GENERATED_LOW,
     GENERATED_VECTORS,
@@ -101,9 +101,9 @@ def build_table2(request: TableRequest) -> Result:
         wanted = real.at(min(rates.value))
         evaluated = request.evaluated
         generated = generated_fields(evaluated.run, wanted, request.seed, evaluated.max_motions, evaluated.draws)
-    fields = generated.value
+    fields = generated.value.rows
     check_names(request.evaluated.samples, _model_notes(fields))
-    notes = _row_notes(fields, folders, training_notes(evaluated.run))
+    notes = _row_notes(fields, folders, generated.value.training)
     sources = feature_sources(request.evaluated.run, request.evaluators.names, request.evaluators.guo)
     sheets: list[dict[str, _Scored]] = [{} for _ in sources.value]
     absent: list[list[str]] = [[] for _ in sources.value]
