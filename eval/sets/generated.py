@@ -9,7 +9,7 @@ import numpy as np
 
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.fields.motion_field import MotionField, to_motion
-from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.generate.models import GenerationRequest, GenerativeModel, MayKnowNoConditions, SamplingOptions
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,17 @@ def generate_fields(
     sampling: SamplingOptions = SamplingOptions(),
     draws: int = 1,
 ) -> dict[Window, MotionField]:
-    """A motion field per window and draw, or for a random choice of `limit` windows where there are more."""
+    """A motion field per window and draw, or for a random choice of `limit` windows where there are more.
+
+    A model that knows no conditions is asked for the windows' durations alone.
+    """
     chosen = list(windows)
     if len(windows) > limit:
         picked = np.random.default_rng((seed, 7)).choice(len(windows), size=limit, replace=False)
         chosen = [windows[index] for index in np.sort(picked).tolist()]
     requests = [window.request for window in chosen]
+    if isinstance(model, MayKnowNoConditions) and model.unconditional:
+        requests = [GenerationRequest(request.duration_seconds) for request in requests]
     made: dict[Window, MotionField] = {}
     for draw in range(draws):
         fields = model.generate(requests, seed=seed + draw, sampling=sampling)

@@ -16,7 +16,7 @@ from motionkit.complete.encoders import installed_encoders
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.fields.motion_field import MotionEncoder, MotionField
-from motionkit.generate.models import GenerativeModel, installed_models
+from motionkit.generate.models import GenerativeModel, MayKnowNoConditions, installed_models
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunError, RunFolder
 
@@ -96,7 +96,10 @@ def training_note(trained: Trained[Any]) -> str:
         facts += [f"{int(summary['parameters']):,} parameters"] if "parameters" in summary else []
         facts += [f"{summary['cpu_seconds']:,.0f} s of processor time"] if "cpu_seconds" in summary else []
         told += [f"{name}: {', '.join(facts)}"] if facts else []
-    rate = f"trained at up to {float(trained.loaded.max_training_fps):g} fps"
+    model = trained.loaded
+    rate = f"trained at up to {float(model.max_training_fps):g} fps"
+    if isinstance(model, MayKnowNoConditions) and model.unconditional:
+        rate += ", knows no texts and no actions"
     return "; ".join((*told, rate)) if told else ""
 
 

@@ -100,6 +100,16 @@ class ChecksRequests(Protocol):
 
 
 @runtime_checkable
+class MayKnowNoConditions(Protocol):
+    """A model that says whether it knows any: tables ask one that knows none for motions of no stated kind."""
+
+    @property
+    def unconditional(self) -> bool:
+        """Whether it was trained without texts and actions."""
+        ...
+
+
+@runtime_checkable
 class FollowsConstraints(Protocol):
     """A model whose motions can be held to constraints of some kinds; of others none is asked."""
 

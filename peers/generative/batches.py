@@ -142,8 +142,8 @@ class PoseSpace(nn.Module):
         if self.num_numbers != part.size:
             raise UsageError("joints are recovered of native vectors alone: motions.pose_vectors=native")
         numbers = rows * self.scale + self.mean
-        angle = self._integral(numbers[..., part.root_yaw_velocity])
-        path = self._integral(_turned_back(numbers[..., part.root_velocity], angle))
+        angle = self.heading(numbers)
+        path = self.path(numbers[..., part.root_velocity], angle)
         height = numbers[..., part.root_height]
         flat_joints = numbers[..., part.joint_positions]
         relative = flat_joints.reshape(*flat_joints.shape[:-1], -1, 3)
@@ -151,6 +151,16 @@ class PoseSpace(nn.Module):
         others = torch.stack((flat[..., 0], relative[..., 1], flat[..., 1]), dim=-1)
         root = torch.cat((path[..., :1], height, path[..., 1:]), dim=-1)
         return torch.cat((root[..., None, :], others), dim=-2)
+
+    def heading(self, numbers: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch frames 1"]:
+        """Radians that `native` vectors in their own units have turned by since the first frame."""
+        return self._integral(numbers[..., vector_layout(self.vectors.skeleton.num_joints).root_yaw_velocity])
+
+    def path(
+        self, velocity: Float[Tensor, "batch frames 2"], angle: Float[Tensor, "batch frames 1"]
+    ) -> Float[Tensor, "batch frames 2"]:
+        """Metres in the first frame's x and z of velocities in the body's own."""
+        return self._integral(_turned_back(velocity, angle))
 
     def _integral(self, rates: Tensor) -> Tensor:
         steps = (rates[:, 1:] + rates[:, :-1]) * (0.5 / float(self.fps))

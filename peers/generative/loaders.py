@@ -14,4 +14,4 @@ def _loader(peer: GenerativePeer) -> ModelLoader:
     return ModelLoader(peer.title, stages, load, order=peer.stages[-1].order)
 
 
-MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW, JL2P, HIER = map(_loader, PEERS)
+MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW, JL2P, HIER, NEMF = map(_loader, PEERS)

@@ -54,6 +54,11 @@ class PeerModel:
         """The longest motion that it was trained on."""
         return float(self.trained.config.motions.max_duration_seconds)
 
+    @property
+    def unconditional(self) -> bool:
+        """Whether it was trained without conditions."""
+        return bool(self.trained.config.conditions.kind == "none")
+
     @cached_property
     def text_encoder(self) -> TextEncoder:
         """The encoder it was trained with; raises `RunError` where its weights have changed."""

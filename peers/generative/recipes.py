@@ -22,11 +22,15 @@ from peers.generative.settings import (
     MldNetworkConfig,
     MldVaeNetworkConfig,
     MotionsConfig,
+    NemfNetworkConfig,
+    NemfPathNetworkConfig,
     OptimizerConfig,
     T2mAutoencoderNetworkConfig,
     T2mNetworkConfig,
     TransformerSizes,
 )
+
+Recipe = Mapping[str, Any]
 
 
 def _cosine(steps: int, batch_size: int, learning_rate: float) -> Schedule:
@@ -35,12 +39,19 @@ def _cosine(steps: int, batch_size: int, learning_rate: float) -> Schedule:
     )
 
 
+def _of_one_stage(
+    title: str, name: str, order: int, description: str, network: str, *, nano: Recipe, paper: Recipe
+) -> GenerativePeer:
+    return GenerativePeer(title, (PeerStage(name, order, description, network, {"nano": nano, "paper": paper}),))
+
+
 # The whole of each window, of which a step sees five frames.
 WHOLE_IN_5 = MotionsConfig(pose_vectors="field", crops="whole", seen="scattered", seen_frames=5)
 IN_24 = MotionsConfig(seen="stretch", seen_frames=24)
 STRETCHES = MotionsConfig(fps=30.0, max_frames=294, seen="stretch", seen_frames=55)
 COORDINATES = MotionsConfig(pose_vectors="field", crops="whole")
 
+UNCONDITIONAL = ConditionsConfig(kind="none")
 MINILM = ConditionsConfig(text_encoder="minilm", scaled=True)
 SMALL = TransformerSizes(4, 128, 4, 256)
 MDM_PAPER = {"network": MdmNetworkConfig(), "schedule": Schedule(steps=600_000)}
@@ -60,29 +71,23 @@ def _in_50_steps(parts: Mapping[str, Any], ema_decay: float) -> dict[str, Any]:
     return {**parts, "network": network, "optimizer": OptimizerConfig(ema_decay=ema_decay)}
 
 
-MDM = GenerativePeer(
+MDM = _of_one_stage(
     "MDM",
-    (
-        PeerStage(
-            "mdm",
-            80,
-            "MDM: diffusion of whole motions in 1,000 steps (NeRM's peer)",
-            "peers.generative.networks.mdm:Mdm",
-            {"nano": MDM_NANO, "paper": MDM_PAPER},
-        ),
-    ),
+    "mdm",
+    80,
+    "MDM: diffusion of whole motions in 1,000 steps (NeRM's peer)",
+    "peers.generative.networks.mdm:Mdm",
+    nano=MDM_NANO,
+    paper=MDM_PAPER,
 )
-MDM_50 = GenerativePeer(
+MDM_50 = _of_one_stage(
     "MDM, 50 steps",
-    (
-        PeerStage(
-            "mdm-50",
-            81,
-            "MDM trained with 50 diffusion steps",
-            "peers.generative.networks.mdm:Mdm",
-            {"nano": _in_50_steps(MDM_NANO, 0.995), "paper": _in_50_steps(MDM_PAPER, 0.9999)},
-        ),
-    ),
+    "mdm-50",
+    81,
+    "MDM trained with 50 diffusion steps",
+    "peers.generative.networks.mdm:Mdm",
+    nano=_in_50_steps(MDM_NANO, 0.995),
+    paper=_in_50_steps(MDM_PAPER, 0.9999),
 )
 SMALL_SKIPS = TransformerSizes(5, 128, 4, 256)
 MLD = GenerativePeer(
@@ -96,7 +101,7 @@ MLD = GenerativePeer(
             {
                 "nano": {
                     "network": MldVaeNetworkConfig(replace(SMALL_SKIPS, dropout=0.0)),
-                    "conditions": ConditionsConfig(kind="none"),
+                    "conditions": UNCONDITIONAL,
                     "schedule": Schedule(
                         steps=600, batch_size=32, learning_rate=5e-4, kind="cosine", warmup_fraction=0.1
                     ),
@@ -104,7 +109,7 @@ MLD = GenerativePeer(
                 },
                 "paper": {
                     "network": MldVaeNetworkConfig(),
-                    "conditions": ConditionsConfig(kind="none"),
+                    "conditions": UNCONDITIONAL,
                     "schedule": Schedule(epochs=6000, batch_size=128),
                     "optimizer": OptimizerConfig(weight_decay=0.01),
                 },
@@ -139,59 +144,47 @@ GIVEN = ConditionsConfig(drop=0.0)
 GIVEN_NANO = replace(MINILM, drop=0.0)
 
 
-INR_MLP = GenerativePeer(
+INR_MLP = _of_one_stage(
     "INR-MLP",
-    (
-        PeerStage(
-            "inr-mlp",
-            84,
-            "INR-MLP: an MLP of time and of a code for each training motion",
-            "peers.generative.networks.inr_mlp:InrMlp",
-            {
-                "nano": {
-                    "network": InrMlpNetworkConfig(reseeds=2),
-                    "motions": WHOLE_IN_5,
-                    "conditions": GIVEN_NANO,
-                    "schedule": _cosine(12_000, 256, 1e-3),
-                    "optimizer": OptimizerConfig(clip_norm=2.0),
-                    "precision": "auto",
-                },
-                "paper": {
-                    "network": InrMlpNetworkConfig(),
-                    "motions": WHOLE_IN_5,
-                    "conditions": replace(GIVEN, kind="action"),
-                    "schedule": Schedule(epochs=10_000, batch_size=512, learning_rate=1e-3),
-                    "optimizer": OptimizerConfig(clip_norm=2.0),
-                },
-            },
-        ),
-    ),
+    "inr-mlp",
+    84,
+    "INR-MLP: an MLP of time and of a code for each training motion",
+    "peers.generative.networks.inr_mlp:InrMlp",
+    nano={
+        "network": InrMlpNetworkConfig(reseeds=2),
+        "motions": WHOLE_IN_5,
+        "conditions": GIVEN_NANO,
+        "schedule": _cosine(12_000, 256, 1e-3),
+        "optimizer": OptimizerConfig(clip_norm=2.0),
+        "precision": "auto",
+    },
+    paper={
+        "network": InrMlpNetworkConfig(),
+        "motions": WHOLE_IN_5,
+        "conditions": replace(GIVEN, kind="action"),
+        "schedule": Schedule(epochs=10_000, batch_size=512, learning_rate=1e-3),
+        "optimizer": OptimizerConfig(clip_norm=2.0),
+    },
 )
-ACTOR = GenerativePeer(
+ACTOR = _of_one_stage(
     "ACTOR",
-    (
-        PeerStage(
-            "actor",
-            85,
-            "ACTOR: a VAE of whole motions under a condition",
-            "peers.generative.networks.actor:Actor",
-            {
-                "nano": {
-                    "network": ActorNetworkConfig(replace(SMALL, dropout=0.0)),
-                    "conditions": GIVEN_NANO,
-                    "schedule": _cosine(1600, 32, 5e-4),
-                    "precision": "auto",
-                },
-                "paper": {
-                    "network": ActorNetworkConfig(),
-                    "motions": MotionsConfig(max_frames=60),
-                    "conditions": replace(GIVEN, kind="action"),
-                    "schedule": Schedule(epochs=5000, batch_size=20),
-                    "optimizer": OptimizerConfig(weight_decay=0.01),
-                },
-            },
-        ),
-    ),
+    "actor",
+    85,
+    "ACTOR: a VAE of whole motions under a condition",
+    "peers.generative.networks.actor:Actor",
+    nano={
+        "network": ActorNetworkConfig(replace(SMALL, dropout=0.0)),
+        "conditions": GIVEN_NANO,
+        "schedule": _cosine(1600, 32, 5e-4),
+        "precision": "auto",
+    },
+    paper={
+        "network": ActorNetworkConfig(),
+        "motions": MotionsConfig(max_frames=60),
+        "conditions": replace(GIVEN, kind="action"),
+        "schedule": Schedule(epochs=5000, batch_size=20),
+        "optimizer": OptimizerConfig(weight_decay=0.01),
+    },
 )
 T2M = GenerativePeer(
     "T2M",
@@ -205,14 +198,14 @@ T2M = GenerativePeer(
                 "nano": {
                     "network": T2mAutoencoderNetworkConfig(width=192),
                     "motions": IN_24,
-                    "conditions": ConditionsConfig(kind="none"),
+                    "conditions": UNCONDITIONAL,
                     "schedule": _cosine(4000, 128, 1e-3),
                     "precision": "auto",
                 },
                 "paper": {
                     "network": T2mAutoencoderNetworkConfig(),
                     "motions": IN_24,
-                    "conditions": ConditionsConfig(kind="none"),
+                    "conditions": UNCONDITIONAL,
                     "schedule": Schedule(epochs=270, batch_size=128),
                 },
             },
@@ -242,117 +235,149 @@ T2M = GenerativePeer(
         ),
     ),
 )
-CAMDM = GenerativePeer(
+CAMDM = _of_one_stage(
     "CAMDM",
-    (
-        PeerStage(
-            "camdm",
-            88,
-            "CAMDM: stretches of motion, one after another, diffused in 4 steps",
-            "peers.generative.networks.camdm:Camdm",
-            {
-                "nano": {
-                    "network": CamdmNetworkConfig(SMALL),
-                    "motions": STRETCHES,
-                    "conditions": replace(MINILM, drop=0.15),
-                    "schedule": _cosine(4000, 64, 1e-3),
-                    "optimizer": OptimizerConfig(ema_decay=0.995),
-                    "precision": "auto",
-                },
-                "paper": {
-                    "network": CamdmNetworkConfig(),
-                    "motions": STRETCHES,
-                    "conditions": ConditionsConfig(drop=0.15),
-                    "schedule": Schedule(epochs=100, batch_size=512),
-                    "optimizer": OptimizerConfig(weight_decay=0.01),
-                },
-            },
-        ),
-    ),
+    "camdm",
+    88,
+    "CAMDM: stretches of motion, one after another, diffused in 4 steps",
+    "peers.generative.networks.camdm:Camdm",
+    nano={
+        "network": CamdmNetworkConfig(SMALL),
+        "motions": STRETCHES,
+        "conditions": replace(MINILM, drop=0.15),
+        "schedule": _cosine(4000, 64, 1e-3),
+        "optimizer": OptimizerConfig(ema_decay=0.995),
+        "precision": "auto",
+    },
+    paper={
+        "network": CamdmNetworkConfig(),
+        "motions": STRETCHES,
+        "conditions": ConditionsConfig(drop=0.15),
+        "schedule": Schedule(epochs=100, batch_size=512),
+        "optimizer": OptimizerConfig(weight_decay=0.01),
+    },
 )
-FLOW = GenerativePeer(
+FLOW = _of_one_stage(
     "ACMDM-S (flow)",
-    (
-        PeerStage(
-            "flow",
-            89,
-            "ACMDM's small form: a rectified flow of absolute coordinates",
-            "peers.generative.networks.flow:Flow",
-            {
-                "nano": {
-                    "network": FlowNetworkConfig(TransformerSizes(4, 128, 4, 341, 0.0), sampling_steps=25),
-                    "motions": COORDINATES,
-                    "conditions": MINILM,
-                    "schedule": _cosine(1800, 32, 1e-3),
-                    "optimizer": OptimizerConfig(ema_decay=0.995),
-                    "precision": "auto",
-                },
-                "paper": {
-                    "network": FlowNetworkConfig(),
-                    "motions": COORDINATES,
-                    "schedule": Schedule(epochs=500, learning_rate=2e-4),
-                    "optimizer": OptimizerConfig(weight_decay=0.01, ema_decay=0.9999),
-                },
-            },
-        ),
-    ),
+    "flow",
+    89,
+    "ACMDM's small form: a rectified flow of absolute coordinates",
+    "peers.generative.networks.flow:Flow",
+    nano={
+        "network": FlowNetworkConfig(TransformerSizes(4, 128, 4, 341, 0.0), sampling_steps=25),
+        "motions": COORDINATES,
+        "conditions": MINILM,
+        "schedule": _cosine(1800, 32, 1e-3),
+        "optimizer": OptimizerConfig(ema_decay=0.995),
+        "precision": "auto",
+    },
+    paper={
+        "network": FlowNetworkConfig(),
+        "motions": COORDINATES,
+        "schedule": Schedule(epochs=500, learning_rate=2e-4),
+        "optimizer": OptimizerConfig(weight_decay=0.01, ema_decay=0.9999),
+    },
 )
 # A frame in twelve of KIT's 100 a second; 9.8 s as the others have them.
 SLOW = MotionsConfig(fps=25 / 3, max_frames=82)
-JL2P = GenerativePeer(
+JL2P = _of_one_stage(
     "JL2P",
-    (
-        PeerStage(
-            "jl2p",
-            90,
-            "JL2P: pose after pose of one code of motions and texts",
-            "peers.generative.networks.jl2p:Jl2p",
-            {
-                "nano": {
-                    "network": Jl2pNetworkConfig(width=256, lengths=(2, 4, 8, 16, 32, 82), mean_first=0.5),
-                    "motions": SLOW,
-                    "conditions": GIVEN_NANO,
-                    "schedule": _cosine(6000, 64, 1e-3),
-                    "optimizer": OptimizerConfig(clip_norm=1.0),
-                },
-                "paper": {
-                    "network": Jl2pNetworkConfig(),
-                    "motions": replace(SLOW, seen="stretch", seen_frames=16),
-                    "conditions": GIVEN,
-                    "schedule": Schedule(
-                        epochs=1000, batch_size=100, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=0.001
-                    ),
-                },
-            },
+    "jl2p",
+    90,
+    "JL2P: pose after pose of one code of motions and texts",
+    "peers.generative.networks.jl2p:Jl2p",
+    nano={
+        "network": Jl2pNetworkConfig(width=256, lengths=(2, 4, 8, 16, 32, 82), mean_first=0.5),
+        "motions": SLOW,
+        "conditions": GIVEN_NANO,
+        "schedule": _cosine(6000, 64, 1e-3),
+        "optimizer": OptimizerConfig(clip_norm=1.0),
+    },
+    paper={
+        "network": Jl2pNetworkConfig(),
+        "motions": replace(SLOW, seen="stretch", seen_frames=16),
+        "conditions": GIVEN,
+        "schedule": Schedule(
+            epochs=1000, batch_size=100, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=0.001
         ),
-    ),
+    },
 )
-HIER = GenerativePeer(
+HIER = _of_one_stage(
     "Hier",
+    "hier",
+    91,
+    "Hier: pose after pose of a code for each half of the body",
+    "peers.generative.networks.hier:Hier",
+    nano={
+        "network": HierNetworkConfig(limb=64, width=160, mean_first=0.5),
+        "motions": SLOW,
+        "conditions": GIVEN_NANO,
+        "schedule": _cosine(2400, 32, 1e-3),
+        "optimizer": OptimizerConfig(clip_norm=1.0),
+    },
+    paper={
+        "network": HierNetworkConfig(),
+        "motions": replace(SLOW, seen="stretch", seen_frames=32),
+        "conditions": GIVEN,
+        "schedule": Schedule(
+            epochs=300, batch_size=32, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 300
+        ),
+    },
+)
+CLIPS = MotionsConfig(fps=30.0, max_frames=128, min_seconds=128 / 30)
+LONG = MotionsConfig(fps=30.0, max_frames=294)
+NEMF = GenerativePeer(
+    "NeMF",
     (
         PeerStage(
-            "hier",
-            91,
-            "Hier: pose after pose of a code for each half of the body",
-            "peers.generative.networks.hier:Hier",
+            "nemf-path",
+            92,
+            "NeMF, stage 1: the root's motion from the body's",
+            "peers.generative.networks.nemf:NemfPath",
             {
                 "nano": {
-                    "network": HierNetworkConfig(limb=64, width=256, mean_first=0.5),
-                    "motions": SLOW,
-                    "conditions": GIVEN_NANO,
-                    "schedule": _cosine(3000, 32, 1e-3),
-                    "optimizer": OptimizerConfig(clip_norm=1.0),
+                    "network": NemfPathNetworkConfig(widths=(64, 64, 64)),
+                    "motions": LONG,
+                    "conditions": UNCONDITIONAL,
+                    "schedule": _cosine(2200, 16, 1e-3),
+                    "precision": "auto",
                 },
                 "paper": {
-                    "network": HierNetworkConfig(),
-                    "motions": replace(SLOW, seen="stretch", seen_frames=32),
-                    "conditions": GIVEN,
-                    "schedule": Schedule(
-                        epochs=300, batch_size=32, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 300
-                    ),
+                    "network": NemfPathNetworkConfig(),
+                    "motions": CLIPS,
+                    "conditions": UNCONDITIONAL,
+                    "schedule": Schedule(epochs=1000, batch_size=16),
+                    "optimizer": OptimizerConfig(weight_decay=1e-4),
                 },
             },
+            share=0.2,
+        ),
+        PeerStage(
+            "nemf",
+            93,
+            "NeMF, stage 2: a motion as a field of time, and a VAE of its latents",
+            "peers.generative.networks.nemf:Nemf",
+            {
+                "nano": {
+                    "network": NemfNetworkConfig(
+                        304, (64, 96, 128, 128), local_latent=128, turn_latent=32, width=192, kl_cycles=4
+                    ),
+                    "motions": LONG,
+                    "conditions": UNCONDITIONAL,
+                    "schedule": _cosine(2400, 32, 1e-3),
+                    "precision": "auto",
+                },
+                "paper": {
+                    "network": NemfNetworkConfig(),
+                    "motions": CLIPS,
+                    "conditions": UNCONDITIONAL,
+                    "schedule": Schedule(epochs=1000, batch_size=16),
+                    "optimizer": OptimizerConfig(weight_decay=1e-4),
+                },
+            },
+            builds_on=("nemf-path",),
+            share=0.8,
         ),
     ),
 )
-PEERS = (MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW, JL2P, HIER)
+PEERS = (MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW, JL2P, HIER, NEMF)

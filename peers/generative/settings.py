@@ -209,6 +209,40 @@ class HierNetworkConfig:
 
 
 @dataclass(frozen=True)
+class NemfPathNetworkConfig:
+    """NeMF's predictor of the root's motion: widths of its convolutions, and how many frames one sees."""
+
+    widths: tuple[int, ...] = (512, 512, 512, 512, 256, 128)
+    kernel: int = 15
+    contact_weight: float = 0.5
+
+
+@dataclass(frozen=True)
+class NemfNetworkConfig:
+    """NeMF: a field over `frames` frames of two latents, and encoders of such clips; `frequencies` are those of time.
+
+    KL's weight grows from a hundredth in the first half of each of `kl_cycles` parts of the training.
+    """
+
+    frames: int = 128
+    widths: tuple[int, ...] = (128, 256, 512, 512)
+    kernel: int = 4
+    local_latent: int = 1024
+    turn_latent: int = 256
+    frequencies: int = 7
+    width: int = 1024
+    local_layers: int = 8
+    turn_layers: int = 3
+    joint_weight: float = 10.0
+    kl_weight: float = 1e-5
+    kl_cycles: int = 20
+
+    def __post_init__(self) -> None:
+        if self.frames % 2 ** len(self.widths):
+            raise ValueError(f"frames must be a multiple of {2 ** len(self.widths)}, not {self.frames}")
+
+
+@dataclass(frozen=True)
 class CamdmNetworkConfig:
     """CAMDM: a transformer encoder makes `future` frames after `past` ones, with probability `no_past` after none."""
 

@@ -23,4 +23,5 @@ def _stage(peer: GenerativePeer, stage: PeerStage) -> Stage[Any]:
 
 
 STAGES = {stage.name: _stage(peer, stage) for peer in PEERS for stage in peer.stages}
-MDM, MDM_50, MLD_VAE, MLD, INR_MLP, ACTOR, T2M_AUTOENCODER, T2M, CAMDM, FLOW, JL2P, HIER = STAGES.values()
+MDM, MDM_50, MLD_VAE, MLD, INR_MLP, ACTOR, T2M_AUTOENCODER, T2M, CAMDM, FLOW, JL2P, HIER, *_NEMF = STAGES.values()
+NEMF_PATH, NEMF = _NEMF

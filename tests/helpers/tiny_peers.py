@@ -23,6 +23,8 @@ from peers.generative.settings import (
     MldNetworkConfig,
     MldVaeNetworkConfig,
     MotionsConfig,
+    NemfNetworkConfig,
+    NemfPathNetworkConfig,
     OptimizerConfig,
     T2mAutoencoderNetworkConfig,
     T2mNetworkConfig,
@@ -45,10 +47,12 @@ NETWORKS: dict[str, Any] = {
     "camdm": CamdmNetworkConfig(SIZES, past=4, future=12),
     "jl2p": Jl2pNetworkConfig(width=32, lengths=(4, 15), mean_first=0.5),
     "hier": HierNetworkConfig(part=8, limb=16, width=32, critic=(8, 16), mean_first=0.5),
+    "nemf-path": NemfPathNetworkConfig(widths=(16,), kernel=5),
+    "nemf": NemfNetworkConfig(64, (16, 16), local_latent=16, turn_latent=8, width=32, local_layers=3, turn_layers=1),
     "flow": FlowNetworkConfig(TransformerSizes(2, 32, 2, 48, 0.0), sampling_steps=8, guidance_scale=2.0),
 }
 # Stages that see no condition.
-UNCONDITIONAL = ("mld-vae", "t2m-autoencoder")
+UNCONDITIONAL = ("mld-vae", "t2m-autoencoder", "nemf-path", "nemf")
 
 
 def tiny_config(name: str, **changed: Any) -> Any:

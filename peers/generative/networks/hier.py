@@ -83,11 +83,11 @@ class TwoStreamDecoder(nn.Module):
 
     def __init__(self, parts: list[list[int]], config: HierNetworkConfig) -> None:
         super().__init__()
-        right_arm, left_arm, right_leg, left_leg, trunk = parts
-        self.halves = [right_arm + left_arm + trunk, right_leg + left_leg + trunk]
-        self.back = torch.tensor(list(chain(*parts))).argsort().tolist()
-        self.cells = nn.ModuleList(nn.GRUCell(len(half), config.width) for half in self.halves)
-        self.to_pairs = nn.ModuleList(nn.Linear(config.width, 2 * config.limb) for _ in self.halves)
+        self.order, self.sizes = list(chain(*parts)), [len(part) for part in parts]
+        self.back = torch.tensor(self.order).argsort().tolist()
+        halves = [sum(self.sizes[half : half + 2]) + self.sizes[TRUNK] for half in (0, 2)]
+        self.cells = nn.ModuleList(nn.GRUCell(numbers, config.width) for numbers in halves)
+        self.to_pairs = nn.ModuleList(nn.Linear(config.width, 2 * config.limb) for _ in halves)
         self.to_limbs = nn.ModuleList(nn.Linear(config.limb, 2 * config.part) for _ in parts[:TRUNK])
         self.to_parts = nn.ModuleList(nn.Linear(config.part, len(part)) for part in parts)
 
@@ -95,19 +95,21 @@ class TwoStreamDecoder(nn.Module):
         self, codes: Float[Tensor, "2 batch width"], first: Float[Tensor, "batch numbers"], frames: int
     ) -> Float[Tensor, "batch frames numbers"]:
         """Standardised rows; before all comes `first`."""
-        pose, states, made = first, list(codes), []
+        pose, states, made = first[:, self.order], list(codes), []
         for _ in range(frames):
+            *own_limbs, trunk = torch.split(pose, self.sizes, dim=1)
             limbs: list[Tensor] = []
-            for half, numbers in enumerate(self.halves):
-                states[half] = self.cells[half](pose[:, numbers], states[half])
+            for half in range(2):
+                told = torch.cat((*own_limbs[2 * half : 2 * half + 2], trunk), dim=1)
+                states[half] = self.cells[half](told, states[half])
                 limbs += self.to_pairs[half](states[half]).chunk(2, dim=1)
             split = [layer(limb).chunk(2, dim=1) for layer, limb in zip(self.to_limbs, limbs, strict=True)]
             # A linear map of the mean is the mean of the four predictions of the trunk.
-            inner = [own for own, _ in split] + [torch.stack([trunk for _, trunk in split]).mean(dim=0)]
+            inner = [own for own, _ in split] + [torch.stack([other for _, other in split]).mean(dim=0)]
             change = torch.cat([layer(part) for layer, part in zip(self.to_parts, inner, strict=True)], dim=1)
-            pose = pose + change[:, self.back]
+            pose = pose + change
             made.append(pose)
-        return torch.stack(made, dim=1)
+        return torch.stack(made, dim=1)[..., self.back]
 
 
 class Critic(nn.Module):
@@ -152,7 +154,8 @@ class Hier(nn.Module):
         rows, lengths, seen = batch.rows, batch.lengths, batch.seen
         codes, said = self.encoder(rows, lengths), self.said(batch.conditions)
         first = first_poses(rows, self.config.mean_first, generator)
-        again, told = (self.decoder(each, first, rows.shape[1]) * seen[..., None] for each in (codes, said))
+        both = self.decoder(torch.cat((codes, said), dim=1), first.repeat(2, 1), rows.shape[1])
+        again, told = (both * seen.repeat(2, 1)[..., None]).chunk(2)
         frames = smooth_l1_loss(again[seen], rows[seen]) + smooth_l1_loss(told[seen], rows[seen])
         again_changes, told_changes, true_changes = (each.diff(dim=1)[seen[:, 1:]] for each in (again, told, rows))
         changes = smooth_l1_loss(again_changes, true_changes) + smooth_l1_loss(told_changes, true_changes)

@@ -57,7 +57,8 @@ def drawn(
 
 
 def kl_of(mean: Float[Tensor, "*numbers"], log_variance: Float[Tensor, "*numbers"]) -> Float[Tensor, "*numbers"]:
-    """Kullback-Leibler divergence of N(μ, σ²) from N(0, 1), number by number."""
+    """Kullback-Leibler divergence of N(μ, σ²) from N(0, 1), number by number; float32 under autocast too."""
+    mean, log_variance = mean.float(), log_variance.float()
     return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance)
 
 

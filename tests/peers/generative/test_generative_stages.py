@@ -26,7 +26,7 @@ from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.tiny_peers import tiny_config, train_peer, write_captioned_store
 
 GOLDEN = Path(__file__).with_name("golden_losses.json")
-MODELS = ("mdm", "mdm-50", "mld", "inr-mlp", "actor", "t2m", "camdm", "flow", "jl2p", "hier")
+MODELS = ("mdm", "mdm-50", "mld", "inr-mlp", "actor", "t2m", "camdm", "flow", "jl2p", "hier", "nemf")
 # Those that draw nothing.
 DETERMINISTIC = ("jl2p", "hier")
 # How those are sampled that have so many steps.
@@ -135,6 +135,10 @@ def test_a_model_answers_requests(run: Path, name: str) -> None:
     assert isinstance(model, GenerativeModel)
     assert (model.max_training_fps, model.max_duration_seconds) == (Fraction(20), 3.0)
     requests = [GenerationRequest(1.03, action="kind-2"), GenerationRequest(2.0, text="unread", action="kind-1")]
+    if model.unconditional:
+        with pytest.raises(UsageError, match=r"was trained without texts|knows no action"):
+            model.generate(requests, seed=3)
+        requests = [GenerationRequest(1.03), GenerationRequest(2.0)]
     requests += [GenerationRequest(None), GenerationRequest(3.0)]
     few = FEW_STEPS.get(name, SamplingOptions())
     fields = model.generate(requests, seed=3, sampling=few)
