@@ -1,7 +1,10 @@
 """How Sphinx builds the documentation: `make docs`. Pages are Markdown, the reference is made of docstrings."""
 
+import json
 import re
+from pathlib import Path
 
+import jupytext
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 from sphinx.highlighting import lexers
@@ -33,6 +36,19 @@ def link_pages(app: Sphinx, what: str, name: str, thing: object, options: object
     lines[:] = [re.sub(r"docs/([\w/-]+)\.md", r":doc:`/\1`", line) for line in lines]
 
 
+def write_notebook(app: Sphinx) -> None:
+    """Make the notebook of the tutorial of its page, without what would differ from one time to the next."""
+    notebook = jupytext.read(Path(app.srcdir, "tutorial.md"))
+    cells = [
+        {key: cell[key] for key in sorted(cell) if key != "id"}
+        | {"metadata": {}, "source": cell["source"].splitlines(keepends=True)}
+        for cell in notebook.cells
+    ]
+    content = {"cells": cells, "metadata": {}, "nbformat": 4, "nbformat_minor": 4}
+    Path(app.srcdir, "tutorial.ipynb").write_text(f"{json.dumps(content, indent=1, ensure_ascii=False)}\n", "utf-8")
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.connect("builder-inited", write_notebook)
     app.connect("autodoc-process-docstring", link_pages)

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from html import escape
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -119,6 +120,13 @@ class Result:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     figure: str = ""
 
+    def _repr_html_(self) -> str:
+        """The tables as `motionkit report` has them, for notebooks."""
+        from eval.report.render import to_html
+
+        inside = escape(to_html([self], self.title))
+        return f'<iframe srcdoc="{inside}" sandbox="" style="width: 100%; height: 640px; border: 0"></iframe>'
+
 
 def environment() -> dict[str, Any]:
     """Versions, processors, time, and the commit where this runs from a git checkout."""
@@ -148,11 +156,12 @@ def write_result(result: Result, folder: Path) -> Path:
     return path
 
 
-def read_result(path: Path) -> Result:
+def read_result(path: Path | str) -> Result:
     """Read what `write_result` wrote.
 
     Raises `DamagedFileError` for a file that is not what was written, `ResultError` for other files or another version.
     """
+    path = Path(path)
     try:
         return _result(path, read_json(path, MEND))
     except OSError as error:

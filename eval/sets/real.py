@@ -49,7 +49,7 @@ class RealMotion:
             raise NoRealMotionError(
                 f"{self.name}: {len(chosen)} of {len(self.fps)} sequences were captured at {float(fps):.6g} fps or "
                 f"faster, at least two are needed{fastest}: choose framerates with --fps, or hold out more takes "
-                "(motionkit split --shares train=0.7,test=0.3)"
+                "(motionkit split --shares train=0.7,test=0.3, with --by sequence_id where no performer is named)"
             )
         return np.array(chosen, dtype=np.int64)
 

@@ -258,7 +258,10 @@ def _print_summary(report: "IngestReport", store: Path | None) -> None:
         f"which holds {report.num_in_store:,}",
     )
     if report.num_already_stored:
-        stdout.print(f"already there: {report.num_already_stored:,}")
+        stdout.print(
+            f"already there: {report.num_already_stored:,} (as they were, with the captions that they had; --overwrite "
+            "makes the store anew of these sources)"
+        )
     for name, counts in (("failed", report.problems_by_reason), ("warnings", report.warnings_by_reason)):
         if counts:
             reasons = ", ".join(f"{count:,} {reason}" for reason, count in counts.items())

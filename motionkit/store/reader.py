@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -321,3 +322,11 @@ class Store:
     def __repr__(self) -> str:
         counts = self.manifest
         return f"Store({str(self.path)!r}, {counts.num_sequences} sequences, {counts.num_frames} frames)"
+
+    def _repr_html_(self) -> str:
+        """What the store holds by source, framerate and split, for notebooks."""
+        counted = self.sql(
+            "SELECT source, fps, split, count(*) AS sequences, round(sum(duration_seconds) / 60, 1) AS minutes "
+            "FROM sequences GROUP BY ALL ORDER BY ALL"
+        )
+        return f"<p>{escape(repr(self))}</p>{counted.to_html(index=False, max_rows=40)}"

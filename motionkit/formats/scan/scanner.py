@@ -127,7 +127,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     if source.is_dir() and items:
         known = {item.path for item in items}
         rows = [(table, path, row) for table in beside for path, row in table.rows.items()]
-        problems += [_no_motion(table, path, row) for table, path, row in rows if path not in known]
+        problems += [_no_motion(table, path, row, known) for table, path, row in rows if path not in known]
     captioned = [root] if given is not None and given.has_captions else []
     captioned += [table.path.parent for table in beside if table.has_captions]
     reported = {warning.path for warning in warnings if warning.reason == "no-caption"}
@@ -164,11 +164,14 @@ def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> l
         return []
     found = {row.line for table in tables for path, row in table.rows.items() if path in known}
     rows = [(path, row) for path, row in tables[0].rows.items() if row.line not in found]
-    return [*tables[0].problems, *(_no_motion(tables[0], path, row) for path, row in rows)]
+    return [*tables[0].problems, *(_no_motion(tables[0], path, row, known) for path, row in rows)]
 
 
-def _no_motion(table: AnnotationTable, path: Path, row: Annotation) -> FormatError:
+def _no_motion(table: AnnotationTable, path: Path, row: Annotation, known: set[Path]) -> FormatError:
+    # Names without a suffix are the commonest slip; the suffixes of what was found are few.
+    meant = [name for suffix in {each.suffix for each in known} if (name := Path(f"{path}{suffix}")) in known]
     message = f"describes {path.name}, but there is no such motion in the source"
+    message += f" (did you mean {meant[0].name}?)" if meant else ""
     return FormatError(message, path=table.path, reason="caption-without-motion", line=row.line)
 
 

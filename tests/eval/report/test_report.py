@@ -2,8 +2,10 @@
 
 import csv
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -234,6 +236,11 @@ def test_html_marks_the_best_and_what_the_paired_test_does_not_tell_from_it(resu
     marked = [part.split("</td>")[0] for part in text.split('<td class="best">')[1:]]
     assert marked == ["<span>2.10</span> <span>± 0.10</span>", "<span>2.00</span> <span>± 0.10</span>"]
     assert "Bold: the best" in text and "Bold: the best" not in to_html([result])
+
+
+def test_a_notebook_shows_the_page_in_a_frame_that_runs_nothing(result: Result) -> None:
+    frame = re.fullmatch(r'<iframe srcdoc="([^"]*)" sandbox="" style="[^"]*"></iframe>', result._repr_html_())
+    assert frame and unescape(frame[1]) == to_html([result], "Table 2")
 
 
 def test_cards_stand_in_front_of_results(result: Result) -> None:

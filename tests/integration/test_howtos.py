@@ -1,0 +1,110 @@
+"""The how-tos of the documentation, run from an empty folder with small files of the kinds that they are about."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import motionkit as mk
+from motionkit.fields.motion_field import to_motion
+from motionkit.synthetic import ACTIONS, draw_body, make_body, perform
+from tests.helpers import published_layouts
+from tests.helpers.humanml3d_checkout import write_amass_tree, write_checkout
+from tests.helpers.outcome import Outcome
+from tests.helpers.pages import COMMAND, blocks, run_page, unmarked
+from tests.helpers.repository import REPOSITORY
+
+DOCS = REPOSITORY / "docs"
+HOWTOS = sorted((DOCS / "howto").glob("*.md"))
+# At the sizes of a test.
+SMALL = {"eval": "--fps 20,60 --clips 64 --replications 1 --motions 4"}
+
+
+@pytest.fixture
+def run(motionkit: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """`run("engines")`: the blocks of a how-to, in an empty folder; every command has to succeed."""
+    monkeypatch.chdir(tmp_path)
+
+    def command(words: list[str]) -> None:
+        outcome = motionkit(*words, *SMALL.get(words[0], "").split())
+        assert outcome.code == 0, (words, outcome.stderr)
+
+    def of_page(name: str) -> None:
+        run_page(DOCS / "howto" / f"{name}.md", command)
+
+    return of_page
+
+
+def write_store(folder: Path, splits: tuple[str, ...] = ("train", "test")) -> None:
+    """A store of walks and other actions at 60 fps."""
+    with mk.StoreWriter.create(folder) as writer:
+        for number in range(8):
+            rng = np.random.default_rng(number)
+            action = "walk" if number % 2 else sorted(ACTIONS)[number]
+            motion = to_motion(perform(rng, draw_body(rng, "p"), [action], 2.5), Fraction(60))
+            split = splits[number % 3 == 0]
+            writer.add(replace(motion, sequence_id=f"takes/{number}", action=action, split=split))
+
+
+def test_humanml3d(run, tmp_path):
+    write_amass_tree(tmp_path / "AMASS")
+    write_checkout(tmp_path / "HumanML3D")
+    run("humanml3d")
+    native, published = (mk.Store.open(tmp_path / name) for name in ("store", "published"))
+    assert native["humanml3d/000000"].fps == 100 and published["humanml3d-20fps/000000"].fps == 20
+    assert len(native) == 2 * len(published) > 0
+    assert len(list((tmp_path / "HumanML3D-again" / "new_joint_vecs").glob("*.npy"))) > 0
+
+
+def test_evaluate(run, tmp_path):
+    write_store(tmp_path / "store")
+    published_layouts.write_mdm(tmp_path / "mdm")
+    published_layouts.write_mld_demo(tmp_path / "mld")
+    published_layouts.write_t2m_gpt(tmp_path / "t2m-gpt")
+    momask = published_layouts.write_momask(tmp_path / "momask")
+    (momask / "prompts.txt").rename(tmp_path / "text_prompt.txt")
+    (momask / "samples.toml").unlink()
+    (tmp_path / "kimodo").mkdir()
+    for number, joints in enumerate(published_layouts.motions(fps=Fraction(30))):
+        np.savez(tmp_path / "kimodo" / f"{number}.npz", posed_joints=joints)
+    np.save(tmp_path / "joints.npy", published_layouts.motions()[0])
+    run("evaluate")
+    table = (tmp_path / "results" / "nerm-table2.md").read_text()
+    rows = [line for line in table.splitlines() if line.startswith("| ")]
+    for name in ("MDM", "MLD", "T2M-GPT", "MoMask", "Kimodo"):
+        assert any(row.startswith(f"| {name}, planted |") for row in rows), table
+    assert mk.read(tmp_path / "mine" / "0001.npz").fps == 60
+
+
+def test_engines(run, tmp_path):
+    write_store(tmp_path / "store")
+    run("engines")
+    for kind in ("glb", "bvh"):
+        assert len(list((tmp_path / kind).rglob(f"*.{kind}"))) == 8
+
+
+def test_character(run, tmp_path):
+    write_store(tmp_path / "store")
+    rng, tall = np.random.default_rng(0), make_body("hero", height=2.1)
+    mk.write(to_motion(perform(rng, tall, ["walk"], 2.0), Fraction(30)), tmp_path / "hero.bvh")
+    run("character")
+    (first, *_), hero = sorted((tmp_path / "out").rglob("*.bvh")), mk.read(tmp_path / "hero.bvh")
+    made = mk.read(first)
+    assert made.fps == 60 and made.skeleton.joint_names == hero.skeleton.joint_names
+    np.testing.assert_allclose(made.skeleton.offsets[1:], hero.skeleton.offsets[1:], atol=1e-4)
+    assert (tmp_path / "on-hero.html").exists()
+
+
+@pytest.mark.parametrize("page", [*HOWTOS, DOCS / "tutorial.md"], ids=lambda page: page.stem)
+def test_blocks_that_are_not_run_say_why(page: Path) -> None:
+    assert unmarked(page) == []
+
+
+def test_a_block_that_is_not_run_is_noticed(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("text\n\n```\nmotionkit info\n```\n\n<!-- not run: hours -->\n\n```\nmotionkit train\n```\n")
+    assert [block.text for block in unmarked(page)] == ["motionkit info\n"]
+    assert [block.why for block in blocks(page)] == ["", "hours"] and COMMAND.search(blocks(page)[1].text)
