@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.cli.console import print_json, stdout
+from motionkit.cli.console import print_json, stderr, stdout
 from motionkit.core.errors import UsageError
 from motionkit.core.settings import default_path
 
@@ -62,11 +62,14 @@ SHOWN_COUNTS = 8
 
 
 def info(
+    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Show this file's rig, not a store.")] = None,
     store: Annotated[Path | None, typer.Option(help="Store to describe.", show_default="./store")] = None,
     skeletons: Annotated[
-        bool,
-        typer.Option("--skeletons", help="Say which joints reach the standard layouts, for each kind of skeleton."),
+        bool, typer.Option("--skeletons", "--skeleton", help="Say which joints reach the 22: the store's, or FILE's.")
     ] = False,
+    init: Annotated[
+        Path | None, typer.Option(metavar="RIG.TOML", help="Guess a map of FILE's rig, for --skeleton-map.")
+    ] = None,
     quality: Annotated[
         bool, typer.Option("--quality", help="Say what looks odd: flags, worst sequences, upsampled ones.")
     ] = False,
@@ -76,10 +79,17 @@ def info(
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it as a page to this file instead.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Say what a store holds: sources, hours, framerates, splits, captions, skeletons, size on disk.
+    """Say what a store holds (sources, hours, framerates, splits, captions, size on disk), or what a file's rig is.
 
     Example: motionkit info --html corpus.html
     """
+    if init is not None and file is None:
+        raise UsageError("--init guesses the map of a file's rig: name a FILE")
+    if file is not None:
+        if store is not None or quality or where or html is not None:
+            raise UsageError("FILE goes with --skeleton, --init and --json alone")
+        _show_rig(file, init, as_json)
+        return
     from motionkit.store import Store
     from motionkit.store.reports.quality import report_quality
     from motionkit.store.reports.summary import rigs, summarise
@@ -95,11 +105,7 @@ def info(
         _print_quality(report_quality(opened, where), as_json)
         return
     if skeletons:
-        found = rigs(opened)
-        if as_json:
-            print_json({"store": str(opened.path), "rigs": [asdict(rig) for rig in found]})
-        else:
-            _print_rigs(found)
+        _print_rigs(opened.path, rigs(opened), as_json)
         return
     summary = summarise(opened)
     if html is not None:
@@ -112,6 +118,40 @@ def info(
         print_json({**asdict(summary), "raw_bytes": summary.raw_bytes})
     else:
         _print_summary(summary)
+
+
+def _show_rig(file: Path, init: Path | None, as_json: bool) -> None:
+    from motionkit.core.files import write_whole
+    from motionkit.core.skeletons.guessing import map_text
+    from motionkit.store.named_motions.reading import read_all
+    from motionkit.store.reports.rig import rig_of
+
+    # Its framerate is of no matter here, and a few formats state none.
+    skeleton = next(iter(read_all(file, fps=30))).skeleton
+    text = None
+    if init is not None:
+        if init.exists():
+            raise UsageError(f"{init} exists: name another file, or delete it")
+        text = map_text(skeleton, init.stem)
+    found = rig_of(skeleton)
+    if as_json:
+        print_json(asdict(found))
+    else:
+        how = (
+            f"maps by {found.family}"
+            if found.family
+            else f"maps by nothing{', a guess is shown' if found.guessed else ''}"
+        )
+        stdout.print(f"{file}: {len(found.joints)} joints, {how}")
+        for joint in found.joints:
+            x, y, z = joint.offset
+            name = f"{'  ' * joint.depth}{joint.name}"
+            stdout.print(f"{name:32} {x:7.3f} {y:7.3f} {z:7.3f}  {', '.join(joint.taken_for)}".rstrip())
+        if found.missing:
+            stdout.print(f"missing: {', '.join(found.missing)}")
+    if text is not None and init is not None:
+        write_whole(init, text)
+        stderr.print(f"{init}: a guess; motionkit view {file} --skeleton-map {init} shows it", soft_wrap=True)
 
 
 def _print_quality(report: "QualityReport", as_json: bool) -> None:
@@ -150,7 +190,10 @@ def _print_summary(summary: "StoreSummary") -> None:
     stdout.print(f"fingerprint {summary.fingerprint}")
 
 
-def _print_rigs(found: "tuple[Rig, ...]") -> None:
+def _print_rigs(store: Path, found: "tuple[Rig, ...]", as_json: bool) -> None:
+    if as_json:
+        print_json({"store": str(store), "rigs": [asdict(rig) for rig in found]})
+        return
     mapped = sum(not rig.missing for rig in found)
     stdout.print(f"kinds of skeleton: {len(found):,}, of which {mapped:,} reach the 22 joints")
     for rig in found:

@@ -1,13 +1,16 @@
 """What other systems write, through the command line: as captures, and as samples of a model."""
 
+import json
 import pickle
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 import motionkit as mk
+from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
 from motionkit.formats.kimodo import SKELETONS
 from motionkit.synthetic import make_body, perform
@@ -134,3 +137,30 @@ def test_pickles_are_never_loaded_and_the_remedy_works(motionkit, tmp_path, suff
         path.write_bytes(pickle.dumps({name: value.numpy() for name, value in found.items()}))
     exec(line.partition("arrays with ")[2].partition(", if it is")[0], {})
     assert mk.read(tmp_path / "walk.npz").num_frames == 40
+
+
+def test_a_rig_is_shown_and_a_map_of_it_guessed(motionkit, tmp_path):
+    walk = vector_samples.walk()
+    names = tuple(f"{'l' if n.startswith('left') else 'r'}{n.partition('_')[2].title()}" if "_" in n else f"x{n}"
+                  for n in walk.skeleton.joint_names)  # fmt: skip
+    assert len(set(names)) == 22
+    strange = replace(walk, skeleton=replace(walk.skeleton, joint_names=names))
+    strange.save(tmp_path / "walk.bvh")
+    shown = motionkit("info", tmp_path / "walk.bvh", "--skeleton")
+    assert shown.code == 0 and "maps by nothing, a guess is shown" in shown.stdout
+    (line,) = [line for line in shown.stdout.splitlines() if line.split()[0] == "lKnee"]
+    assert line.split()[-1] == "left_knee"
+    outcome = motionkit("info", tmp_path / "walk.bvh", "--skeleton", "--init", tmp_path / "rig.toml", "--json")
+    assert outcome.code == 0 and json.loads(outcome.stdout)["guessed"]
+    assert motionkit("info", tmp_path / "walk.bvh", "--init", tmp_path / "rig.toml").code == 2
+    store = tmp_path / "store"
+    outcome = motionkit("ingest", tmp_path / "walk.bvh", "--store", store, "--skeleton-map", tmp_path / "rig.toml")
+    assert outcome.code == 0 and "cannot be mapped" not in outcome.stderr
+    opened = mk.Store.open(store)
+    found = opened.read(opened.sequences["sequence_id"][0])
+    reached = map_joints(found, "smpl22")[:, [4, 7, 18, 20]] - walk.joint_positions[:, [4, 7, 18, 20]]
+    assert np.abs(reached).max() < 2e-3
+    (tmp_path / "points.csv").write_text("time_seconds,a_x,a_y,a_z\n0.0,1,2,3\n0.5,1,2,3.5\n")
+    refused = motionkit("info", tmp_path / "points.csv", "--init", tmp_path / "none.toml")
+    assert refused.code == 1 and "no body" in refused.stderr and not (tmp_path / "none.toml").exists()
+    assert motionkit("info", "--init", tmp_path / "none.toml").code == 2
