@@ -86,8 +86,11 @@ class Bones:
     ) -> "Bones | None":
         """The bones that positions are to be brought onto; None where they keep their length.
 
-        What is captured keeps it to some 5 %, as it is; what is generated is to keep it exactly.
+        What is captured keeps it to some 5 %, as it is; what is generated is to keep it exactly. Raises `ValueError`
+        for positions that are not finite.
         """
+        if not np.isfinite(positions).all():
+            raise ValueError("feet cannot be planted: some joint positions are NaN or infinite")
         middle, spread = _middle_and_spread(positions - positions[:, _parents(skeleton)])
         allowed = CAPTURED_SHARE * middle + CAPTURED_METRES if captured else ROUNDING_METRES
         changes = set(np.flatnonzero(spread > allowed).tolist()) - {0} - _moving(skeleton, middle, spread)

@@ -363,3 +363,10 @@ def test_a_body_without_known_legs_is_refused() -> None:
     motion = Motion.from_joints(np.zeros((10, 2, 3)), 30, skeleton)
     with pytest.raises(SkeletonMapError):
         field_of(motion)
+
+
+def test_positions_that_are_not_finite_are_refused() -> None:
+    positions = np.zeros((5, SMPL22.num_joints, 3), np.float32)
+    positions[2, 4, 1] = np.nan
+    with pytest.raises(ValueError, match="NaN or infinite"):
+        Bones.lacking(positions, SMPL22, captured=False)

@@ -63,9 +63,9 @@ def test_what_leads_nowhere_or_holds_no_motion(tmp_path: Path) -> None:
     for given in ({}, {"sequence": "walk"}):
         with pytest.raises(mk.FormatError, match="no motions in this folder"):
             mk.read(tmp_path / "empty", **given)
-    (tmp_path / "walk.fbx").write_bytes(b"Kaydara FBX Binary")
+    (tmp_path / "walk.xyz").write_bytes(b"3 atoms")
     with pytest.raises(mk.FormatError, match="no known format"):
-        mk.read(tmp_path / "walk.fbx")
+        mk.read(tmp_path / "walk.xyz")
 
 
 @pytest.mark.parametrize("given", [{"fps": "fast"}, {"fps": 0}, {"unit_metres": 0.0}, {"unit_metres": -1.0}])
