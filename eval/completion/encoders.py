@@ -20,9 +20,9 @@ from motionkit.complete.encoders import (
     trained_encoder_names,
 )
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
-from motionkit.core.kinematics import matrix_to_quaternion
+from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.skeleton import Skeleton
-from motionkit.features.rotation_rows import closest_rotations, two_columns
+from motionkit.features.rotation_rows import two_columns
 from motionkit.fields.interpolation.curves import CurveKind, curve
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.interpolation.joints import JointsOfMany

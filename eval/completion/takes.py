@@ -12,9 +12,8 @@ from eval.sets.real import of_split_and
 from motionkit.clips.temporal.corpus import open_takes
 from motionkit.clips.temporal.settings import TemporalSettings
 from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.kinematics import matrix_to_quaternion
+from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.skeleton import SMPL22
-from motionkit.features import rotation_rows
 from motionkit.fields.motion_field import Observation, Poses
 from motionkit.store.cache.positions import open_cache
 from motionkit.store.cache.row_file import RowFile
@@ -138,7 +137,7 @@ class TruePoses:
 
     def local_rotations(self) -> Float32[np.ndarray, "clips frames joints 4"]:
         """Unit quaternions."""
-        matrices = rotation_rows.closest_rotations(self.vectors[..., 3:])
+        matrices = closest_rotations(self.vectors[..., 3:])
         return matrix_to_quaternion(matrices).astype(np.float32)
 
     def frames(self, frames: slice) -> "TruePoses":

@@ -171,7 +171,7 @@ def data_set_windows(store: "Store", data_set: DataSet, split: str, where: str |
         vectors = test.vectors(slice(first, first + CLIPS_AT_ONCE))[:, :-1]
         turned.append(rotation_rows.turned(vectors, *_benchmark_frame(vectors)))
     rows = np.concatenate(turned)
-    matrices = rotation_rows.closest_rotations(rows[..., 3:])
+    matrices = kinematics.closest_rotations(rows[..., 3:])
     rotations = kinematics.matrix_to_quaternion(matrices).astype(np.float32)
     return PoseWindows(
         name=data_set.label,

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 
 from motionkit.core.skeleton import Skeleton
 
@@ -334,3 +334,25 @@ def fit_rotation(
     u, _, vt = np.linalg.svd(covariance)
     u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
     return matrix_to_quaternion(u @ vt)
+
+
+def closest_rotations(columns: Float[np.ndarray, "*poses numbers"]) -> Float64[np.ndarray, "*poses joints 3 3"]:
+    """Rotation matrices from pairs of columns by Gram-Schmidt, float64; columns need not be of unit length or square.
+
+    Columns without a direction (no length, or parallel) become any rotation that contains the first one.
+    """
+    joints = columns.shape[-1] // 6
+    pairs = columns.astype(np.float64).reshape(*columns.shape[:-1], joints, 2, 3)
+    first = _unit(pairs[..., 0, :], np.array([1.0, 0.0, 0.0]))
+    second = pairs[..., 1, :]
+    second = second - np.sum(first * second, axis=-1, keepdims=True) * first
+    # Perpendicular to the first, for the case that nothing is left: the axis that it points along least.
+    axis = np.eye(3)[np.argmin(np.abs(first), axis=-1)]
+    second = _unit(second, axis - np.sum(first * axis, axis=-1, keepdims=True) * first)
+    second = _unit(second, second)
+    return np.stack((first, second, np.cross(first, second)), axis=-1)
+
+
+def _unit(vectors: Float64[np.ndarray, "*n 3"], otherwise: Float64[np.ndarray, "*m 3"]) -> Float64[np.ndarray, "*n 3"]:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > 1e-8, vectors / np.maximum(length, 1e-8), otherwise)

@@ -70,7 +70,7 @@ def poses_of(
     vectors: Float[np.ndarray, "frames numbers"], bones: Float[np.ndarray, "*frames joints 3"], skeleton: Skeleton
 ) -> Poses:
     """The poses that vectors describe: the closest rotations to the columns, then forward kinematics on the bones."""
-    matrices = closest_rotations(vectors[:, 3:].astype(np.float64))
+    matrices = kinematics.closest_rotations(vectors[:, 3:].astype(np.float64))
     root = vectors[:, :3].astype(np.float64)
     positions, _ = kinematics.forward_kinematics_matrices(matrices, root, skeleton, bones.astype(np.float64))
     rotations = kinematics.matrix_to_quaternion(matrices)
@@ -81,23 +81,6 @@ def two_columns(quaternions: Float[np.ndarray, "*poses joints 4"]) -> Float[np.n
     """The first two columns of each rotation matrix, joint after joint: (R₁₁, R₂₁, R₃₁, R₁₂, R₂₂, R₃₂)."""
     columns = kinematics.quaternion_to_matrix(quaternions)[..., :2].swapaxes(-1, -2)
     return np.ascontiguousarray(columns).reshape(*quaternions.shape[:-2], 6 * quaternions.shape[-2])
-
-
-def closest_rotations(columns: Float[np.ndarray, "*poses numbers"]) -> Float64[np.ndarray, "*poses joints 3 3"]:
-    """Rotation matrices from pairs of columns by Gram-Schmidt, float64; columns need not be of unit length or square.
-
-    Columns without a direction (no length, or parallel) become any rotation that contains the first one.
-    """
-    joints = columns.shape[-1] // 6
-    pairs = columns.astype(np.float64).reshape(*columns.shape[:-1], joints, 2, 3)
-    first = _unit(pairs[..., 0, :], np.array([1.0, 0.0, 0.0]))
-    second = pairs[..., 1, :]
-    second = second - np.sum(first * second, axis=-1, keepdims=True) * first
-    # Perpendicular to the first, for the case that nothing is left: the axis that it points along least.
-    axis = np.eye(3)[np.argmin(np.abs(first), axis=-1)]
-    second = _unit(second, axis - np.sum(first * axis, axis=-1, keepdims=True) * first)
-    second = _unit(second, second)
-    return np.stack((first, second, np.cross(first, second)), axis=-1)
 
 
 def turned(
@@ -133,7 +116,7 @@ def heading(vectors: Float[np.ndarray, "*poses numbers"], skeleton: Skeleton = S
     """
     left, right = skeleton.left_right_pairs[0]
     across = skeleton.offsets[left].astype(np.float64) - skeleton.offsets[right]
-    matrix = closest_rotations(vectors[..., 3:9])[..., 0, :, :]
+    matrix = kinematics.closest_rotations(vectors[..., 3:9])[..., 0, :, :]
     x, _, z = np.moveaxis(matrix @ (across / np.linalg.norm(across)), -1, 0)
     return np.asarray(np.arctan2(-z, x))
 
@@ -160,8 +143,3 @@ def _turn(vectors: Float32[np.ndarray, "windows poses numbers"], yaw: Float[np.n
     three[..., 0] = cosine * x + sine * z
     three[..., 2] = cosine * z - sine * x
     vectors[..., :9] = three.reshape(*vectors.shape[:-1], 9)
-
-
-def _unit(vectors: Float64[np.ndarray, "*n 3"], otherwise: Float64[np.ndarray, "*m 3"]) -> Float64[np.ndarray, "*n 3"]:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.where(length > 1e-8, vectors / np.maximum(length, 1e-8), otherwise)

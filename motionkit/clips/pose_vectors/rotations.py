@@ -18,7 +18,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.mirror import FLIP, TURN_BACK
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features import field
-from motionkit.features.rotation_rows import closest_rotations, num_numbers, two_columns
+from motionkit.features.rotation_rows import num_numbers, two_columns
 from motionkit.fields.motion_field import Poses
 from motionkit.store.cache.positions import PositionCache, open_cache
 from motionkit.store.cache.row_file import RowFile
@@ -123,7 +123,7 @@ class RotationVectors:
         seconds: Float64[np.ndarray, "times"],
     ) -> Poses:
         """The closest rotations to the two columns (Gram-Schmidt), and positions by forward kinematics."""
-        rotations = kinematics.matrix_to_quaternion(closest_rotations(vectors[:, 3:])).astype(np.float32)
+        rotations = kinematics.matrix_to_quaternion(kinematics.closest_rotations(vectors[:, 3:])).astype(np.float32)
         root = np.ascontiguousarray(vectors[:, :3], dtype=np.float32)
         return Poses(kinematics.forward_kinematics(rotations, root, self.skeleton), rotations, root)
 

@@ -34,8 +34,8 @@ _FEWEST = 10
 class Limits(NamedTuple):
     """At how many times real feet's creep feet begin to count as sliding, and surely do: over 10 s, and by itself.
 
-    A foot is held while it goes no faster than `rest_speed` m/s and `rest_times` its slowest; it leads `lead_times` as
-    long.
+    A foot is held while it goes no faster than `rest_speed` m/s and `rest_times` its slowest, and by its leg alone
+    up to `lead_times` as fast.
     """
 
     around: tuple[float, float]

@@ -39,7 +39,7 @@ JOINTS = SMPL22.num_joints
 # MotionStreamer's: path, yaw, positions, rotations.
 PATH, YAW = slice(0, 2), slice(2, 8)
 PLACES, TURNS = slice(8, 8 + 3 * JOINTS), slice(8 + 6 * JOINTS, 8 + 12 * JOINTS)
-SHORTEST_ROW = 1e-6
+SMALLEST_CROSS = 1e-6
 
 
 def _shape(path: Path) -> tuple[int, ...]:
@@ -135,18 +135,14 @@ def _rows(path: Path, data: bytes) -> Float32[np.ndarray, "frames numbers"]:
 
 
 def _matrices(rows: Float64[np.ndarray, "frames joints 2 3"], path: Path) -> Float64[np.ndarray, "frames joints 3 3"]:
-    """Rotations from the first two rows of their matrices, made unit and perpendicular (Zhou et al. 2019, B)."""
-    first, second = rows[..., 0, :], rows[..., 1, :]
-    lengths = np.linalg.norm(first, axis=-1, keepdims=True)
-    first = first / np.maximum(lengths, SHORTEST_ROW)
-    second = second - np.sum(first * second, axis=-1, keepdims=True) * first
-    across = np.linalg.norm(second, axis=-1, keepdims=True)
-    bad = (np.minimum(lengths, across) < SHORTEST_ROW).any(axis=(1, 2))
+    """Rotations from the first two rows of their matrices; refused where these have no length or one direction."""
+    across = np.linalg.norm(np.cross(rows[..., 0, :], rows[..., 1, :]), axis=-1)
+    bad = (across < SMALLEST_CROSS).any(axis=1)
     if bad.any():
         message = "two rows of a rotation matrix were expected, these have no length or one direction"
         raise FormatError(message, path=path, reason="range", frame=int(np.argmax(bad)))
-    second = second / across
-    return np.stack((first, second, np.cross(first, second)), axis=-2)
+    # The rows of a matrix are the columns of its inverse.
+    return np.asarray(kinematics.closest_rotations(rows.reshape(len(rows), -1)).swapaxes(-1, -2))
 
 
 def _motion(

@@ -32,7 +32,7 @@ def moving(num_frames: int = 30) -> Motion:
 @given(seed=st.integers(0, 2**31))
 def test_columns_and_rotations_are_inverse(seed: int) -> None:
     q = random_rotations(seed, 5, 22)
-    matrices = rotation_rows.closest_rotations(rotation_rows.two_columns(q))
+    matrices = kinematics.closest_rotations(rotation_rows.two_columns(q))
     np.testing.assert_allclose(matrices, kinematics.quaternion_to_matrix(q), atol=1e-12)
 
 
@@ -41,13 +41,13 @@ def test_columns_of_any_length_give_the_same_rotation(seed: int, scale: float) -
     columns = rotation_rows.two_columns(random_rotations(seed, 3, 4)).reshape(3, 4, 2, 3)
     stretched = columns * np.array([scale, 1 / scale])[:, None]
     stretched[..., 1, :] += 0.3 * stretched[..., 0, :] / scale  # leaning towards the first changes nothing either
-    found = rotation_rows.closest_rotations(stretched.reshape(3, 24))
-    np.testing.assert_allclose(found, rotation_rows.closest_rotations(columns.reshape(3, 24)), atol=1e-6)
+    found = kinematics.closest_rotations(stretched.reshape(3, 24))
+    np.testing.assert_allclose(found, kinematics.closest_rotations(columns.reshape(3, 24)), atol=1e-6)
 
 
 @pytest.mark.parametrize("columns", [np.zeros(6), np.array([0, 2.0, 0, 0, 4.0, 0]), np.array([0, 0, 0, 0, 0, 1.0])])
 def test_columns_without_direction_still_give_rotations(columns: np.ndarray) -> None:
-    matrix = rotation_rows.closest_rotations(columns[None])[0, 0]
+    matrix = kinematics.closest_rotations(columns[None])[0, 0]
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(matrix) == pytest.approx(1.0)
 
