@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from motionkit.export.selection import Outcome
 
 MEGABYTE = 1e6
-FORMATS = "bvh, amass, joints-npy, npz, csv, gltf, humanml3d, kit, parquet"
+FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d, kit, parquet"
 SHOWN_LEFT_OUT = 20
 
 

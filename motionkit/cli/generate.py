@@ -11,7 +11,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
 
-FORMATS = "bvh, amass, joints-npy, npz, csv, gltf, humanml3d"
+FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d"
 
 Texts = Annotated[list[str] | None, typer.Argument(help="What the person does; several make a batch.")]
 Actions = Annotated[list[str] | None, typer.Option(help="An action the model knows; may be repeated.")]

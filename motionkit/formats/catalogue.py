@@ -12,6 +12,7 @@ from motionkit.formats import asfamc, c3d, deepmimic, gltf, humanact12, humanml3
 from motionkit.formats.arrays import joints_npy, npz, pose_vectors
 from motionkit.formats.bvh import lafan1, style100
 from motionkit.formats.bvh import writing as bvh
+from motionkit.formats.characters import robot_csv
 from motionkit.formats.format import Format
 from motionkit.formats.smpl import amass, dictionary, uestc
 
@@ -32,7 +33,7 @@ _BUILT_IN = (
     *(kimodo.FORMAT, dictionary.FORMAT, dictionary.MOTION_X_FORMAT),
     *(amass.FORMAT, humanml3d.FORMAT, humanml3d.KIT_FORMAT, humanact12.FORMAT, joints_npy.FORMAT, npz.FORMAT),
     *(pose_vectors.FORMAT, pose_vectors.INTERHUMAN_FORMAT, pose_vectors.MOTIONSTREAMER_FORMAT),
-    *(joints_csv.FORMAT, gltf.FORMAT, parquet.FORMAT),
+    *(joints_csv.FORMAT, robot_csv.FORMAT, gltf.FORMAT, parquet.FORMAT),
 )
 
 

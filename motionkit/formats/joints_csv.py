@@ -36,9 +36,10 @@ OTHER_WIDTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
 
 
 def accepts(path: Path) -> bool:
-    """Whether a CSV's first row has a clock and at least one joint; reads no further."""
+    """Whether a CSV's first row has a clock and at least one joint, and no robots' table of turns; reads no further."""
     names = source_file.header_names(path)
-    return (TIME in names or FRAME in names) and any(name.endswith("_x") for name in names)
+    is_ours = any(name.endswith("_x") for name in names) and "root_qw" not in names
+    return is_ours and (TIME in names or FRAME in names)
 
 
 def read_joints_csv(path: Path, options: ReadOptions | None = None) -> Motion:

@@ -102,7 +102,7 @@ def test_framerates_above_the_training_data_warn(run_command, recwarn):
         (("a walk", "--seconds", "4000"), "a motion lasts up to 3600 s"),
         (("a walk", "a jump", "--seconds", "0.5", "--join"), "part 1 of 2 of a joined motion lasts 0.5 s"),
         (("a walk", "a jump", "--seconds", "4", "--join", "--times", "8.5"), "outside the motion's 0 … 8 s"),
-        (("a walk", "--format", "fbx"), "one of bvh, amass, joints-npy, npz, csv, gltf, humanml3d"),
+        (("a walk", "--format", "fbx"), "one of bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--format", "bvh"), "one framerate"),
     ],
 )
