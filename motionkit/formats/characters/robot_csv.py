@@ -42,7 +42,7 @@ def write_robot_csv(motion: Motion, path: Path) -> None:
     fps = float(motion.fps)
     joints = map_joints(motion, SMPL22.name).astype(np.float64)
     paths = legs_of(SMPL22).foot_paths(joints)
-    down = find_contacts(paths, fps, ground_of(paths, fps)).down.any(axis=-1)
+    down = np.asarray(find_contacts(paths, fps, ground_of(paths, fps)).down.any(axis=-1))
     turns = _turns(motion)
     places = _forward_left_up(joints)
     velocities, root_turning = _velocities(places, fps), _angular_velocities(turns[:, 0], fps)
@@ -83,13 +83,13 @@ def _forward_left_up(vectors: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray
 
 def _velocities(places: Float64[np.ndarray, "frames joints 3"], fps: float) -> Float64[np.ndarray, "frames joints 3"]:
     before, after = _neighbours(len(places))
-    return (places[after] - places[before]) * (fps / np.maximum(after - before, 1))[:, None, None]
+    return np.asarray((places[after] - places[before]) * (fps / np.maximum(after - before, 1))[:, None, None])
 
 
 def _angular_velocities(turns: Float64[np.ndarray, "frames 4"], fps: float) -> Float64[np.ndarray, "frames 3"]:
     before, after = _neighbours(len(turns))
     steps = kinematics.quaternion_multiply(turns[after], kinematics.quaternion_conjugate(turns[before]))
-    return kinematics.quaternion_to_rotation_vector(steps) * (fps / np.maximum(after - before, 1))[:, None]
+    return np.asarray(kinematics.quaternion_to_rotation_vector(steps) * (fps / np.maximum(after - before, 1))[:, None])
 
 
 def _neighbours(num_frames: int) -> tuple[Int64[np.ndarray, "frames"], Int64[np.ndarray, "frames"]]:
