@@ -15,9 +15,12 @@ def test_no_help_text_is_read_as_markup() -> None:
     """Rich takes [words] in brackets for its own and drops them."""
     app = typer.main.get_command(build_app())
     assert isinstance(app, typer.core.TyperGroup)
+    commands = dict(app.commands)
+    for group in [each for each in app.commands.values() if isinstance(each, typer.core.TyperGroup)]:
+        commands |= group.commands
     texts = [
         (name, parameter.name, parameter.help)
-        for name, command in app.commands.items()
+        for name, command in commands.items()
         for parameter in command.params
         if isinstance(parameter, typer.core.TyperOption | typer.core.TyperArgument) and parameter.help
     ]

@@ -1,7 +1,8 @@
 """The app, assembled from entry points: each `motionkit.commands` entry is one typer command.
 
-An entry point names a command (`ingest`, `train` …) and a function; nothing heavy may be imported by the module that
-holds it, so that `motionkit --help` stays light. Anybody's package can add a command the same way.
+An entry point names a command (`ingest`, `train` …) and a function, or a typer app of several (`study`). Nothing heavy
+may be imported by the module that holds it, so that `motionkit --help` stays light. Anybody's package can add a command
+the same way.
 """
 
 import sys
@@ -36,7 +37,11 @@ def build_app(only: str = "") -> typer.Typer:
     app.callback()(_options)
     entries = entry_points(group="motionkit.commands")
     for entry in sorted(entries.select(name=only) or entries, key=lambda entry: entry.name):
-        app.command(name=entry.name)(entry.load())
+        loaded = entry.load()
+        if isinstance(loaded, typer.Typer):
+            app.add_typer(loaded, name=entry.name)
+        else:
+            app.command(name=entry.name)(loaded)
     return app
 
 

@@ -20,7 +20,20 @@ from tests.helpers.outcome import Outcome
 # In the order in which a person would come to them.
 BEFORE = ("ingest", "info", "split")
 OF_STORES = (
-    *("validate", "query", "recipe", "view", "complete", "plant", "merge", "export", "samples", "ablate", "doctor"),
+    *(
+        "validate",
+        "query",
+        "recipe",
+        "view",
+        "complete",
+        "plant",
+        "merge",
+        "export",
+        "samples",
+        "study",
+        "ablate",
+        "doctor",
+    ),
     *("remove", "compact", "migrate"),
 )
 # These train first: test_from_takes_to_a_table runs such commands out of README, test_demo the demo.

@@ -50,10 +50,13 @@ def page_of(title: str, takes: Sequence[Take], *, note: str = "", one_camera: bo
     look at the same place. Raises `MotionkitError` for a joint that is nowhere, and for a page that is too large.
     """
     check_size(takes)
-    shown = [_shown(take) for take in takes]
-    data = {"title": title, "note": note, "oneCamera": one_camera, "takes": shown}
     # In a script nothing may look like the end of one.
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
+    text = json.dumps(data_of(title, takes, note, one_camera), ensure_ascii=False, allow_nan=False)
+    return player(title, text.replace("<", "\\u003c"))
+
+
+def player(title: str, data: str) -> str:
+    """The page with this text for its data: `data_of` as JSON without any <, or what a script puts that in place of."""
     parts = resources.files("motionkit.export.player") / "templates"
     page = parts.joinpath("page.html").read_text(encoding="utf-8")
     scripts = "\n".join(parts.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
@@ -61,11 +64,16 @@ def page_of(title: str, takes: Sequence[Take], *, note: str = "", one_camera: bo
         "TITLE": html.escape(title),
         "STYLE": parts.joinpath("style.css").read_text(encoding="utf-8"),
         "SCRIPTS": scripts,
-        "DATA": text,
+        "DATA": data,
     }
     # In one pass, for a title may hold anything.
     page = re.sub("__(TITLE|STYLE|SCRIPTS|DATA)__", lambda place: contents[place[1]], page)
     return page.encode("utf-8", "backslashreplace").decode()  # bytes of a file's name may be no letters
+
+
+def data_of(title: str, takes: Sequence[Take], note: str = "", one_camera: bool = False) -> dict[str, Any]:
+    """What the page's script knows, as plain values; raises `MotionkitError` for a joint that is nowhere."""
+    return {"title": title, "note": note, "oneCamera": one_camera, "takes": [_shown(take) for take in takes]}
 
 
 def write_page(path: Path, title: str, takes: Sequence[Take], *, note: str = "", one_camera: bool = False) -> int:

@@ -1,0 +1,1 @@
+"""A preference study: people see two motions and say which is better (NeRM's figure 10)."""

@@ -1,0 +1,131 @@
+"""What people preferred: their answers, read with the key, as shares with intervals."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from scipy.stats import binomtest
+
+from eval.sets.found import Found
+from eval.study.draw import QUESTIONS
+from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
+from motionkit.core.checksums import read_json
+from motionkit.core.errors import MotionkitError
+from motionkit.core.plain_text import shown
+
+ASK_AGAIN = "ask for the file again"
+OTHER = {"a": 0, "b": 1}
+
+
+class StudyError(MotionkitError):
+    """A key or answers that cannot be used."""
+
+
+@dataclass(frozen=True)
+class Preference:
+    """How often `first` was preferred to `second`: a share with its 95 % Wilson interval and a binomial test of 1/2."""
+
+    question: str
+    first: str
+    second: str
+    fps: str
+    num_answers: int
+    num_first: int
+    share: float
+    low: float
+    high: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Key:
+    """A study's id, its first system, and its trials as the key's file has them."""
+
+    study: str
+    first: str
+    trials: tuple[Mapping[str, Any], ...]
+
+
+def read_key(path: Path) -> Key:
+    """Read what `write_study` wrote; raises `DamagedFileError`, or `StudyError` for a file of another kind."""
+    document = read_json(path, "take it from a copy: without it nobody knows which side was which")
+    if document.get("format") != KEY_FORMAT:
+        raise StudyError(f"{path}: not the key of a study (format {shown(str(document.get('format')))})")
+    return Key(document["study"], document["systems"][0], tuple(document["trials"]))
+
+
+def read_answers(paths: Iterable[Path], key: Key) -> Found[dict[str, dict[int, str]]]:
+    """Of each participant the choice ("a" or "b") of each trial that was answered, and what is wrong with other files.
+
+    A participant who is there already counts once.
+    """
+    found: dict[str, dict[int, str]] = {}
+    faults: list[str] = []
+    for path in paths:
+        try:
+            participant, choices = _answers(path, key)
+        except (MotionkitError, OSError) as error:
+            faults.append(str(error))
+            continue
+        if participant in found:
+            faults.append(f"{path}: the answers of participant {participant} are in another file already")
+        else:
+            found[participant] = choices
+    return Found(found, tuple(faults))
+
+
+def _answers(path: Path, key: Key) -> tuple[str, dict[int, str]]:
+    document = read_json(path, ASK_AGAIN)
+    if document.get("format") != ANSWERS_FORMAT:
+        raise StudyError(f"{path}: not the answers of a study: the page's last button downloads these")
+    if document.get("study") != key.study:
+        found = shown(str(document.get("study")))
+        raise StudyError(f"{path}: answers of another study, {found}; the key is of {key.study}")
+    try:
+        answers = [each for each in document["answers"] if each is not None]
+        choices = {each["trial"]: each["choice"] for each in answers}
+        if len(choices) < len(answers):
+            raise ValueError("a question is answered twice")
+        for trial, choice in choices.items():
+            if type(trial) is not int or not 0 <= trial < len(key.trials) or choice not in OTHER:
+                raise ValueError(f"{shown(str(choice))} to question {shown(str(trial))} of {len(key.trials)}")
+        return shown(str(document["participant"])), choices
+    except (KeyError, TypeError, ValueError) as error:
+        raise StudyError(f"{path}: damaged answers ({error}): {ASK_AGAIN}") from None
+
+
+def preferences(key: Key, answers: Iterable[Mapping[int, str]]) -> list[Preference]:
+    """For each question and pair of systems the preference for the study's first one, at each framerate.
+
+    Where there are three framerates or more, also of all above the lowest together. Every answer counts as independent.
+    """
+    wins: dict[tuple[str, str], dict[Fraction, list[bool]]] = {}
+    for choices in answers:
+        for number, choice in choices.items():
+            trial = key.trials[number]
+            chosen = trial["systems"][OTHER[choice]]
+            (second,) = [name for name in trial["systems"] if name != key.first]
+            by_fps = wins.setdefault((trial["question"], second), {})
+            by_fps.setdefault(Fraction(trial["fps"]), []).append(chosen == key.first)
+    return [
+        _preference(question, key.first, second, fps, won)
+        for (question, second) in sorted(wins, key=lambda each: (list(QUESTIONS).index(each[0]), each[1]))
+        for fps, won in _columns(wins[question, second])
+    ]
+
+
+def _columns(by_fps: Mapping[Fraction, list[bool]]) -> Iterator[tuple[str, list[bool]]]:
+    rates = sorted(by_fps)
+    for fps in rates:
+        yield f"{float(fps):g}", by_fps[fps]
+    if len(rates) > 2:
+        yield f"{float(rates[1]):g} to {float(rates[-1]):g}", [won for fps in rates[1:] for won in by_fps[fps]]
+
+
+def _preference(question: str, first: str, second: str, fps: str, won: list[bool]) -> Preference:
+    test = binomtest(sum(won), len(won))
+    interval = test.proportion_ci(method="wilson")
+    share, bounds = sum(won) / len(won), (float(interval.low), float(interval.high))
+    return Preference(question, first, second, fps, len(won), sum(won), share, *bounds, float(test.pvalue))
