@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 MEGABYTE = 1e6
 FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d, kit, parquet"
 SHOWN_LEFT_OUT = 20
+SHOWN_MISSING = 3
 
 
 def export(
@@ -62,6 +63,7 @@ def export(
     with progress() as show, task(show, "export", len(selection.indices)) as work:
         report = export_selection(selection, out, kind, on_outcome=lambda outcome: work.advance())
     _print_left_out(report.left_out)
+    _print_missing(report, opened.path)
     if as_json:
         print_json(_as_json(report))
     else:
@@ -94,6 +96,15 @@ def _print_left_out(left_out: "tuple[Outcome, ...]") -> None:
         stderr.print(f"… and {len(left_out) - SHOWN_LEFT_OUT:,} more; --json lists all")
 
 
+def _print_missing(report: "ExportReport", store: Path) -> None:
+    from motionkit.export.pose_folder import MISSING
+
+    for what, sequence_ids in report.missing.items():
+        named = ", ".join(sequence_ids[:SHOWN_MISSING]) + (", …" if len(sequence_ids) > SHOWN_MISSING else "")
+        message = MISSING[what].format(store=store)
+        stderr.print(f"{len(sequence_ids):,} of {report.num_sequences:,} motions ({named}) are {message}")
+
+
 def _print_summary(report: "ExportReport") -> None:
     stdout.print(
         f"wrote {report.num_sequences:,} sequences to {report.folder}: {report.num_files:,} files, "
@@ -115,4 +126,5 @@ def _as_json(report: "ExportReport") -> dict[str, Any]:
             {"sequence_id": outcome.sequence_id, "reason": outcome.reason, "message": outcome.message}
             for outcome in report.left_out
         ],
+        "missing": {what: list(sequence_ids) for what, sequence_ids in report.missing.items()},
     }

@@ -5,6 +5,7 @@ facing Z+, pose vectors, and joints recovered from them. T poses at the new fram
 published. Source: https://github.com/EricGuo5513/HumanML3D, motion_representation.ipynb.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -29,9 +30,17 @@ from motionkit.formats.humanml3d import (
     FolderWriter,
     Layout,
 )
+from motionkit.formats.texts import SPLITS
 
 README = "README.md"
 MIN_POSES = 2
+MISSING = {
+    "captions": "without a caption: texts/ has nothing of them, and loaders of texts pass them over; captions come "
+    "from a table: 'motionkit ingest SOURCE --captions captions.csv --overwrite --store {store}'",
+    "split": "in no split: train.txt, val.txt and test.txt lack them; 'motionkit split --store {store}' makes some",
+    "length": "shorter than the usual data loader takes (40 frames, for kit 24): it drops them without a word",
+}
+"""What motions of such a folder may lack, what comes of it, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +82,8 @@ def _export(selection: Selection, folder: Path, kind: Kind) -> Iterator[Outcome]
 
 def _write(selection: Selection, names: Sequence[PurePosixPath], folder: Path, kind: Kind) -> Iterator[Outcome]:
     writer = FolderWriter(folder, kind.layout)
-    lengths: list[int] = []
+    lacks: Counter[str] = Counter()
+    num_sequences = 0
     with MotionTable(folder / TABLE) as table:
         for motion, name in zip(selection.motions(), names, strict=True):
             entry = pose_entry(motion, str(name), kind)
@@ -82,10 +92,21 @@ def _write(selection: Selection, names: Sequence[PurePosixPath], folder: Path, k
                 continue
             writer.add(entry)
             table.add(motion, PurePosixPath(JOINTS_FOLDER, f"{name}.npy"))
-            lengths.append(len(entry.joint_positions))
-            yield Outcome(motion.sequence_id)
+            outcome = Outcome(motion.sequence_id, lacks=_lacks(entry, kind))
+            lacks.update(outcome.lacks)
+            num_sequences += 1
+            yield outcome
     writer.finish()
-    _describe(folder, kind, lengths)
+    _describe(folder, kind, num_sequences, lacks)
+
+
+def _lacks(entry: Entry, kind: Kind) -> tuple[str, ...]:
+    lacks = {
+        "captions": not entry.captions,
+        "split": entry.split not in SPLITS,
+        "length": len(entry.joint_positions) < kind.loader_min_frames,
+    }
+    return tuple(what for what, is_lacking in lacks.items() if is_lacking)
 
 
 def pose_entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
@@ -118,7 +139,7 @@ def write_folder_manifest(folder: Path, layout: Layout) -> None:
     write_json(folder / joints_npy.MANIFEST, manifest)
 
 
-def _describe(folder: Path, kind: Kind, lengths: Sequence[int]) -> None:
+def _describe(folder: Path, kind: Kind, num_sequences: int, lacks: Counter[str]) -> None:
     """What the folder is, for readers (`motions.json`) and for people (`README.md`)."""
     layout = kind.layout
     published = LAYOUTS[layout.name].fps
@@ -130,8 +151,8 @@ def _describe(folder: Path, kind: Kind, lengths: Sequence[int]) -> None:
         published_fps=f"{float(published):.6g}",
         is_published=layout.fps == published,
         smoothing_seconds=float(Fraction(humanml3d.SMOOTHING_FRAMES) / layout.fps),
-        num_sequences=len(lengths),
+        num_sequences=num_sequences,
         loader_min_frames=kind.loader_min_frames,
-        num_under_minimum=sum(length < kind.loader_min_frames for length in lengths),
+        lacks=lacks,
     )
     (folder / README).write_text(text, encoding="utf-8")

@@ -1,7 +1,7 @@
 """Selection → folder: written beside its place and renamed when it is complete."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -49,7 +49,10 @@ def character_kind(character: Character, plant: bool) -> Export:
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What an export did: sequences and files written, their bytes, and the sequences left out with the reason."""
+    """What an export did: sequences and files written, their bytes, and the sequences left out with the reason.
+
+    `missing` has the ids of written sequences by what they lack that the output's readers ask for.
+    """
 
     folder: Path
     format: str
@@ -57,6 +60,7 @@ class ExportReport:
     num_files: int
     num_bytes: int
     left_out: tuple[Outcome, ...]
+    missing: Mapping[str, Sequence[str]]
 
     @property
     def left_out_by_reason(self) -> dict[str, int]:
@@ -76,6 +80,7 @@ def export(
     # A link to an empty folder is filled where it points.
     place = folder.absolute().resolve() if folder.is_symlink() else folder.absolute()
     left_out: list[Outcome] = []
+    missing: dict[str, list[str]] = {}
     num_sequences = 0
     with whole_folder(place) as partial:
         # Under its lock, and after what a killed export left is deleted.
@@ -83,6 +88,8 @@ def export(
         for outcome in kind.write(selection, partial):
             if outcome.written:
                 num_sequences += 1
+                for what in outcome.lacks:
+                    missing.setdefault(what, []).append(outcome.sequence_id)
             else:
                 left_out.append(outcome)
             on_outcome(outcome)
@@ -90,7 +97,7 @@ def export(
             first = left_out[0].message if left_out else "the selection is empty"
             raise MotionkitError(f"none of {len(left_out)} sequences can be written as {kind.name}, first: {first}")
         sizes = [path.stat().st_size for path in partial.rglob("*") if path.is_file()]
-    return ExportReport(folder, kind.name, num_sequences, len(sizes), sum(sizes), tuple(left_out))
+    return ExportReport(folder, kind.name, num_sequences, len(sizes), sum(sizes), tuple(left_out), missing)
 
 
 def _require_empty(folder: Path) -> None:

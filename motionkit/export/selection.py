@@ -52,11 +52,15 @@ class Selection:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one sequence; `reason` is a short slug and `message` says why it was left out, else empty."""
+    """What became of one sequence; `reason` is a short slug and `message` says why it was left out, else empty.
+
+    `lacks` names what a written sequence is without that the output's readers ask for.
+    """
 
     sequence_id: str
     reason: str = ""
     message: str = ""
+    lacks: tuple[str, ...] = ()
 
     @property
     def written(self) -> bool:

@@ -101,6 +101,13 @@ def test_a_skeleton_without_the_joints_is_left_out_and_told(motionkit, bodies, t
     assert not list(tmp_path.glob("none*"))
 
 
+def test_what_a_folder_of_humanml3d_s_form_is_without_is_told(motionkit, bodies, tmp_path):
+    outcome = motionkit("export", tmp_path / "out", "--store", bodies, "--format", "humanml3d", "--json")
+    told = json.loads(outcome.stdout)
+    assert len(told["missing"]["split"]) == told["sequences"]
+    assert f"'motionkit split --store {bodies}' makes some" in outcome.stderr
+
+
 def patch_writer(monkeypatch, write):
     """BVH files are written by `write`."""
     monkeypatch.setattr("motionkit.export.run.writers", lambda: {"bvh": replace(writers()["bvh"], write=write)})

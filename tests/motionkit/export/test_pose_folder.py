@@ -91,6 +91,7 @@ def test_the_readme_of_the_published_framerate_does_not(store, export_as):
     text = (export_as(store, "kit").folder / "README.md").read_text()
     assert "12.5 fps is the framerate of the published dataset" in text
     assert "not the published framerate" not in text
+    assert "What is missing" not in text
     assert "[T − 1, 251]" in text
 
 
@@ -105,7 +106,11 @@ def test_what_is_too_short_or_has_no_legs_is_left_out(tmp_path, export_as):
         "point": "degenerate",
     }
     assert (report.folder / "all.txt").read_text() == "good\n"
-    assert "1 motions are shorter than 40 frames" in (report.folder / "README.md").read_text()
+    readme = (report.folder / "README.md").read_text()
+    assert report.missing == {what: ["good"] for what in ("captions", "split", "length")}
+    assert "1 of 1 motions have no caption" in readme
+    assert "1 of 1 motions are in no split" in readme
+    assert "1 of 1 motions are shorter than 40 frames" in readme
     np.testing.assert_equal(np.isfinite(np.load(report.folder / "Mean.npy")), True)
 
 
