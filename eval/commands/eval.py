@@ -1,10 +1,12 @@
 """`motionkit eval`: build a table or a figure, or calibrate the feature sets."""
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from eval.commands.eval_options import (
+    ALL,
     ClipOptions,
     EvaluatedOptions,
     EvaluatorOptions,
@@ -15,7 +17,7 @@ from eval.commands.eval_options import (
     in_groups,
 )
 from motionkit.cli.console import print_json, print_text, progress, stderr, stdout
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import write_whole
 from motionkit.core.settings import default_path
 
@@ -42,7 +44,7 @@ def evaluate(
     """
     from eval.tables.registry import TableRequest
 
-    number = wanted.number
+    numbers = wanted.numbers
     if wanted.calibrate and (clips.low_pass is not None or evaluated.samples):
         raise UsageError("--calibrate damages real motion by itself: leave out --low-pass and --samples")
     request = TableRequest(
@@ -57,10 +59,35 @@ def evaluate(
     )
     with progress() as show:
         request = replace(request, on_progress=show)
-        result = _build(request, number, wanted.paper, output.as_json)
-    _refuse_rowless(request, result)
+        if wanted.table == ALL:
+            _build_all(request, numbers, wanted.paper, output.as_json)
+        else:
+            result = _build(request, numbers[0], wanted.paper)
+            _show(result, output.as_json)
+            _refuse_rowless(request, result)
     if not evaluated.allow_broken:
         _refuse_broken(request)
+
+
+def _build_all(request: "TableRequest", numbers: Sequence[str | None], paper: str, as_json: bool) -> None:
+    """Build every table in turn; raises `UsageError` at the end, with the reasons, where some could not be built."""
+    from dataclasses import asdict
+
+    results, lacking = [], []
+    for number in numbers:
+        try:
+            result = _build(request, number, paper)
+            results.append(result)
+            _refuse_rowless(request, result)
+        except MotionkitError as error:
+            lacking.append(f"{number}: {error}")
+            continue
+        if not as_json:
+            _show(result)
+    if as_json:
+        print_json([asdict(result) for result in results])
+    if lacking:
+        raise UsageError(f"{len(results)} of {len(numbers)} were built. " + "; ".join(lacking))
 
 
 def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
@@ -108,10 +135,8 @@ def _say_what_is_lacking(table: "Table", request: "TableRequest") -> None:
         stderr.print(f"no rows of {', '.join(lacking)}: motionkit train {options}{named} trains what is lacking")
 
 
-def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool) -> "Result":
-    """Build, write and print a table (None: the calibration)."""
-    from dataclasses import asdict
-
+def _build(request: "TableRequest", table: str | None, paper: str) -> "Result":
+    """Build and write a table (None: the calibration)."""
     from eval.report.render import to_markdown
     from eval.report.results import write_result
     from eval.tables.calibration import build_calibration
@@ -131,17 +156,24 @@ def _build(request: "TableRequest", table: str | None, paper: str, as_json: bool
         from eval.report.figures import save
 
         save(calibration_figure(result), request.results / result.figure)
-    text = to_markdown(result)
-    write_whole(path.with_suffix(".md"), text)
+    write_whole(path.with_suffix(".md"), to_markdown(result))
+    beside = " and ".join(filter(None, (path.with_suffix(".md").name, result.figure)))
+    stderr.print(f"written: {path}, beside it {beside}")
+    return result
+
+
+def _show(result: "Result", as_json: bool = False) -> None:
+    """Print a result: as JSON, as tables of the terminal's width, or as Markdown."""
+    from dataclasses import asdict
+
+    from eval.report.render import to_markdown
+
     if as_json:
         print_json(asdict(result))
     elif stdout.is_terminal:
         _print_tables(result)
     else:
-        print_text(text)
-    beside = " and ".join(filter(None, (path.with_suffix(".md").name, result.figure)))
-    stderr.print(f"written: {path}, beside it {beside}")
-    return result
+        print_text(to_markdown(result))
 
 
 def _print_tables(result: "Result") -> None:

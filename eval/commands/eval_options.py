@@ -25,7 +25,10 @@ CLIPS = "clip-FID (table 2, figures, --calibrate)"
 EVALUATOR = "Evaluator"
 PROTOCOL = "Protocol of whole motions (tables 1 and 3)"
 
-TableNumber = Annotated[str | None, typer.Option(help="Table to build, by its number in the paper.")]
+ALL = "all"
+TableNumber = Annotated[
+    str | None, typer.Option(help="Table to build, by its number in the paper; all: every table and figure.")
+]
 FigureNumber = Annotated[str | None, typer.Option(help="Figure to build as a table, by its number: 5, 8.")]
 Calibrate = Annotated[
     bool, typer.Option("--calibrate", help="Check that clip-FID rises with damage, and only with damage.")
@@ -180,14 +183,20 @@ class TableOptions:
     paper: Paper = "nerm"
 
     @property
-    def number(self) -> str | None:
-        """The table's number as tables are registered; None for the calibration. Raises `UsageError` for no choice."""
+    def numbers(self) -> tuple[str | None, ...]:
+        """The tables' numbers as they are registered; None for the calibration. Raises `UsageError` for no choice."""
         from eval.tables.registry import installed_tables
 
         if sum((self.table is not None, self.figure is not None, self.calibrate)) != 1:
             known = ", ".join(installed_tables())
             raise UsageError(f"give --table NUMBER, --figure NUMBER or --calibrate; installed tables: {known}")
-        return self.table if self.figure is None else f"figure{self.figure}"
+        if self.table == ALL:
+            names = (name.split("-", 1) for name in installed_tables())
+            of_paper = tuple(number for paper, number in names if paper == self.paper)
+            if not of_paper:
+                raise UsageError(f"no table of {self.paper!r} is installed")
+            return of_paper
+        return (self.table if self.figure is None else f"figure{self.figure}",)
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,7 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
                     )
                 )
                 found = _differences(scope, of_form, metric, shown)
-                told = differences_block(blocks[-1].title, shown.columns, found, blocks[-1].metrics)
+                told = differences_block(blocks[-1], found)
                 blocks += [] if told is None else [told]
             noted.add(form)
     return blocks

@@ -37,23 +37,44 @@ def score_differences(rows: Mapping[str, Mapping[str, Score]], column_of: Mappin
     return found
 
 
-def differences_block(
-    title: str, columns: tuple[str, ...], differences: Differences, metrics: tuple[Measure, ...]
-) -> Block | None:
-    """A row for each pair, and what it allows to say; None where there is no pair. `metrics` are those of the table."""
+def differences_block(block: Block, differences: Differences) -> Block | None:
+    """A row for each pair of a block's rows that says something, and what it allows to say; None where there is none.
+
+    Of many rows nearly all pairs are of no interest. Those that stay hold the best row of a column, or the same motions
+    treated in two ways, whose names begin alike ("X" and "X, planted"); where no row can be best, all do.
+    """
+    best = {names[0] for names in _ranked(block).values()}
+    kept = {
+        pair: found
+        for pair, found in differences.items()
+        if found and (not best or best & {*pair} or pair[0].startswith(pair[1]) or pair[1].startswith(pair[0]))
+    }
+    if not kept:
+        return None
     rows = tuple(
         Row(
             f"{first} − {second}",
             "ours",
             {column: Cell(each.value, each.ci95) for column, each in found.items()},
-            said(found, metrics),
+            said(found, block.metrics),
         )
-        for (first, second), found in differences.items()
-        if found
+        for (first, second), found in kept.items()
     )
-    if not rows:
-        return None
-    return Block(title + SUFFIX, columns, rows, note=NOTE, metrics=metrics)
+    return Block(block.title + SUFFIX, block.columns, rows, note=NOTE, metrics=block.metrics)
+
+
+def _ranked(block: Block) -> dict[str, list[str]]:
+    """By column a block's own rows, the best one first; none of columns where real motion's number is best."""
+    by_column = {measure.column: measure.better for measure in block.metrics}
+    found = {}
+    for column in block.columns:
+        better = by_column.get(column, by_column.get("", "as real"))
+        numbers = {
+            row.name: row.cells[column].value for row in block.rows if row.origin == "ours" and column in row.cells
+        }
+        if better != "as real" and numbers:
+            found[column] = sorted(numbers, key=lambda name: numbers[name], reverse=better == "higher")
+    return found
 
 
 def said(found: Mapping[str, Difference], metrics: tuple[Measure, ...]) -> str:
@@ -82,19 +103,11 @@ def best_in_column(block: Block, blocks: Iterable[Block]) -> dict[str, frozenset
     if tests is None:
         return {}
     cells = {row.name: row.cells for row in tests.rows}
-    by_column = {measure.column: measure.better for measure in block.metrics}
     found = {}
-    for column in block.columns:
-        better = by_column.get(column, by_column.get("", "as real"))
-        numbers = {
-            row.name: row.cells[column].value for row in block.rows if row.origin == "ours" and column in row.cells
-        }
-        if better == "as real" or not numbers:
-            continue
-        best = (min if better == "lower" else max)(numbers, key=lambda name: numbers[name])
+    for column, (best, *others) in _ranked(block).items():
         tested = {
             other: cells[pair][column]
-            for other in numbers
+            for other in others
             for pair in (f"{best} − {other}", f"{other} − {best}")
             if column in cells.get(pair, {})
         }

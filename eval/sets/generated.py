@@ -8,6 +8,7 @@ from math import ceil
 import numpy as np
 
 from eval.sets.sets import SampleSet, sample_set
+from motionkit.fields.interpolation.interpolators import InterpolatedField
 from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, MayKnowNoConditions, SamplingOptions
 
@@ -66,6 +67,11 @@ def generate_fields(
         fields = model.generate(requests, seed=seed + draw, sampling=sampling)
         made |= zip((replace(window, draw=draw) for window in chosen), fields, strict=True)
     return made
+
+
+def is_framed(fields: Mapping[Window, MotionField]) -> bool:
+    """Whether a model makes frames, with interpolation between them, and nothing faster than its own framerate."""
+    return all(isinstance(field, InterpolatedField) for field in fields.values())
 
 
 def sample_fields(

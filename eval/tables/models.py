@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from eval.sets.found import Found, each_found
-from eval.sets.generated import Window, generate_fields, windows_of
+from eval.sets.generated import Window, generate_fields, is_framed, windows_of
 from eval.sets.planted import DETAILED, PLANTED, detailed_fields, planted_fields
 from eval.sets.sets import SampleSet
 from motionkit.clips.detail.stage import has_detail, load_detail
@@ -124,7 +124,8 @@ def generated_fields(
 ) -> Found[Generated]:
     """What each model of a run generates for the captions and durations of a real set.
 
-    As the model gives it, planted, and where the run has learnt detail, planted with detail.
+    As the model gives it, planted, and where the run has learnt detail, planted with detail: of models that make
+    functions of time, for detail is part of those.
     """
     models = trained_models(run)
 
@@ -138,7 +139,7 @@ def generated_fields(
     for name, fields in found.value.items():
         standing = planted_fields(fields)
         rows |= {name: fields, PLANTED.format(name): standing}
-        if detail is not None:
+        if detail is not None and not is_framed(fields):
             rows[DETAILED.format(name)] = detailed_fields(standing, detail, seed)
     training = {name: training_note(model) for name, model in models.value.items()}
     return Found(Generated(rows, training), (*models.missing, *found.missing))

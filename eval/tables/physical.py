@@ -215,8 +215,9 @@ def blocks_of(
         }
         for first, second in pairs
     }
-    differences = differences_block(title, columns, told, measures)
-    return [Block(title, columns, found, note=note, metrics=measures), *([differences] if differences else [])]
+    block = Block(title, columns, found, note=note, metrics=measures)
+    differences = differences_block(block, told)
+    return [block, *([differences] if differences else [])]
 
 
 def _means(metrics: Sequence[Metric], row: Measured, resampling: Resampling) -> dict[str, Mean]:

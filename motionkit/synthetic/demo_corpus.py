@@ -68,7 +68,7 @@ def write_demo_corpus(folder: Path, num_sequences: int = 320, seed: int = 0) -> 
     for sequence in of_bvh:
         write_bvh(to_motion(sequence.field, sequence.fps), folder / "bvh" / f"{sequence.name}.bvh")
     _write_csv(folder / "bvh" / "clips.csv", of_bvh)
-    write_humanml3d(folder / "humanml3d", _entries(of_humanml3d))
+    write_humanml3d(folder / "humanml3d", humanml3d_entries(of_humanml3d))
     _write_actions(folder / "humanml3d" / "actions.csv", of_humanml3d)
     seconds = sum(sequence.field.end_seconds for sequence in sequences)
     return DemoCorpus(folder, len(of_bvh), len(of_humanml3d), seconds)
@@ -132,7 +132,8 @@ def _soft_soles(rng: np.random.Generator) -> tuple[Layer, ...]:
     return tuple(Layer(f"{side}_{way}", band_noise(rng, SOLE_METRES, 0.3, 6.0)) for side in SIDES for way in directions)
 
 
-def _entries(sequences: Sequence[DemoSequence]) -> Iterator[Entry]:
+def humanml3d_entries(sequences: Sequence[DemoSequence]) -> Iterator[Entry]:
+    """Performances as a published HumanML3D folder holds them: at 20 fps, joints processed and their vectors."""
     for sequence in sequences:
         joints = to_motion(sequence.field, HUMANML3D.fps).joint_positions
         processed = humanml3d.process(joints, "smpl22")

@@ -45,6 +45,10 @@ class Conditions:
         pairs = zip(vars(self).values(), vars(others).values(), strict=True)
         return Conditions(*(torch.cat(pair) for pair in pairs))
 
+    def repeated(self, times: int) -> "Conditions":
+        """All rows so many times, one after another."""
+        return Conditions(*(torch.cat((tensor,) * times) for tensor in vars(self).values()))
+
     def to(self, device: torch.device) -> "Conditions":
         """On a device."""
         return Conditions(*(tensor.to(device) for tensor in vars(self).values()))

@@ -307,8 +307,12 @@ class MldVaeNetworkConfig:
 
 @dataclass(frozen=True)
 class MldNetworkConfig:
-    """MLD's denoiser over the tokens latent, time and condition; `time_features` are the sinusoids of a step."""
+    """MLD's denoiser over the tokens latent, time and condition; `time_features` are the sinusoids of a step.
+
+    Training draws `noises` for each latent: making a latent costs far more than the denoiser does.
+    """
 
     transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(9, 256, 4, 1024))
     time_features: int = 768
+    noises: int = 1
     diffusion: DiffusionConfig = field(default_factory=lambda: DiffusionConfig(sampling_spacing="leading"))

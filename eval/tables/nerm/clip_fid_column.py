@@ -13,13 +13,12 @@ from eval.report.results import Cell
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
 from eval.sets.found import Found
-from eval.sets.generated import Window, sample_fields
+from eval.sets.generated import Window, is_framed, sample_fields
 from eval.sets.planted import PLANTED, is_planted, planted_set
 from eval.sets.real import NoRealMotionError, RealMotion
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed, upsample_as_vectors, upsampled
 from motionkit.core.progress import OnProgress, task
-from motionkit.fields.interpolation.interpolators import InterpolatedField
 from motionkit.fields.motion_field import MotionField
 
 LOW_FPS = Fraction(20)
@@ -153,7 +152,7 @@ def make_column(
         if is_planted(name):
             continue
         models.append(name)
-        framed = all(isinstance(each, InterpolatedField) for each in own.values())
+        framed = is_framed(own)
         coarse_name = (GENERATED_VECTORS if framed else GENERATED_LOW).format(name)
         coarse = sample_fields(own, reference.sequence_ids, LOW_FPS, coarse_name)
         if coarse is not None and fps >= LOW_FPS:

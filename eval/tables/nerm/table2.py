@@ -264,7 +264,7 @@ def _blocks(
         },
         metrics=metrics,
     )
-    told = differences_block(source.title, labels, differences, metrics)
+    told = differences_block(scores, differences)
     return [scores] if told is None or not scores.rows else [scores, told]
 
 

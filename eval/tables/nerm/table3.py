@@ -267,7 +267,7 @@ def _block(
         provenance={"protocol": asdict(protocol)},
         metrics=tuple(measure(name, column=column) for name, column in shown.items()),
     )
-    told = differences_block(block.title, block.columns, score_differences(own, shown), block.metrics)
+    told = differences_block(block, score_differences(own, shown))
     return Found([block] if told is None else [block, told], tuple(missing))
 
 

@@ -172,8 +172,7 @@ def scored_blocks(
         metrics=tuple(measure(name, column=title_of(name)) for name in turned),
     )
     own = {row.name: row.scores.values for row in rows if row.origin == "ours"}
-    differences = score_differences(own, {name: title_of(name) for name in every})
-    told = differences_block(f"Table 1: {head}", main.columns, differences, main.metrics)
+    told = differences_block(main, score_differences(own, {name: title_of(name) for name in every}))
     return (main, other_way) if told is None else (main, other_way, told)
 
 

@@ -116,8 +116,9 @@ class Mld(nn.Module):
         """The squared error of ε, of latents drawn anew at every step."""
         with torch.no_grad():
             latents = drawn(*self.vae.encode(batch.rows, batch.lengths), generator)[:, None]
+        latents, conditions = latents.repeat(self.config.noises, 1, 1), batch.conditions.repeated(self.config.noises)
         every = torch.ones(latents.shape[:2], dtype=torch.bool, device=latents.device)
-        return {"loss": diffusion_loss(self, latents, every, batch.conditions, self.diffusion, generator)}
+        return {"loss": diffusion_loss(self, latents, every, conditions, self.diffusion, generator)}
 
     def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
         """Standardised rows."""

@@ -1,0 +1,95 @@
+"""A folder of HumanML3D's size: what ingest, training of every system and Table 2 take, and whether they go on.
+
+    python -m benchmarks.eval.humanml3d_size [--clips 14616] [--folder FOLDER] [--budget 20s]
+
+The motions are synthetic performances at 20 fps with captions and splits, in the published folder's form; their figures
+say nothing of models. Every command runs in a process of its own. The training is stopped by Ctrl-C after a while and
+started again by the same command, which must keep what was done. Beside seconds and memory stands what of it is
+reading: the bytes of the store. A table goes to stderr, JSON to stdout.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from eval.report.results import provenance
+from motionkit.cli.console import stderr
+from motionkit.formats.humanml3d import write_humanml3d
+from motionkit.synthetic.demo_corpus import draw_sequences, humanml3d_entries
+
+MOTIONKIT = (sys.executable, "-c", "from motionkit.cli.app import main; main()")
+INTERRUPTED = 130
+
+
+def measured(folder: Path, *command: str, stop_after_seconds: float | None = None) -> dict[str, Any]:
+    """Run a command in a folder: wall and processor seconds, peak memory, exit code; its stderr goes to a file."""
+    with (folder / "stderr.txt").open("ab") as log:
+        begun = time.perf_counter()
+        process = subprocess.Popen((*MOTIONKIT, *command), cwd=folder, stdout=log, stderr=log)
+        if stop_after_seconds is not None:
+            time.sleep(stop_after_seconds)
+            process.send_signal(signal.SIGINT)
+        _, status, usage = os.wait4(process.pid, 0)
+    code = process.returncode = os.waitstatus_to_exitcode(status)
+    if code not in ((0,) if stop_after_seconds is None else (0, INTERRUPTED)):
+        tail = (folder / "stderr.txt").read_text(encoding="utf-8")[-2000:]
+        raise SystemExit(f"motionkit {' '.join(command)} ended with {code}:\n{tail}")
+    return {
+        "command": "motionkit " + " ".join(command),
+        "stopped": code == INTERRUPTED,
+        "seconds": time.perf_counter() - begun,
+        "cpu_seconds": usage.ru_utime + usage.ru_stime,
+        "peak_memory_bytes": usage.ru_maxrss * 1024,
+    }
+
+
+def stages_done(folder: Path) -> list[str]:
+    """The stages whose summary is written."""
+    return sorted(path.parent.name for path in folder.glob("runs/nano/*/summary.json"))
+
+
+def main() -> None:
+    """Write the folder, run the commands, print what they took."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clips", type=int, default=14_616)
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--budget", default="20s")
+    parser.add_argument("--max-motions", type=int, default=256)
+    parser.add_argument("--stop-after-seconds", type=float, default=120.0)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = arguments.folder or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        begun = time.perf_counter()
+        write_humanml3d(folder / "HumanML3D", humanml3d_entries(draw_sequences(arguments.clips, 0)))
+        report: dict[str, Any] = {"clips": arguments.clips, "writing_seconds": time.perf_counter() - begun}
+        train = ("train", "--for", "table:2", "--budget", arguments.budget)
+        steps = [measured(folder, "ingest", "HumanML3D")]
+        report["store_bytes"] = sum(path.stat().st_size for path in (folder / "store").rglob("*") if path.is_file())
+        steps.append(measured(folder, *train, stop_after_seconds=arguments.stop_after_seconds))
+        report["stages_when_stopped"] = stages_done(folder)
+        steps.append(measured(folder, *train))
+        report["stages"] = stages_done(folder)
+        evaluate = ("eval", "--table", "2", "--features", "kinematic", "--max-motions", str(arguments.max_motions))
+        steps.append(measured(folder, *evaluate))
+        report |= {"steps": steps, "provenance": provenance(folder / "store")}
+    table = Table("command", "wall s", "processor s", "peak memory, GB")
+    for step in steps:
+        numbers = (step["seconds"], step["cpu_seconds"], step["peak_memory_bytes"] / 1e9)
+        name = step["command"] + (", stopped" if step["stopped"] else "")
+        table.add_row(name, *(f"{number:.2f}" for number in numbers))
+    stderr.print(table)
+    print(json.dumps(report, indent=2))
+
+
+if __name__ == "__main__":
+    main()
