@@ -33,9 +33,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "store"
 
 
-def test_tables_are_written_as_json_and_markdown(
-    motionkit: Callable[..., object], store: Path, tmp_path: Path
-) -> None:
+def test_tables_are_written_as_json_and_markdown(motionkit: Callable[..., object], store: Path, tmp_path: Path) -> None:
     """All that can be built, and what the others lack."""
     everything = ("--paper", "pahires", "--table", "all", "--store", store, "--results", tmp_path, "--json")
     outcome = motionkit("eval", *everything, "--fps", "30", "--runs", tmp_path, *COMMON)
