@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from motionkit.core import kinematics
 from motionkit.core.kinematics import euler_to_quaternion, quaternion_conjugate, quaternion_multiply
@@ -13,6 +13,8 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.formats.bvh.text import BvhHierarchy
 
 PART_FRAMES = 4096
+# A bone is not so short, in lengths of its OFFSET.
+NO_BONE = 1e-3
 # So much of all frames at once is enough to find where joints rest.
 MEDIAN_BYTES = 16 << 20
 
@@ -149,9 +151,19 @@ def fold_reference(pose: ChannelPose) -> ChannelPose:
 
 def first_skeleton(pose: ChannelPose) -> Skeleton:
     """The skeleton with the bones that it has in the first frame: position channels overrule an OFFSET."""
-    offsets = pose.skeleton.offsets.copy()
-    offsets[list(pose.placed_joints)] = pose.places[0]
+    offsets, joints, places = pose.skeleton.offsets.copy(), list(pose.placed_joints), pose.places[0]
+    offsets[joints] = np.where(_says_nothing(places, places, offsets[joints])[:, None], offsets[joints], places)
     return replace(pose.skeleton, offsets=offsets)
+
+
+def _says_nothing(
+    lowest: Float64[np.ndarray, "placed 3"],
+    highest: Float64[np.ndarray, "placed 3"],
+    offsets: Float[np.ndarray, "placed 3"],
+) -> Bool[np.ndarray, "placed"]:
+    """Whether position channels are 0 but for rounding where the OFFSET is not (MakeHuman): it is the place then."""
+    farthest = np.maximum(np.abs(lowest), np.abs(highest)).max(axis=1, initial=0.0)
+    return np.asarray(farthest < NO_BONE * np.linalg.norm(offsets, axis=1))
 
 
 def settle_offsets(
@@ -160,8 +172,8 @@ def settle_offsets(
     """The bones of all frames, still in file units, and the joints whose place no bone holds.
 
     Where position channels stay within `tolerance` file units, they are a plain offset. A constant that agrees with the
-    file's OFFSET leaves the OFFSET as it is, so that takes share their skeleton. `pieces` gives all frames as often as
-    it is called.
+    file's OFFSET, or is 0 beside one, leaves the OFFSET as it is, so that takes share their skeleton. `pieces` gives
+    all frames as often as it is called.
     """
     if not pose.placed_joints:
         return pose.skeleton, ()
@@ -169,7 +181,8 @@ def settle_offsets(
     ranges = [(piece.places.min(axis=0), piece.places.max(axis=0), len(piece.root)) for piece in pieces()]
     lowest = np.min([low for low, _, _ in ranges], axis=0)
     highest = np.max([high for _, high, _ in ranges], axis=0)
-    astray = np.flatnonzero(np.maximum(offsets[joints] - lowest, highest - offsets[joints]).max(axis=1) > tolerance)
+    far = np.maximum(offsets[joints] - lowest, highest - offsets[joints]).max(axis=1) > tolerance
+    astray = np.flatnonzero(far & ~_says_nothing(lowest, highest, offsets[joints]))
     if not astray.size:
         return pose.skeleton, ()
     at_once = max(1, MEDIAN_BYTES // (24 * sum(length for _, _, length in ranges)))

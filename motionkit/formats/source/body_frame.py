@@ -39,14 +39,15 @@ class Unit:
 def infer_unit(skeleton: Skeleton) -> Unit | None:
     """The unit of a skeleton whose offsets are still in file units; None where none makes it a human body.
 
-    A family with a unit of its own (the CMU database: 0.0254 / 0.45 m) has that one if the body then is plausible.
+    A family with a unit of its own (the CMU database: 0.0254 / 0.45 m; MakeHuman: a decimetre) has that one if the body
+    then is plausible.
     Otherwise it is the one among m, cm, mm, inch and the CMU database's that brings the rest skeleton's standing height
     (ankles to head along the bones) nearest to 1.45 m; for unknown joint names, the longest chain nearest to 1.25 m.
     """
     size, typical, what = _size(skeleton)
     own = family_unit_metres(skeleton)
     if own is not None and _factor(size * own, typical) <= 1.5:
-        return Unit(own, f"the joint names are the CMU database's; {what} is {size * own:.2f} m")
+        return Unit(own, f"the unit of the family whose joint names they are; {what} is {size * own:.2f} m")
     if size <= 0:
         return None
     name, metres = min(UNITS.items(), key=lambda unit: _factor(size * unit[1], typical))

@@ -13,12 +13,13 @@ from motionkit.core.skeletons.families import (
     shipped_families,
     with_layout_map,
 )
-from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints
+from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints, rest_positions
 from motionkit.formats.arrays.npz import read_npz, write_npz
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.scan.reading import read
 from motionkit.formats.scan.scanner import scan
 from tests.helpers.format_samples import bvh_text
+from tests.motionkit.core.skeletons.test_guessing import RIGS, body
 
 # The sample BVH's joints under names that no shipped family knows.
 ROBOT = {
@@ -241,3 +242,30 @@ def test_spines_without_a_neck_or_a_second_joint() -> None:
     heights = [float(weights[name] @ np.arange(len(names), dtype=np.float32)) for name in ("pelvis", "head")]
     assert heights == [0.0, 2.0] and weights["neck"][names.index("LeftArm")] == 0.5
     assert all(np.isclose(weights[name].sum(), 1.0) for name in weights.keys() - set(mapping.made_up))
+
+
+UE5 = body(
+    ("l", "r"),
+    "root pelvis thigh_* calf_* foot_* ball_*",
+    "pelvis spine_01 spine_02 spine_03 spine_04 spine_05 clavicle_* upperarm_* lowerarm_* hand_*",
+    "spine_05 neck_01 neck_02 head",
+)
+# What it is known as, and joints that are not SMPL's by another family's rows.
+SHIPPED = {
+    "makehuman": (RIGS["MakeHuman"][0], {"left_hip": "upperleg01.L", "right_wrist": "wrist.R", "neck": "neck01"}),
+    "controlvae": (RIGS["ControlVAE"][0], {"left_shoulder": "lShoulder", "spine2": "lowerback_torso"}),
+    "unreal": (RIGS["Unreal"][0], {"left_hip": "thigh_l", "right_elbow": "lowerarm_r", "left_foot": "ball_l"}),
+    "unreal 5": (UE5, {"spine1": "spine_03", "neck": "neck_01", "head": "head"}),
+}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_rigs_of_engines_are_known_without_a_map(name: str) -> None:
+    skeleton, expected = SHIPPED[name]
+    mapped = joint_map(skeleton, SMPL22.name)
+    assert mapped.family == name.split()[0] and not mapped.made_up
+    for joint, own in expected.items():
+        assert mapped.weights[SMPL22.index(joint), skeleton.index(own)] == 1.0
+    heights = (mapped.weights @ rest_positions(skeleton))[:, 1]
+    spine = [heights[SMPL22.index(joint)] for joint in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]
+    assert spine == sorted(spine)

@@ -1,6 +1,7 @@
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit.core.errors import FormatError
@@ -154,3 +155,18 @@ def test_bones_that_move_leave_positions_only(tmp_path: Path) -> None:
     assert motion.local_rotations is None
     assert motion.joint_positions[2, 1].tolist() == pytest.approx([0, 0.3, 0])
     assert any("positions only" in line for line in motion.provenance.operations)
+
+
+def test_position_channels_of_zeros_leave_the_offset(tmp_path: Path) -> None:
+    head, body = TEXT.split("MOTION")
+    lines = body.splitlines()
+    frames = [line.split() for line in lines[3:]]
+    placed = [
+        cells[:6] + [f"-0.000001 0 0 {' '.join(cells[i : i + 3])}" for i in range(6, len(cells), 3)] for cells in frames
+    ]
+    zeros = head.replace("CHANNELS 3 ", "CHANNELS 6 Xposition Yposition Zposition ") + "MOTION"
+    (tmp_path / "zeros.bvh").write_text("\n".join([zeros, *lines[1:3], *map(" ".join, placed)]) + "\n")
+    (tmp_path / "plain.bvh").write_text(TEXT)
+    one, other = (read_bvh(tmp_path / name) for name in ("zeros.bvh", "plain.bvh"))
+    assert np.array_equal(one.joint_positions, other.joint_positions)
+    assert np.array_equal(one.skeleton.offsets, other.skeleton.offsets)
