@@ -102,16 +102,24 @@ class PeerModel:
         """
         for request in requests:
             self.check(request, sampling)
-        made: list[MotionField] = []
-        for start in range(0, len(requests), MOTIONS_PER_BATCH):
-            some = requests[start : start + MOTIONS_PER_BATCH]
-            made += self._generated(some, seed, first + start, self._diffusion(sampling))
-        return made
+        seconds = [self._seconds(request, seed, first + row) for row, request in enumerate(requests)]
+        # Motions of a batch are as long as its longest one: those of about one length come together.
+        rows = sorted(range(len(requests)), key=lambda row: seconds[row])
+        made: dict[int, MotionField] = {}
+        for start in range(0, len(rows), MOTIONS_PER_BATCH):
+            some = rows[start : start + MOTIONS_PER_BATCH]
+            generators = [step_generator(seed, "generate", first + row) for row in some]
+            asked, lasting = [requests[row] for row in some], [seconds[row] for row in some]
+            made |= zip(some, self._generated(asked, lasting, generators, self._diffusion(sampling)), strict=True)
+        return [made[row] for row in range(len(requests))]
 
     def _generated(
-        self, requests: Sequence[GenerationRequest], seed: int, first: int, diffusion: DiffusionConfig
+        self,
+        requests: Sequence[GenerationRequest],
+        seconds: Sequence[float],
+        generators: list[torch.Generator],
+        diffusion: DiffusionConfig,
     ) -> list[MotionField]:
-        seconds = [self._seconds(request, seed, first + row) for row, request in enumerate(requests)]
         fps, most = float(self.max_training_fps), self.trained.config.motions.max_frames + 1
         lengths = [min(ceil(each * fps - 1e-6) + 1, most) for each in seconds]
         conditions = self._conditions(requests)
@@ -119,7 +127,7 @@ class PeerModel:
             lengths=torch.tensor(lengths),
             conditions=conditions,
             unconditional=conditions.without(torch.ones(len(requests), dtype=torch.bool), self.trained.nothing),
-            generators=[step_generator(seed, "generate", first + row) for row in range(len(requests))],
+            generators=generators,
             device=self.device,
         )
         network = self.trained.network
