@@ -291,7 +291,7 @@ JL2P = _of_one_stage(
         "network": Jl2pNetworkConfig(width=256, lengths=(2, 4, 8, 16, 32, 82), mean_first=0.5),
         "motions": SLOW,
         "conditions": GIVEN_NANO,
-        "schedule": _cosine(6000, 64, 3e-3),
+        "schedule": _cosine(6000, 64, 1e-3),
         "optimizer": OptimizerConfig(clip_norm=1.0),
     },
     paper={
