@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +10,7 @@ import typer
 
 from motionkit.cli.console import print_json, say_next
 from motionkit.cli.options import of_default, parse_duration
+from motionkit.cli.tracking import tensorboard_events
 from motionkit.cli.train_jobs import Job, train_all
 from motionkit.core.errors import UsageError
 from motionkit.core.settings import default_path
@@ -56,6 +57,10 @@ def train(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Start again where a run exists.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1 …")] = "auto",
+    track: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Curves for TensorBoard too, in FOLDER/RUN/STAGE (extra 'track')."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the stages' summaries as JSON.")] = False,
 ) -> None:
     """Train a model's stages from a store into a run folder; Ctrl-C saves, --resume goes on exactly.
@@ -69,7 +74,9 @@ def train(
         store or default_path("store"), folder, recipe, seed=seed, resume=going_on, overwrite=overwrite, device=device
     )
     asked = Asked(stage, wanted, paper, tuple(overrides or ()), where, budget)
-    summaries = train_all(planned(asked, context), context, as_json, title=wanted)
+    jobs = planned(asked, context)
+    with tensorboard_events(track and track / folder.path.name) as on_metrics:
+        summaries = train_all(jobs, replace(context, on_metrics=on_metrics), as_json, title=wanted)
     if summaries is None:
         return
     if as_json:

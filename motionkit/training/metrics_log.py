@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,13 @@ from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import naming, require_no_link, sync
 from motionkit.core.plain_text import shown
 
+# Called with a stage's name and a line of its log.
+OnMetrics = Callable[[str, Mapping[str, float]], None]
 MEND = "restore it from a copy, or train the stage again with --overwrite"
+
+
+def ignore_metrics(stage: str, values: Mapping[str, float]) -> None:
+    """Do nothing with a line."""
 
 
 class MetricsLog:

@@ -7,8 +7,8 @@ is written last and marks the stage as complete.
 import importlib.metadata
 import platform
 import subprocess
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +39,10 @@ def versions() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class StageFolder:
-    """One stage's folder inside a run; it owns the names of the files in it."""
+    """One stage's folder inside a run; it owns the names of the files in it. `on_metrics` is told what is logged."""
 
     path: Path
+    on_metrics: Callable[[Mapping[str, float]], None] = field(default=lambda _: None, compare=False, repr=False)
 
     @property
     def config_path(self) -> Path:
@@ -72,6 +73,11 @@ class StageFolder:
     def budget_path(self) -> Path:
         """How many steps fit into a budget of processor time: budget.json, where one was given."""
         return self.path / "budget.json"
+
+    @property
+    def result_paths(self) -> tuple[Path, ...]:
+        """All files of a complete stage but its checkpoint; the last one makes it count as complete."""
+        return self.config_path, self.metrics_path, self.model_path, self.summary_path
 
     @property
     def is_complete(self) -> bool:
@@ -112,6 +118,7 @@ class StageFolder:
     def append_metrics(self, values: Mapping[str, float]) -> None:
         """Add a line to metrics.jsonl."""
         self.metrics.append(values)
+        self.on_metrics(values)
 
     def read_metrics(self) -> list[dict[str, float]]:
         """All whole lines of metrics.jsonl, oldest first; empty where nothing was logged.
@@ -243,7 +250,7 @@ def copy_stage(source: StageFolder, target: StageFolder) -> None:
     if target.path.exists():
         clear_stage(target)
     # It counts as complete when all of it is there.
-    for path in (source.config_path, source.metrics_path, source.model_path, source.summary_path):
+    for path in source.result_paths:
         if path.is_file():
             write_whole(target.path / path.name, path.read_bytes())
 

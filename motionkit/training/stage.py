@@ -5,7 +5,7 @@ An entry point names a module attribute that is a `Stage`. That module must impo
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.training.config import ConfigLike, ConfigT, current_names
+from motionkit.training.metrics_log import OnMetrics, ignore_metrics
 from motionkit.training.run import RunFolder, StageFolder, StageOrigin, begin_stage, check_resumable
 
 if TYPE_CHECKING:
@@ -30,7 +31,8 @@ class StageContext:
     `device` is "auto" or a torch device's name; `shared` whether all ranks that torchrun started train this stage;
     `budget_seconds` how much processor time its steps may take, whatever their number (None: as many as its settings
     say).
-    `on_progress` is called during training and while caches are built for it.
+    `on_progress` is called during training and while caches are built for it, `on_metrics` with each stage's logged
+    figures.
     """
 
     store: Path
@@ -43,6 +45,7 @@ class StageContext:
     shared: bool = False
     budget_seconds: float | None = None
     on_progress: OnProgress = field(default=ignore, compare=False, repr=False)
+    on_metrics: OnMetrics = field(default=ignore_metrics, compare=False, repr=False)
 
     def open_store(self) -> "Store":
         """The store, for reading."""
@@ -64,7 +67,7 @@ class StageContext:
 
         `builds_on` names the stages of this run whose model.safetensors it reads: it is not resumed upon others.
         """
-        folder = self.run.stage(stage)
+        folder = replace(self.run.stage(stage), on_metrics=partial(self.on_metrics, stage))
         origin = self.origin(config, store_fingerprint, builds_on)
         begin = partial(begin_stage, store=str(self.store), resume=self.resume, overwrite=self.overwrite)
         self.ranks.on_first(partial(begin, folder, origin))
