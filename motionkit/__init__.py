@@ -15,6 +15,7 @@ from motionkit.core import __version__
 from motionkit.core.public_names import give_names, provide
 
 if TYPE_CHECKING:
+    from motionkit.clips.dataset import ClipDataset
     from motionkit.complete.motion import complete
     from motionkit.core.errors import FormatError, MotionkitError, UsageError
     from motionkit.core.motion import Caption, Motion
@@ -35,6 +36,7 @@ __all__ = [
     "KIT21",
     "SMPL22",
     "Caption",
+    "ClipDataset",
     "Constraint",
     "FormatError",
     "Motion",
@@ -62,6 +64,7 @@ give_names(
     __name__,
     {
         "Caption": "motionkit.core.motion",
+        "ClipDataset": "motionkit.clips.dataset",
         "Constraint": "motionkit.generate.constraints",
         "FormatError": "motionkit.core.errors",
         "KIT21": "motionkit.core.skeleton",
