@@ -21,8 +21,11 @@ from motionkit.formats.bvh.document import read_bvh
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.store.reader import Store
 from motionkit.synthetic.demo_corpus import write_demo_corpus
+from motionkit.training.text import load_text_encoder
 
 RECIPE = "demo"
+# The recipe's.
+TEXT_ENCODER = "minilm"
 STAGES = ("codebook", "field", "denoiser")
 PICTURED_ACTIONS = ("walk", "jump", "wave_both", "squat")
 PICTURED_SECONDS = 4.0
@@ -74,14 +77,16 @@ class DemoOutcome:
 def run_demo(folder: DemoFolder, size: DemoSize, seed: int) -> DemoOutcome:
     """Run the whole chain into a folder, in place of what an earlier demo left there.
 
-    The steps print what their commands print. Raises `UsageError` for a folder with something else in it.
+    The steps print what their commands print. Raises `UsageError` for a folder with something else in it, and
+    `MissingExtraError` without the extra `text`.
     """
+    load_text_encoder(TEXT_ENCODER)  # asked for now, not after minutes of training
     _prepare(folder)
     seconds: dict[str, float] = {}
     with _step("corpus", seconds):
         write_demo_corpus(folder.corpus, size.num_sequences, seed)
     with _step("ingest", seconds):
-        ingest([folder.corpus], store=folder.store)
+        ingest([str(folder.corpus)], store=folder.store)
     with _step("train", seconds):
         for stage in STAGES:
             train(
