@@ -1,7 +1,8 @@
 """`motionkit ingest`: sources into a store."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -13,7 +14,7 @@ from motionkit.cli.console import print_json, print_text, progress, say_next, st
 from motionkit.cli.options import of_default, parse_rate, read_options
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.plain_text import printable
-from motionkit.core.progress import Task, task
+from motionkit.core.progress import OnProgress, Task, task
 from motionkit.core.settings import default_path, optional_path
 
 
@@ -30,7 +31,10 @@ class OnError(StrEnum):
     STOP = "stop"
 
 
-Sources = Annotated[list[Path], typer.Argument(help="Files and folders of motions.", show_default=False)]
+Sources = Annotated[
+    list[str],
+    typer.Argument(help="Files and folders of motions; of the Hub: hf://datasets/OWNER/NAME.", show_default=False),
+]
 StorePath = Annotated[Path | None, typer.Option(help="Store to make or to add to.", show_default="./store")]
 FormatName = Annotated[str, typer.Option(help="auto finds it by name and content; or one format's name.")]
 CaptionsTable = Annotated[
@@ -161,9 +165,9 @@ def ingest(
         skip_frames=skip_frames,
         leave_out_made=True,
     )
-    with progress() as show, task(show, "ingest", note="scanning") as work:
+    with progress() as show, _fetched(sources, show) as paths, task(show, "ingest", note="scanning") as work:
         report = ingest_sources(
-            *(sources, store or default_path("store")),
+            *(paths, store or default_path("store")),
             options=options,
             on_error=on_error.value,
             overwrite=overwrite,
@@ -173,6 +177,18 @@ def ingest(
         )
     print_json(_as_json(report)) if as_json else _print_summary(report, store)
     _check_success(report, on_error)
+
+
+@contextmanager
+def _fetched(sources: Sequence[str], show: OnProgress) -> Iterator[list[Path]]:
+    """Paths as they are; of a repository a folder of its files, called like it, while the block runs."""
+    from motionkit.hub.repository import as_folder, is_address, look_up, parse_address
+
+    with ExitStack() as stack:
+        yield [
+            stack.enter_context(as_folder(look_up(parse_address(each)), show)) if is_address(each) else Path(each)
+            for each in sources
+        ]
 
 
 def _listener(work: Task) -> "Listener":

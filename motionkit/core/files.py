@@ -94,6 +94,27 @@ def require_no_link(path: Path, instead: str) -> None:
         )
 
 
+def free_bytes(path: Path) -> int:
+    """Room on the disk of a path, or of the folder above it that is there."""
+    return shutil.disk_usage(existing(path)).free
+
+
+def existing(path: Path) -> Path:
+    """The path itself, or the nearest folder above it that is there."""
+    there = path.absolute()
+    while not there.exists():
+        there = there.parent
+    return there
+
+
+def require_empty(folder: Path) -> None:
+    """Raise `UsageError` for a folder that holds something, or a file of its name."""
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file: name a new folder")
+    if folder.exists() and any(folder.iterdir()):
+        raise UsageError(f"{folder} is not empty: name a new folder")
+
+
 def remove_folder(path: Path) -> None:
     """Delete a folder and all that is in it; raises `LinkError` for a symbolic link, follows none inside."""
     require_no_link(path, "delete the link, or what it points to, yourself")

@@ -2,11 +2,11 @@
 
 import os
 import re
-import shutil
 from collections.abc import Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
+from motionkit.core.files import existing, free_bytes
 from motionkit.core.settings import optional_path
 from motionkit.doctor.finding import Finding
 from motionkit.training.run import versions
@@ -66,10 +66,7 @@ def disk_findings(store: Path, runs: Path) -> Iterator[Finding]:
     for name, path in (("store", store), ("runs", runs), ("cache", elsewhere)):
         if path is None:
             continue
-        there = path.absolute()
-        while not there.exists():
-            there = there.parent
-        free = shutil.disk_usage(there).free
+        there, free = existing(path), free_bytes(path)
         fact = f"{path} ({name}): {free / GIGABYTE:,.1f} GB free"
         other = f"name another place with {'MOTIONKIT_CACHE' if name == 'cache' else f'--{name}'}"
         if not os.access(there, os.W_OK):

@@ -6,7 +6,7 @@ the speed (docs/store.md), and not every reader knows them. Files are `data/SPLI
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -66,20 +66,27 @@ class Tally:
 
 def card(tally: Tally, num_files: Mapping[str, int], schema: pa.Schema, meaning: Mapping[str, str], data: Path) -> str:
     """The text of README.md for the files in `data`; `meaning` says what columns hold whose names do not."""
-    names = sorted({licence for _, licence in tally.sequences_by_licence})
-    known = [_hub_licence(name) for name in names]
     return render(
         "dataset_card.md.j2",
         tally=tally,
         num_files=num_files,
-        licences=known if all(known) else ["other"],
-        licence_name="; ".join(names),
-        size_category=next((name for limit, name in SIZE_CATEGORIES if tally.num_sequences < limit), "n>1M"),
+        **card_head({licence for _, licence in tally.sequences_by_licence}, tally.num_sequences),
         features=[_feature(field.name, field.type) for field in schema],
         columns=[(field.name, _type_name(field.type), meaning.get(field.name, "")) for field in schema],
         download_size=sum(path.stat().st_size for path in data.iterdir()),
         fps_names={fps: _fps_name(fps) for fps in tally.sequences_by_fps},
     )
+
+
+def card_head(licences: Iterable[str], num_sequences: int) -> dict[str, Any]:
+    """What the head of a card says of licences and size in the Hub's words (templates/card_head.j2)."""
+    names = sorted(licences)
+    known = [_hub_licence(name) for name in names]
+    return {
+        "licences": known if names and all(known) else ["other"],
+        "licence_name": "; ".join(names),
+        "size_category": next((name for limit, name in SIZE_CATEGORIES if num_sequences < limit), "n>1M"),
+    }
 
 
 def _hub_licence(name: str) -> str:

@@ -7,8 +7,8 @@ from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
-from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.files import whole_folder
+from motionkit.core.errors import MotionkitError
+from motionkit.core.files import require_empty, whole_folder
 from motionkit.export.files import export_files
 from motionkit.export.parquet import export_parquet
 from motionkit.export.pose_folder import export_humanml3d, export_kit
@@ -84,7 +84,7 @@ def export(
     num_sequences = 0
     with whole_folder(place) as partial:
         # Under its lock, and after what a killed export left is deleted.
-        _require_empty(folder)
+        require_empty(folder)
         for outcome in kind.write(selection, partial):
             if outcome.written:
                 num_sequences += 1
@@ -98,10 +98,3 @@ def export(
             raise MotionkitError(f"none of {len(left_out)} sequences can be written as {kind.name}, first: {first}")
         sizes = [path.stat().st_size for path in partial.rglob("*") if path.is_file()]
     return ExportReport(folder, kind.name, num_sequences, len(sizes), sum(sizes), tuple(left_out), missing)
-
-
-def _require_empty(folder: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"{folder} is a file: name a new folder")
-    if folder.exists() and any(folder.iterdir()):
-        raise UsageError(f"{folder} is not empty: name a new folder")

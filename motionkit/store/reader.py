@@ -15,8 +15,10 @@ from jaxtyping import Int, Int64
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore
+from motionkit.hub.repository import is_address, parse_address
 from motionkit.store import codec
 from motionkit.store.codec import EncodedMotion
+from motionkit.store.fetched import fetch_store
 from motionkit.store.manifest import Manifest, read_committed, read_manifest
 from motionkit.store.parts import SegmentReader, check_still_there
 from motionkit.store.schema import (
@@ -132,10 +134,13 @@ class Store:
 
     @classmethod
     def open(cls, path: Path | str, *, on_progress: OnProgress = ignore) -> "Store":
-        """Open a store; `on_progress` is called while caches are built from it.
+        """Open a store, also one of the Hub (`hf://datasets/OWNER/NAME`), which is fetched into the Hub's cache.
 
-        Raises `StoreError` where there is none, or it is damaged or of another format version.
+        `on_progress` is called while it is fetched, and while caches are built from it. Raises `StoreError` where there
+        is none, or it is damaged or of another format version; `HubError` where the Hub cannot be asked.
         """
+        if is_address(path):
+            path = fetch_store(parse_address(str(path)), on_progress)
         path = Path(path)
         for _ in range(OPEN_ATTEMPTS):
             manifest = read_manifest(path)

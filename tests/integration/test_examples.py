@@ -34,10 +34,11 @@ OF_STORES = (
         "ablate",
         "doctor",
     ),
-    *("remove", "compact", "migrate"),
+    *("push", "remove", "compact", "migrate"),
 )
-# These train first: test_from_takes_to_a_table runs such commands out of README, test_demo the demo.
-ELSEWHERE = ("train", "generate", "eval", "report", "demo")
+# These train first: test_from_takes_to_a_table runs such commands out of README, test_demo the demo. What is pulled has
+# to be pushed: test_publish.
+ELSEWHERE = ("train", "generate", "eval", "report", "demo", "pull")
 
 
 def examples() -> dict[str, list[str]]:

@@ -133,7 +133,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     reported = {warning.path for warning in warnings if warning.reason == "no-caption"}
     silent = [item for item in items if not item.captions and item.path not in reported]
     warnings += _made_files(root, made)
-    ignored = unread.ignored(seen, found, (table.path.resolve() for table in tables))
+    ignored = unread.ignored(seen, found, (table.path.parent.resolve() / table.path.name for table in tables))
     warnings += _motions_without_caption(silent, captioned)
     return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=ignored)
 

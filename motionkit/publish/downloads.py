@@ -1,0 +1,62 @@
+"""Stores and runs out of the Hub, each a folder that appears when all of it is there and has been checked."""
+
+from pathlib import Path
+
+from motionkit.core.errors import StoreError
+from motionkit.core.files import require_empty, whole_folder
+from motionkit.core.progress import OnProgress, ignore, task
+from motionkit.hub.repository import HubError, Repository, copy_files, fetch, look_up
+from motionkit.publish.uploads import STAGE_FILE, check_stage
+from motionkit.store.fetched import fetch_store
+from motionkit.store.manifest import Manifest, read_manifest
+from motionkit.store.schema import MANIFEST_FILE
+from motionkit.store.validate import faults
+from motionkit.training.run import RunFolder, weights_sha256
+
+# Of a file that is read whole: a log of a million lines.
+MOST_JSON_BYTES = 256 * 2**20
+
+
+def pull_store(repository: Repository, folder: Path, on_progress: OnProgress = ignore) -> Manifest:
+    """Copy a repository's store into a new or empty folder, once `motionkit validate` would find nothing wrong with it.
+
+    Raises `UsageError` for a folder that holds something, `HubError`, and `StoreError` for a damaged store.
+    """
+    require_empty(folder)
+    source = fetch_store(repository, on_progress)
+    manifest = read_manifest(source)
+    with whole_folder(folder.absolute()) as partial:
+        require_empty(folder)
+        copy_files(source, [MANIFEST_FILE, *manifest.files], partial)
+        with task(on_progress, "check", len(manifest.files)) as work:
+            fault = next(faults(partial, lambda _: work.advance()), None)
+        if fault:
+            raise StoreError(
+                f"{repository} is damaged ({fault}): delete {source}, where it was fetched to, and pull again"
+            )
+    return manifest
+
+
+def pull_run(repository: Repository, folder: Path, on_progress: OnProgress = ignore) -> list[str]:
+    """Copy a repository's run into a new or empty folder, once its checksums agree; returns its stages.
+
+    Nothing is fetched but the settings, figures and safetensors of complete stages. Raises `UsageError` for a folder
+    that holds something, `HubError`, and `DamagedFileError`.
+    """
+    require_empty(folder)
+    snapshot = look_up(repository)
+    stages = sorted(name.partition("/")[0] for name in snapshot.sizes if name.endswith("/summary.json"))
+    names = [name for name in snapshot.sizes if STAGE_FILE.fullmatch(name) and name.partition("/")[0] in stages]
+    if not names:
+        raise HubError(f"{repository} holds no run (no STAGE/summary.json)")
+    for name in names:
+        if name.endswith((".json", ".jsonl")) and snapshot.sizes[name] > MOST_JSON_BYTES:
+            raise HubError(f"{repository}: {name} has {snapshot.sizes[name]:,} bytes, too many")
+    source = fetch(snapshot, names, on_progress)
+    with whole_folder(folder.absolute()) as partial:
+        require_empty(folder)
+        copy_files(source, names, partial)
+        weights_sha256(partial)
+        for stage in stages:
+            check_stage(RunFolder(partial).stage(stage))
+    return stages

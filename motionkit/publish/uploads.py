@@ -1,0 +1,79 @@
+"""What of a store or a run goes to the Hub: whole files alone, with a card; caches and checkpoints stay."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from motionkit.core.errors import StoreError, UsageError
+from motionkit.core.progress import OnProgress, ignore, task
+from motionkit.hub.repository import Repository
+from motionkit.publish.cards import run_card, store_card
+from motionkit.store.manifest import read_committed, read_manifest
+from motionkit.store.reader import Store, not_committed
+from motionkit.store.reports.summary import summarise
+from motionkit.store.schema import MANIFEST_FILE, SEGMENTS_FOLDER, SEQUENCES_FILE, SKELETONS_FILE
+from motionkit.store.validate import faults
+from motionkit.training.run import RunError, RunFolder, StageFolder, weights_sha256
+
+CARD = "README.md"
+STAGE_FILE = re.compile(r"[\w-]+/(config\.json|metrics\.jsonl|model\.safetensors|summary\.json)")
+_PART = re.compile(rf"{SEGMENTS_FOLDER}/part-[0-9]{{5,10}}\.parquet")
+
+
+@dataclass(frozen=True)
+class Upload:
+    """Files by their paths in the repository, as they lie on the disk or as bytes.
+
+    Those in the repository whose paths match `replaces` are of the same kind: which are not pushed any more, go.
+    """
+
+    files: Mapping[str, Path | bytes]
+    replaces: re.Pattern[str]
+    licences: tuple[str, ...] = ()
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of all files."""
+        return sum(len(each) if isinstance(each, bytes) else each.stat().st_size for each in self.files.values())
+
+
+def store_upload(path: Path, repository: Repository, on_progress: OnProgress = ignore) -> Upload:
+    """A store's committed files and its card; raises `StoreError` where it is not intact."""
+    content, manifest = (path / MANIFEST_FILE).read_bytes(), read_manifest(path)
+    with task(on_progress, "check", len(manifest.files)) as work:
+        fault = next(faults(path, lambda _: work.advance()), None)
+    if fault:
+        raise StoreError(f"{path}: {fault}; 'motionkit validate --store {path}' says more")
+    files: dict[str, Path | bytes] = {name: path / name for name in manifest.parts}
+    for name in (SEQUENCES_FILE, SKELETONS_FILE):
+        table = read_committed(path, name, manifest.files[name])
+        if table is None:
+            raise not_committed(path)
+        files[name] = table
+    store = Store.open(path)
+    licences = tuple(sorted(set(store.columns("licence")["licence"])))
+    files |= {MANIFEST_FILE: content, CARD: store_card(summarise(store), repository).encode()}
+    return Upload(files, _PART, licences)
+
+
+def run_upload(run: RunFolder, repository: Repository) -> Upload:
+    """The complete stages of a run and its card; raises `UsageError` where none is, `DamagedFileError`."""
+    stages = [run.stage(path.parent.name) for path in sorted(run.path.glob("*/summary.json"))]
+    if not stages:
+        raise UsageError(f"{run.path} has no complete stage: motionkit train --run {run.path.name}")
+    weights_sha256(run.path)
+    for stage in stages:
+        check_stage(stage)
+    files: dict[str, Path | bytes] = {
+        f"{stage.path.name}/{path.name}": path for stage in stages for path in stage.result_paths if path.is_file()
+    }
+    return Upload(files | {CARD: run_card(stages, repository).encode()}, STAGE_FILE)
+
+
+def check_stage(stage: StageFolder) -> None:
+    """Raise where a stage is not complete or damaged: its JSON, its log; weights are `weights_sha256`'s to check."""
+    stage.read_config()
+    stage.read_summary()
+    if not stage.model_path.is_file():
+        raise RunError(f"{stage.path} is called complete, but has no {stage.model_path.name}")

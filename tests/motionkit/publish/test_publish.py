@@ -1,0 +1,184 @@
+"""Stores and runs pushed to and pulled from a Hub of this machine, by `huggingface_hub` itself."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import typer
+import yaml
+from typer.testing import CliRunner, Result
+
+import motionkit as mk
+from motionkit.cli.export import export
+from motionkit.cli.ingest import ingest
+from motionkit.cli.pull import pull
+from motionkit.cli.push import push
+from motionkit.core.errors import DamagedFileError, StoreError
+from motionkit.hub.repository import HubError
+from motionkit.store.life.rewrite import compact, remove
+from motionkit.store.manifest import read_manifest
+from motionkit.training.run import RunFolder
+from motionkit.training.tensors import save_tensors
+from tests.helpers.hub import Hub, local_hub
+from tests.helpers.pages import run_page
+from tests.helpers.repository import REPOSITORY
+from tests.helpers.small_bvh import bvh_text
+
+pytest.importorskip("huggingface_hub", reason="needs the extra motionkit[hub]")
+PAGE = REPOSITORY / "docs" / "howto" / "hub.md"
+WALKS = "hf://datasets/me/walks"
+
+
+@pytest.fixture
+def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+    with local_hub() as (found, address):
+        files = f"{address}/{{repo_id}}/resolve/{{revision}}/{{filename}}"
+        places = {"HF_HUB_CACHE": str(tmp_path / "cache"), "HF_TOKEN_PATH": str(tmp_path / "no-token")}
+        constants = {"ENDPOINT": address, "HUGGINGFACE_CO_URL_TEMPLATE": files, "HF_HUB_OFFLINE": False, **places}
+        for name, value in constants.items():
+            monkeypatch.setattr(f"huggingface_hub.constants.{name}", value)
+        monkeypatch.delenv("HF_TOKEN", raising=False)
+        monkeypatch.chdir(tmp_path)
+        yield found
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> mk.Store:
+    """Three short motions of 30 and 60 fps in `./store`."""
+    with mk.StoreWriter.create(tmp_path / "store") as writer:
+        for number in range(3):
+            positions = np.random.default_rng(number).normal(size=(40, 22, 3)).astype(np.float32)
+            motion = mk.Motion.from_joints(positions, fps=Fraction(30 * (1 + number % 2)))
+            writer.add(replace(motion, sequence_id=f"lab/{number}"))
+    return mk.Store.open(tmp_path / "store")
+
+
+def run(command: object, *arguments: object) -> Result:
+    app = typer.Typer()
+    app.command()(command)  # type: ignore[type-var]
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+def done(command: object, *arguments: object) -> str:
+    result = run(command, *arguments)
+    assert result.exit_code == 0, result.output + repr(result.exception)
+    return result.output
+
+
+def test_a_store_goes_and_comes_back(hub: Hub, store: mk.Store) -> None:
+    assert "would push 5 files" in done(push, WALKS, "--dry-run")
+    assert not hub.commits
+    done(push, WALKS)
+    assert hub.private == {"datasets/me/walks": True}
+    head = yaml.safe_load(hub.files("datasets/me/walks")["README.md"].decode().split("---\n")[1])
+    assert (head["license"], head["license_name"]) == ("other", "not stated")
+    done(pull, WALKS, "--store", "copy")
+    assert mk.Store.open("copy").fingerprint == store.fingerprint
+    there = mk.Store.open(WALKS)
+    np.testing.assert_array_equal(there["lab/2"].joint_positions, store["lab/2"].joint_positions)
+
+    remove(store.path, ["lab/0"])
+    compact(store.path)
+    done(push, WALKS)
+    files = hub.files("datasets/me/walks")
+    assert [name for name in files if name.startswith("segments/")] == list(read_manifest(store.path).parts)
+    assert list(mk.Store.open(WALKS)) == ["lab/1", "lab/2"]
+    assert "copy is not empty" in str(run(pull, WALKS, "--store", "copy").exception)
+
+
+def test_a_store_that_is_damaged_or_not_whole_is_not_pulled(hub: Hub, store: mk.Store) -> None:
+    done(push, WALKS)
+    whole = hub.files("datasets/me/walks")
+    [part] = store.manifest.parts
+    hub.add("datasets/me/walks", {**whole, part: whole[part][:-200] + bytes(100) + whole[part][-100:]})
+    failed = run(pull, WALKS, "--store", "copy").exception
+    assert isinstance(failed, StoreError) and "sha256" in str(failed)
+    hub.add("datasets/me/walks", {name: content for name, content in whole.items() if name != part})
+    hub.served.clear()
+    with pytest.raises(StoreError, match=r"no whole store.*is missing"):
+        mk.Store.open(WALKS)
+    assert hub.served == []
+    assert [path.name for path in Path().iterdir() if path.name.startswith("copy")] == []
+    hub.add("datasets/me/walks", {"loader.py": b"raise SystemExit"})
+    with pytest.raises(HubError, match=f"motionkit ingest {WALKS}"):
+        mk.Store.open(WALKS)
+
+
+def test_what_goes_to_the_wrong_place_is_told(hub: Hub, store: mk.Store) -> None:
+    done(push, WALKS, "--public")
+    assert hub.private == {"datasets/me/walks": False}
+    assert "--public says" in str(run(push, WALKS).exception)
+    assert "not there, or is private" in str(run(pull, "hf://datasets/me/other", "--store", "new").exception)
+    assert "name one with --run" in str(run(push, "hf://me/walker").exception)
+    assert "expected hf://datasets/OWNER/NAME" in str(run(pull, "hf://walks").exception)
+
+
+def test_a_disk_that_is_too_small_is_told_before_anything_is_fetched(
+    hub: Hub, store: mk.Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done(push, WALKS)
+    hub.served.clear()
+    monkeypatch.setattr("motionkit.hub.repository.free_bytes", lambda path: 100)
+    with pytest.raises(HubError, match="make room"):
+        mk.Store.open(WALKS)
+    assert hub.served == []
+
+
+def test_complete_stages_of_a_run_go_and_come_back(hub: Hub, tmp_path: Path) -> None:
+    runs = RunFolder(tmp_path / "runs" / "walker")
+    for name in ("field", "denoiser"):
+        stage = runs.stage(name)
+        stage.path.mkdir(parents=True)
+        stage.config_path.write_text('{"recipe": "nano", "seed": 0, "store_fingerprint": "ab"}')
+        stage.append_metrics({"step": 1.0, "loss": 0.5})
+        save_tensors(stage.model_path, {"weight": torch.ones(3)}, {})
+        (stage.path / "checkpoint.safetensors").write_bytes(b"large")
+    runs.stage("field").finish({"loss": 0.5})
+    done(push, "hf://me/walker", "--run", "walker")
+    files = hub.files("models/me/walker")
+    names = ("config.json", "metrics.jsonl", "model.safetensors", "summary.json")
+    assert sorted(files) == ["README.md", *(f"field/{name}" for name in names)]
+    assert "| field | nano | 0 |" in files["README.md"].decode()
+
+    hub.add("models/me/walker", {**files, "field/pytorch_model.bin": b"", "train.py": b""})
+    done(pull, "hf://me/walker", "--run", "theirs")
+    pulled = tmp_path / "runs" / "theirs"
+    assert sorted(path.name for path in pulled.rglob("*") if path.is_file()) == list(names)
+    assert RunFolder(pulled).stage("field").read_summary() == {"loss": 0.5}
+
+    weights = bytearray(files["field/model.safetensors"])
+    weights[-1] ^= 1
+    hub.add("models/me/walker", {**files, "field/model.safetensors": bytes(weights)})
+    assert isinstance(run(pull, "hf://me/walker", "--run", "damaged").exception, DamagedFileError)
+    assert not (tmp_path / "runs" / "damaged").exists()
+
+
+def test_captures_of_a_repository_are_ingested_under_its_name(hub: Hub, tmp_path: Path) -> None:
+    table = b"file,caption\nwalk.bvh,a person walks\n"
+    files = {"walk.bvh": bvh_text(8).encode(), "captions.csv": table, ".gitattributes": b""}
+    hub.add("datasets/me/takes", {**files, "more/run.bvh": bvh_text(9).encode()})
+    told = done(ingest, "hf://datasets/me/takes", "--workers", "1")
+    assert "ignored" not in told
+    held = mk.Store.open("store")
+    assert set(held) == {"takes/walk", "takes/more/run"}
+    assert [caption.text for caption in held["takes/walk"].captions] == ["a person walks"]
+    assert held["takes/walk"].provenance.source_path == "walk.bvh"
+    done(ingest, "hf://datasets/me/takes/more", "--workers", "1", "--store", "part")
+    assert list(mk.Store.open("part")) == ["more/run"]
+    assert "goes to hf://datasets" in str(run(push, "hf://me/a", "--store", "part").exception)
+
+
+def test_the_how_to_runs(hub: Hub, store: mk.Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    datasets = pytest.importorskip("datasets", reason="needs the package datasets")
+    monkeypatch.setattr(datasets.config, "HF_DATASETS_OFFLINE", True)
+    monkeypatch.setattr(datasets.config, "HF_DATASETS_CACHE", tmp_path / "datasets")
+    commands = {"push": push, "pull": pull, "export": export}
+    names = run_page(PAGE, lambda words: done(commands[words[0]], *words[1:]))
+    assert list(names["store"]) == list(store)
+    last = store["lab/2"]
+    np.testing.assert_array_equal(names["joints"], last.joint_positions)
+    np.testing.assert_allclose(names["seconds"], last.timegrid.seconds())
