@@ -1,7 +1,7 @@
 """`motionkit pull`: a store or a run from the Hugging Face Hub."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -34,6 +34,7 @@ def pull(
     from motionkit.publish.downloads import pull_run, pull_store
 
     repository = parse_address(address)
+    found: dict[str, Any]
     with progress() as show:
         if repository.kind == DATASET:
             if run is not None:

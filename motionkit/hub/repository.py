@@ -133,7 +133,7 @@ def fetch(snapshot: Snapshot, names: Collection[str], on_progress: OnProgress = 
         )
 
     def download(name: str) -> str:
-        return hf_hub_download(filename=paths[name], **where)
+        return str(hf_hub_download(filename=paths[name], **where))
 
     with _asking(repository), task(on_progress, "fetch", len(paths), done=len(paths) - len(missing)) as work:
         pool = ThreadPoolExecutor(DOWNLOADS_AT_ONCE)
@@ -207,8 +207,10 @@ def push(
 @contextmanager
 def _asking(repository: Repository) -> Iterator[None]:
     """What huggingface_hub raises, in words; without the bars and the retries that it draws and logs."""
-    from huggingface_hub import errors, utils
+    from huggingface_hub import errors
+    from huggingface_hub import utils as untyped
 
+    utils: Any = untyped
     drawn = not utils.are_progress_bars_disabled()
     utils.disable_progress_bars()
     verbosity = utils.logging.get_verbosity()
