@@ -21,6 +21,8 @@ html_css_files = ["site.css"]
 html_copy_source = False
 html_show_copyright = False
 
+# A block of no language is commands or what they print: no Python.
+highlight_language = "none"
 # A link may name any heading, as on the sites of repositories.
 myst_heading_anchors = 4
 # Docstrings mark names as Markdown does.
