@@ -36,6 +36,7 @@ SamplesFps = Annotated[
 RunName = Annotated[
     str | None, typer.Option(help="A run whose model answers the others' captions; it is the first then.")
 ]
+ModelName = Annotated[str | None, typer.Option(help="Which of the run's models, where it holds several.")]
 RunsFolder = Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")]
 StorePath = Annotated[
     Path | None, typer.Option(help="Real motion of this store is a system too, up to its own framerates.")
@@ -55,6 +56,7 @@ def make(
     samples: Samples = None,
     samples_fps: SamplesFps = None,
     run: RunName = None,
+    model: ModelName = None,
     runs: RunsFolder = None,
     store: StorePath = None,
     split: Split = "test",
@@ -72,7 +74,8 @@ def make(
     """
     from eval.study.draw import Design, draw_trials
     from eval.study.page import write_study
-    from eval.study.systems import of_run, require_two
+    from eval.study.systems import of_model, require_two
+    from motionkit.generate.models import load_model, model_of
 
     key = out.with_suffix(".key.json")
     there = [path for path in (out, key) if path.exists()]
@@ -83,7 +86,8 @@ def make(
     with progress() as show:
         systems = _systems(evaluated, store, split, show)
         if run is not None and evaluated.run is not None and systems:
-            systems = [of_run(evaluated.run, systems, seed, seconds), *systems]
+            loaded = load_model(model or model_of(evaluated.run), evaluated.run)
+            systems = [of_model(loaded, systems, seed, seconds), *systems]
         require_two(systems)
         trials = draw_trials(systems, design)
         written = write_study(out, key, systems, trials.value, design, seconds, show)

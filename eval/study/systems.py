@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
@@ -15,7 +14,7 @@ from motionkit.core.errors import UsageError
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
-from motionkit.generate.models import GenerationRequest, MayKnowNoConditions, load_model, model_of
+from motionkit.generate.models import GenerationRequest, GenerativeModel, MayKnowNoConditions
 
 Positions = Float32[np.ndarray, "frames 22 3"]
 
@@ -58,12 +57,11 @@ def of_real(real: RealMotion) -> System:
     return System("real motion", real.sequence_ids, real.captions, _seconds(real), positions, real.fps)
 
 
-def of_run(run: Path, beside: Sequence[System], seed: int, longest_seconds: float) -> System:
-    """What a run's model makes for the captions and lengths of other systems, planted, as `motionkit generate` does.
+def of_model(model: GenerativeModel, beside: Sequence[System], seed: int, longest_seconds: float) -> System:
+    """What a model makes for the captions and lengths of other systems, planted, as `motionkit generate` does.
 
-    Motions are generated when they are asked for. Raises `UsageError` for a run that holds no model, or several.
+    Motions are generated when they are asked for.
     """
-    model = load_model(model_of(run), run)
     prompts: dict[str, float] = {}
     for system in beside:
         for caption, length in zip(system.captions, system.seconds, strict=True):
@@ -79,7 +77,7 @@ def of_run(run: Path, beside: Sequence[System], seed: int, longest_seconds: floa
         (field,) = model.generate([requests[index]], seed=seed, first=index)
         return to_motion(planted(field, "free"), fps).joint_positions
 
-    ids = tuple(f"{run.name}#{number}" for number in range(len(requests)))
+    ids = tuple(f"{model.name}#{number}" for number in range(len(requests)))
     captions, seconds = tuple(each.text for each in requests), tuple(each.duration_seconds or 0.0 for each in requests)
     return System(model.name, ids, captions, seconds, positions)
 
