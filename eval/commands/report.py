@@ -1,17 +1,25 @@
 """`motionkit report`: every result as one page."""
 
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.cli.console import print_json, print_text, stderr
+from motionkit.cli.console import print_json, print_text, progress, stderr
 from motionkit.core.errors import UsageError
 from motionkit.core.files import write_whole
+from motionkit.core.progress import task
 from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from eval.report.results import Result
+    from motionkit.core.progress import OnProgress
+
+# Of a run's motions in the page.
+NUM_CAPTIONS, FPS, SHORTEST_SHOWN_SECONDS, LONGEST_SHOWN_SECONDS = 2, Fraction(60), 2.0, 6.0
 
 
 def report(
@@ -23,17 +31,24 @@ def report(
     store: Annotated[
         Path | None, typer.Option(help="With html: what this store holds in front of its results.", show_default="none")
     ] = None,
+    run: Annotated[
+        list[str] | None,
+        typer.Option(help="With html: training curves of this run; with --store its motions too. May be repeated."),
+    ] = None,
+    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print every result as JSON.")] = False,
 ) -> None:
     """Show every result of the results folder: one HTML page, pictures, or Markdown, LaTeX or CSV on stdout.
 
+    In front of them what a store holds, and how runs were trained and what they answer to held-out captions.
+
     Results that cannot be read are named, and the exit code is 1.
 
-    Example: motionkit report --store store
+    Example: motionkit report --store store --run nano
     """
     from dataclasses import asdict
 
-    from eval.report.render import to_csv, to_html, to_latex, to_markdown
+    from eval.report.render import to_csv, to_latex, to_markdown
     from eval.report.results import ResultError, find_results
 
     folder = results or default_path("results")
@@ -44,7 +59,7 @@ def report(
         names = ", ".join(path.name for path in there.others)
         stderr.print(f"not results, and not shown: {names}")
     found = list(there.results)
-    if not found and not there.faults:
+    if not found and not there.faults and not run:
         raise UsageError(f"there is no result in {str(folder)!r}: motionkit eval --table 2 makes one")
     printers = {"markdown": to_markdown, "latex": to_latex, "csv": to_csv}
     if as_json:
@@ -53,7 +68,7 @@ def report(
         print_text("\n".join(printers[format](result) for result in found))
     elif format == "html":
         page = out or folder / "report.html"
-        write_whole(page, to_html(found, cards=[] if store is None else [_card(store)]))
+        write_whole(page, _page(found, store, [(runs or default_path("runs")) / name for name in run or ()]))
         print(page)
         stderr.print(f"{len(found)} results")
     elif format == "png":
@@ -66,6 +81,17 @@ def report(
         raise ResultError(f"{count} of {count + len(found)} results in {str(folder)!r} could not be read (see above)")
 
 
+def _page(results: "list[Result]", store: Path | None, runs: list[Path]) -> str:
+    from eval.report.curves import figure_of
+    from eval.report.render import to_html
+
+    cards = [] if store is None else [_card(store)]
+    with progress() as show:
+        cards += [_run_card(run, store, show) for run in runs]
+    figures = {number: figure for number, result in enumerate(results) if (figure := figure_of(result)) is not None}
+    return to_html(results, cards=cards, figures=figures)
+
+
 def _card(store: Path) -> str:
     from motionkit.export.corpus_card import corpus_card
     from motionkit.store import Store
@@ -74,22 +100,55 @@ def _card(store: Path) -> str:
     return corpus_card(summarise(Store.open(store)))
 
 
+def _run_card(run: Path, store: Path | None, show: "OnProgress") -> str:
+    from eval.report.training import run_card
+
+    return run_card(run, [] if store is None else list(_motions(run, store, show)))
+
+
+def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, str]]:
+    """For some held-out captions a page of the real motion and of what each model of a run makes of it, planted."""
+    import numpy as np
+
+    from eval.sets.real import real_motion
+    from eval.study.systems import of_model, of_real
+    from eval.tables.models import trained_models
+    from motionkit.core.skeleton import SMPL22
+    from motionkit.export.player.page import page_of
+    from motionkit.export.player.takes import Take
+    from motionkit.store import Store
+
+    held_out = real_motion(Store.open(store), "test")
+    real, rates = of_real(held_out), held_out.fps
+    order = [
+        index
+        for index in np.random.default_rng(0).permutation(len(real.captions)).tolist()
+        if real.seconds[index] >= SHORTEST_SHOWN_SECONDS
+    ]
+    captioned = {real.captions[index]: index for index in order if real.captions[index]}
+    chosen = list(captioned.values() or order)[:NUM_CAPTIONS]
+    prompts = replace(
+        real,
+        captions=tuple(real.captions[index] for index in chosen),
+        seconds=tuple(real.seconds[index] for index in chosen),
+    )
+    models = trained_models(run).value.values()
+    with task(show, "motions", len(chosen) * (len(models) + 1)) as work:
+        made = [of_model(each.loaded, [prompts], 0, LONGEST_SHOWN_SECONDS) for each in models]
+        for number, index in enumerate(chosen):
+            takes = []
+            for system, place in [(real, index), *((each, number) for each in made)]:
+                fps = FPS if system is not real or system.has(index, FPS) else rates[index]
+                positions = system.positions(place, fps)[: int(LONGEST_SHOWN_SECONDS * fps)]
+                takes.append(Take(system.name, positions, SMPL22, fps))
+                work.advance()
+            yield real.captions[index] or f"Motion {number + 1}", page_of("", takes)
+
+
 def _pictures(results: "list[Result]", folder: Path) -> list[Path]:
     """Draw the calibration and every result with columns of framerates, or of seconds and a quality; what was drawn."""
-    from eval.clip_fid.calibration import TASK
-    from eval.report.curves import calibration_figure, cost_curve_of, cost_figure, panels_of
-    from eval.report.figures import curves_figure, save
+    from eval.report.curves import figure_of
+    from eval.report.figures import save
 
-    drawn = []
-    for result in results:
-        panels, cost = panels_of(result), cost_curve_of(result)
-        if result.task == TASK:
-            figure = calibration_figure(result)
-        elif panels:
-            figure = curves_figure(panels)
-        elif cost:
-            figure = cost_figure(cost)
-        else:
-            continue
-        drawn.append(save(figure, folder / f"{result.task}.png"))
-    return drawn
+    drawn = [(figure_of(result), folder / f"{result.task}.png") for result in results]
+    return [save(figure, path) for figure, path in drawn if figure is not None]

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.clip_fid.calibration import DISJOINT, FLAT, MAX_FLAT_RATIO, level_name
+from eval.clip_fid.calibration import DISJOINT, FLAT, MAX_FLAT_RATIO, TASK, level_name
 from eval.report.differences import SUFFIX
-from eval.report.figures import BLUE, CURVE_COLOURS, FRAMERATE_LABEL, GREY, MARKERS, Curve, Panel
+from eval.report.figures import BLUE, CURVE_COLOURS, FRAMERATE_LABEL, GREY, MARKERS, Curve, Panel, curves_figure
 from eval.report.results import Block, Cell, Result, ResultError, Row
 from eval.sets.corruptions import Family, families
 
@@ -140,7 +140,17 @@ def _number(column: str) -> float:
     return float(match["number"])
 
 
-PANEL_INCHES = (3.1, 3.3)
+def figure_of(result: Result) -> Figure | None:
+    """A calibration, or a table over framerates or over seconds and a quality, drawn; None for any other."""
+    panels, cost = panels_of(result), cost_curve_of(result)
+    if result.task == TASK:
+        return calibration_figure(result)
+    if panels:
+        return curves_figure(panels)
+    return cost_figure(cost) if cost else None
+
+
+PANEL_INCHES, PANELS_A_LINE = (3.1, 3.0), 3
 
 
 def calibration_figure(result: Result) -> Figure:
@@ -154,17 +164,21 @@ def calibration_figure(result: Result) -> Figure:
         raise ResultError(f"{result.title}: there is no calibration to draw in this result")
     kinds = families()
     width, height = PANEL_INCHES
-    size = (width * (len(kinds) + 1), height * len(blocks) + 0.7)
+    lines = -(-(len(kinds) + 1) // PANELS_A_LINE)
+    size = (width * PANELS_A_LINE, height * lines * len(blocks) + 0.7)
     figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(len(blocks), len(kinds) + 1, squeeze=False, sharey="row")
-    for line, block in zip(grid, blocks, strict=True):
+    grid = figure.subplots(lines * len(blocks), PANELS_A_LINE, squeeze=False, sharey=True)
+    for number, block in enumerate(blocks):
         rows = {row.name: row for row in block.rows}
-        _draw_flat(line[0], block, [row for row in block.rows if row.name.startswith(FLAT)])
-        for axes, family in zip(line[1:], kinds, strict=True):
+        places = grid[number * lines : (number + 1) * lines].ravel()
+        _draw_flat(places[0], block, [row for row in block.rows if row.name.startswith(FLAT)])
+        for axes, family in zip(places[1:], kinds, strict=False):
             _draw_family(axes, block, rows, family)
-        for axes in line:
+        for axes in places[: len(kinds) + 1]:
             _finish(axes, block, rows)
-        line[0].set_ylabel(f"{block.provenance['features']}\nmultiples of the same-take floor", fontsize=9)
+        for axes in places[len(kinds) + 1 :]:
+            axes.set_visible(False)
+        places[0].set_ylabel(f"{block.provenance['features']}\nmultiples of the same-take floor", fontsize=9)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9, frameon=False)
     return figure

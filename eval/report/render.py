@@ -1,17 +1,19 @@
 """Markdown, LaTeX, CSV and HTML from results; nothing is computed here."""
 
+import base64
 import csv
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from eval.report.differences import best_in_column
 from eval.report.results import Block, Cell, Measure, Result, Row
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from matplotlib.figure import Figure
 
 SIGNIFICANT_DIGITS = 3
 MAX_DECIMALS = 6
@@ -36,9 +38,43 @@ def to_latex(result: Result) -> str:
     return _environment(latex=True).get_template("table.tex.j2").render(result=result)
 
 
-def to_html(results: Sequence[Result], title: str = "motionkit results", cards: Sequence[str] = ()) -> str:
-    """All results as one page that needs no other file and no network; `cards` are articles, as HTML, in front."""
-    return _environment(html=True).get_template("report.html.j2").render(results=results, title=title, cards=cards)
+def to_html(
+    results: Sequence[Result],
+    title: str = "motionkit results",
+    cards: Sequence[str] = (),
+    figures: Mapping[int, "Figure"] = {},
+) -> str:
+    """All results as one page that needs no other file and no network.
+
+    `cards` are articles, as HTML, in front; `figures` stand in the results of these numbers, from 0.
+    """
+    page = _environment(html=True).get_template("report.html.j2")
+    return page.render(results=results, title=title, cards=cards, figures=figures)
+
+
+def card(template: str, **values: Any) -> str:
+    """An article in front of a page's results, from a template of this folder."""
+    return _environment(html=True).get_template(template).render(values)
+
+
+def picture(figure: "Figure") -> str:
+    """A figure as PNG in a data URI."""
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=110)
+    return f"data:image/png;base64,{base64.b64encode(drawn.getvalue()).decode()}"
+
+
+def origin_line(result: Result) -> str:
+    """By which command, at which commit and from which store a result was made, as far as it says."""
+    environment = result.provenance.get("environment", {})
+    store = result.provenance.get("store", {}).get("fingerprint", "")
+    facts = {
+        "by": environment.get("command"),
+        "at commit": (environment.get("commit") or "")[:12],
+        "from the store with fingerprint": store[:12],
+        "on": (environment.get("time") or "")[:10],
+    }
+    return ", ".join(f"{what} {value}" for what, value in facts.items() if value)
 
 
 def to_csv(result: Result) -> str:
@@ -139,6 +175,8 @@ def _environment(*, html: bool = False, latex: bool = False) -> "Environment":
         "details": detail_tables,
         "measure": format_measure,
         "best": best_in_column,
+        "picture": picture,
+        "origin": origin_line,
         "tex": _escape_latex,
         "md": lambda text: str(text).replace("|", "\\|"),
     }

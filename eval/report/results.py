@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -129,13 +130,20 @@ class Result:
 
 
 def environment() -> dict[str, Any]:
-    """Versions, processors, time, and the commit where this runs from a git checkout."""
+    """Versions, processors, time, the command, and the commit where this runs from a git checkout."""
     return {
+        "command": _command(sys.argv),
         "versions": versions(),
         "processors": os.cpu_count(),
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": commit(),
     }
+
+
+def _command(words: list[str]) -> str:
+    """A command line without the folders of absolute paths, which are nobody else's."""
+    program = Path(words[0]).name if words else ""
+    return shlex.join([program, *(re.sub(r"(^|=)/(?:[^/]+/)*", r"\1", word) for word in words[1:])])
 
 
 def provenance(store: Path | None = None, runs: Iterable[Path] = ()) -> dict[str, Any]:

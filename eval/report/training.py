@@ -1,0 +1,92 @@
+"""A run's training: what each of its stages was trained from, and its losses over the steps."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from eval.report.figures import CURVE_COLOURS
+from eval.report.render import card
+from motionkit.training.run import RunError, RunFolder, weights_sha256
+
+# In lines of metrics.jsonl that are no losses.
+CLOCK = ("step", "seconds")
+COLUMNS = 3
+
+
+@dataclass(frozen=True)
+class StageTraining:
+    """One stage of a run: facts for people, in order, and its logged steps, oldest first."""
+
+    name: str
+    facts: Mapping[str, str]
+    lines: Sequence[Mapping[str, float]]
+
+
+def stages_of(run: Path) -> list[StageTraining]:
+    """Every stage of a run, in the order in which they build on each other as far as names tell.
+
+    Raises `RunError` for a folder without stages, `DamagedFileError` for files that are not what was written.
+    """
+    folders = sorted(path for path in run.glob("*") if (path / "config.json").is_file())
+    if not folders:
+        raise RunError(f"{run} holds no trained stage (motionkit train --run {run.name})")
+    weights = weights_sha256(run)
+    found = []
+    for path in folders:
+        stage = RunFolder(run).stage(path.name)
+        config, summary = stage.read_config(), stage.read_summary() if stage.is_complete else {}
+        steps = summary.get("steps", summary.get("step"))
+        facts = {
+            "recipe": str(config.get("recipe", "–")),
+            "steps": "not finished" if not summary else "–" if steps is None else f"{int(steps):,}",
+            "parameters": f"{int(summary['parameters']):,}" if "parameters" in summary else "–",
+            "processor time": f"{summary['cpu_seconds']:,.0f} s" if "cpu_seconds" in summary else "–",
+            "commit": str(config.get("commit") or "–")[:12],
+            "store": str(config.get("store_fingerprint", "–"))[:12],
+            "weights (sha256)": weights.get(path.name, "–")[:12],
+        }
+        found.append(StageTraining(path.name, facts, stage.read_metrics()))
+    return found
+
+
+def training_figure(stages: Sequence[StageTraining], width_inches: float = 12.0) -> Figure | None:
+    """What was logged of each stage over its steps, on logarithmic axes; None where nothing was."""
+    logged = [stage for stage in stages if stage.lines]
+    if not logged:
+        return None
+    columns = min(COLUMNS, len(logged))
+    rows = -(-len(logged) // columns)
+    figure = Figure(figsize=(width_inches, 3.2 * rows), layout="constrained")
+    places = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes, stage in zip(places, logged, strict=False):
+        for number, name in enumerate(dict.fromkeys(key for line in stage.lines for key in line if key not in CLOCK)):
+            there = [line for line in stage.lines if line.get(name, 0.0) > 0]
+            axes.plot(
+                [line["step"] for line in there],
+                [line[name] for line in there],
+                color=CURVE_COLOURS[number % len(CURVE_COLOURS)],
+                linewidth=1.8 if name == "loss" else 0.9,
+                label=name,
+            )
+        axes.set_yscale("log")
+        axes.set_title(stage.name, fontsize=10, loc="left")
+        axes.set_xlabel("steps", fontsize=8.5)
+        axes.tick_params(labelsize=8, which="both")
+        axes.grid(axis="y", color="#E4E4E4", linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(fontsize=7.5, frameon=False)
+    for unused in places[len(logged) :]:
+        unused.set_visible(False)
+    return figure
+
+
+def run_card(run: Path, motions: Sequence[tuple[str, str]] = ()) -> str:
+    """An article about a run for the report's page; `motions` are titles and pages of moving skeletons.
+
+    Raises as `stages_of`.
+    """
+    stages = stages_of(run)
+    figure = training_figure(stages)
+    return card("run.html.j2", name=run.name, stages=stages, figure=figure, motions=motions)
