@@ -40,14 +40,16 @@ def score_differences(rows: Mapping[str, Mapping[str, Score]], column_of: Mappin
 def differences_block(block: Block, differences: Differences) -> Block | None:
     """A row for each pair of a block's rows that says something, and what it allows to say; None where there is none.
 
-    Of many rows nearly all pairs are of no interest. Those that stay hold the best row of a column, or the same motions
-    treated in two ways, whose names begin alike ("X" and "X, planted"); where no row can be best, all do.
+    Of many rows nearly all pairs are of no interest. Those that stay hold the best row of a column or a reference, or
+    the same motions treated in two ways, whose names begin alike ("X" and "X, planted"); where no row can be best, all
+    do.
     """
     best = {names[0] for names in _ranked(block).values()}
+    shown = best | {row.name for row in block.rows if row.origin == "reference"}
     kept = {
         pair: found
         for pair, found in differences.items()
-        if found and (not best or best & {*pair} or pair[0].startswith(pair[1]) or pair[1].startswith(pair[0]))
+        if found and (not best or shown & {*pair} or pair[0].startswith(pair[1]) or pair[1].startswith(pair[0]))
     }
     if not kept:
         return None

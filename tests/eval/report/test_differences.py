@@ -10,7 +10,7 @@ MEASURES = (measure("fid", column="FID"), measure("accuracy", column="Accuracy")
 
 def block_of(**fids: float) -> Block:
     """A block of FIDs, lower being better."""
-    rows = tuple(Row(name, "ours", {"FID": Cell(fid)}) for name, fid in fids.items())
+    rows = tuple(Row(name, "reference" if name == "r" else "ours", {"FID": Cell(fid)}) for name, fid in fids.items())
     return Block("t", ("FID", "Accuracy"), rows, metrics=MEASURES)
 
 
@@ -40,7 +40,10 @@ def test_rows_without_resamplings_have_no_difference() -> None:
 
 def test_pairs_without_the_best_row_are_shown_of_the_same_motions_alone() -> None:
     names = ("a", "b", "b, planted", "c")
-    every = {pair: {"FID": Difference(-1.0, 0.5)} for pair in pairs_of(names)}
-    shown = differences_block(block_of(a=1.0, b=3.0, **{"b, planted": 2.0}, c=4.0), every)
+    every = {pair: {"FID": Difference(-1.0, 0.5)} for pair in pairs_of(names, ("r",))}
+    shown = differences_block(block_of(r=0.1, a=1.0, b=3.0, **{"b, planted": 2.0}, c=4.0), every)
     assert shown is not None
-    assert [row.name for row in shown.rows] == ["a − b", "a − b, planted", "a − c", "b − b, planted"]
+    assert [row.name for row in shown.rows] == [
+        *("a − b", "a − b, planted", "a − c", "b − b, planted"),
+        *("a − r", "b − r", "b, planted − r", "c − r"),
+    ]
