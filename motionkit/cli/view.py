@@ -131,6 +131,10 @@ def _film_asked(format: str, out: Path | None, speed: float | None) -> tuple[str
     films = ("mp4", "gif", "png")
     named = format if format in films else "" if out is None else out.suffix.lower()[1:]
     film = f".{named}" if named in films else ""
+    if format in films and out is not None and not out.is_dir() and out.suffix.lower() != film:
+        raise UsageError(
+            f"--out {out} is no {format} file by its name: call it {out.with_suffix(film)}, or leave --format"
+        )
     if speed is not None and not (film in (".mp4", ".gif") and 0 < speed < float("inf")):
         raise UsageError("--speed is a positive number and goes with --format mp4 or gif; a page has its own speed")
     return film, "auto" if format in films else format

@@ -5,14 +5,14 @@ No motion is resampled: a picture shows each take's last frame that has come, on
 
 import subprocess
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt8
+from jaxtyping import Float64, Int64, UInt8
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -32,6 +32,8 @@ GROUND = "#d8d8d8"
 # The camera stands before the body, to its left and a little above.
 ASIDE_RADIANS, ABOVE_RADIANS = np.radians(35.0), np.radians(14.0)
 GRID_METRES, AIR = 3, 1.15
+# Poses that are asked how far they reach.
+MOST_LOOKED_AT = 1000
 # A gif's frames last whole hundredths of a second, and browsers show none shorter than two.
 GIF_FPS, GIF_TICKS = Fraction(50), 100
 MOST_PICTURES = 20_000
@@ -111,7 +113,7 @@ def _strip(takes: Sequence[Take]) -> Picture:
     size = STRIP_PIXELS / DPI
     sheet = Figure(figsize=(STRIP_POSES * size, len(takes) * size), dpi=DPI)
     for row, take in enumerate(takes):
-        frames = np.linspace(0, take.num_frames - 1, STRIP_POSES).round().astype(int)
+        frames = np.unique(np.linspace(0, take.num_frames - 1, STRIP_POSES).round().astype(int))
         for column, frame in enumerate(frames.tolist()):
             place = (STRIP_POSES, len(takes), row * STRIP_POSES + column)
             _Panel.on(sheet, take, place, named=column == 0).show(frame)
@@ -125,11 +127,15 @@ def _frames_at(take: Take, seconds: Float64[np.ndarray, "pictures"]) -> Int64[np
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """Where a take is seen from: what is right and up on the picture, the floor's height, half of what is in view."""
+    """Where a take is seen from: what is right and up on the picture, heights of the floor and of the picture's middle.
+
+    `half` of what is in view, in metres, holds every pose: the camera goes with the joints' mean.
+    """
 
     right: Float64[np.ndarray, "3"]
     up: Float64[np.ndarray, "3"]
     floor: float
+    middle: float
     half: float
 
     @classmethod
@@ -139,10 +145,18 @@ class _View:
         camera = np.array([np.sin(yaw) * level, height, np.cos(yaw) * level])
         right = np.cross([0.0, 1.0, 0.0], camera)
         right /= np.linalg.norm(right)
-        places = take.joint_positions[np.isfinite(take.joint_positions).all(axis=(1, 2))]
+        places = take.joint_positions[:: max(1, take.num_frames // MOST_LOOKED_AT)].astype(np.float64)
+        places = places[np.isfinite(places).all(axis=(1, 2))]
         lowest, highest = (float(places[..., 1].min()), float(places[..., 1].max())) if len(places) else (0.0, 1.0)
         floor = 0.0 if abs(lowest) < (highest - lowest) / 7 else lowest
-        return cls(right, np.cross(camera, right), floor, AIR * max(highest - floor, 0.1) / 2)
+        middle = (floor + highest) / 2
+        view = cls(right, np.cross(camera, right), floor, middle, 0.0)
+        reach = max((float(np.abs(view.flat(pose - view.centre(pose))).max()) for pose in places), default=0.0)
+        return replace(view, half=AIR * max(reach, 0.05))
+
+    def centre(self, pose: Float64[np.ndarray, "joints 3"]) -> Float64[np.ndarray, "3"]:
+        x, _, z = pose.mean(axis=0)
+        return np.array([x, self.middle, z])
 
     def flat(self, places: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 2"]:
         return np.stack((places @ self.right, places @ self.up), axis=-1)
@@ -181,9 +195,8 @@ class _Panel:
         return cls(take, view, ends, bones, ground, clock)
 
     def show(self, frame: int) -> None:
-        places: Float32[np.ndarray, "joints 3"] = np.nan_to_num(self.take.joint_positions[frame])
-        middle = places.mean(axis=0).astype(np.float64)
-        middle[1] = self.view.floor + self.view.half / AIR
+        places = np.nan_to_num(self.take.joint_positions[frame]).astype(np.float64)
+        middle = self.view.centre(places)
         flat = self.view.flat(places - middle)
         self.bones.set_segments(list(flat[self.ends]))
         self.ground.set_segments(list(self.view.flat(_grid(middle, self.view.floor) - middle)))

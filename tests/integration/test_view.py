@@ -252,3 +252,5 @@ def test_films_and_strips(motionkit: Run, motion: Motion, here: Path) -> None:
     assert again.code == 1 and "--overwrite replaces it" in again.stderr
     page = motionkit("view", "walk.npz", "--speed", 0.5)
     assert page.code == 2 and "goes with --format mp4 or gif" in page.stderr
+    named = motionkit("view", "walk.npz", "--format", "gif", "--out", "film")
+    assert named.code == 2 and "call it film.gif" in named.stderr
