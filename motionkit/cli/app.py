@@ -6,7 +6,8 @@ the same way.
 """
 
 import sys
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from typing import Annotated, Any
 
 import typer
@@ -37,12 +38,25 @@ def build_app(only: str = "") -> typer.Typer:
     app.callback()(_options)
     entries = entry_points(group="motionkit.commands")
     for entry in sorted(entries.select(name=only) or entries, key=lambda entry: entry.name):
-        loaded = entry.load()
+        loaded = _loaded(entry)
         if isinstance(loaded, typer.Typer):
             app.add_typer(loaded, name=entry.name)
         else:
             app.command(name=entry.name)(loaded)
     return app
+
+
+def _loaded(entry: EntryPoint) -> Any:
+    """What an entry point names; raises `MotionkitError`, for a repository's own package may hide that of the name."""
+    try:
+        return entry.load()
+    except Exception as error:
+        package = entry.module.partition(".")[0]
+        found = find_spec(package)
+        raise MotionkitError(
+            f"the command {entry.name!r} cannot be loaded ({describe(error)}): Python finds {package!r} in "
+            f"{found.origin if found else 'no folder'}; another project's? Leave its folder out of PYTHONPATH"
+        ) from error
 
 
 def _print_version(wanted: bool) -> bool:

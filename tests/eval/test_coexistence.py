@@ -5,6 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from tests.helpers.repository import REPOSITORY
+
 FILES = ("eval_humanml.py", "eval_humanact12_uestc.py", "unconstrained/evaluate.py", "a2m/tools.py", "a2m/gru_eval.py")
 
 
@@ -42,6 +46,26 @@ def test_the_command_line_runs_beside_an_eval_package_of_somebodys(tmp_path: Pat
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("motionkit: there is no result in 'none'"), done.stderr
+
+
+@pytest.mark.parametrize("name", ["eval.py", "eval/__init__.py"])
+def test_a_package_of_somebodys_that_hides_ours_is_told(tmp_path: Path, name: str) -> None:
+    theirs = tmp_path / name
+    theirs.parent.mkdir(exist_ok=True)
+    theirs.write_text("", encoding="utf-8")
+    for command, hidden in (("report", True), ("info", False)):
+        done = subprocess.run(
+            (sys.executable, "-m", "motionkit", command, "--help"),
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(REPOSITORY)))},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == int(hidden), done.stderr
+        if hidden:
+            (line,) = done.stderr.splitlines()
+            assert str(theirs) in line and "Leave its folder out of PYTHONPATH" in line
 
 
 def test_no_module_of_ours_hides_one_of_theirs() -> None:
