@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 from motionkit.core.errors import StoreError
 from motionkit.core.framerate import format_fps
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
+from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
+from motionkit.formats.source.body_frame import standing_metres
 from motionkit.store.cache.folder import cache_bytes
 from motionkit.store.reader import Store
 from motionkit.store.schema import (
@@ -46,6 +47,8 @@ COUNTED_COLUMNS = (
 )
 # Grown people differ by a third, a child from a grown man by less than 2; an inch is 2.54 cm, CMU's unit 2.2 inches.
 UNLIKE_FACTOR = 2.0
+# From ankle to head: nobody is so small or tall.
+SMALLEST_METRES, LARGEST_METRES = 0.5, 2.1
 DURATION_EDGES = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 
 
@@ -259,16 +262,29 @@ class BodySizes:
             self.warning_of(skeleton)
 
     def warning_of(self, skeleton: Skeleton) -> str:
-        """A warning where a skeleton is of another size than the first with its joints; else empty."""
+        """A warning where a skeleton is of another size than the first with its joints, or nobody's; else empty."""
         size = float(np.linalg.norm(skeleton.offsets[1:], axis=-1).sum())
         if size == 0.0:  # markers
             return ""
         first, name = self._first.setdefault(skeleton.joint_names, (size, skeleton.name))
         factor = max(size / first, first / size)
         if factor < UNLIKE_FACTOR:
-            return ""
+            return _of_nobody(skeleton)
         return (
             f"its body is {factor:.3g} times {'as large' if size > first else 'smaller'} as that of skeleton {name!r}, "
             "which has the same joints: was the unit of one of them taken for another? The log says which it was; "
             "--unit-metres sets it"
         )
+
+
+def _of_nobody(skeleton: Skeleton) -> str:
+    try:
+        metres = standing_metres(skeleton, rest_positions(skeleton)[None])
+    except SkeletonMapError:
+        return ""
+    if SMALLEST_METRES < metres < LARGEST_METRES:
+        return ""
+    return (
+        f"its body is {metres:.3g} m from ankle to head: is that its unit? The log says which one was taken; "
+        "--unit-metres sets it"
+    )

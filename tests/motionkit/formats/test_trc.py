@@ -37,6 +37,14 @@ def test_joints_by_their_names(tmp_path: Path) -> None:
     np.testing.assert_allclose(_read(tmp_path, trc_text(z_up)).joint_positions, points, atol=1e-6)
 
 
+def test_key_points_without_a_face_have_a_head(tmp_path: Path) -> None:
+    truth = walk().joint_positions[:FRAMES]
+    names = [name for name in TRC_JOINTS if name not in ("Head", "Nose")]
+    found = _read(tmp_path, trc_text(truth[:, [TRC_JOINTS[name] for name in names]], names=names))
+    away = map_joints(found, "smpl22")[:, 15] - truth[:, 15]
+    assert np.linalg.norm(away, axis=-1).mean() < 0.15
+
+
 def test_markers_that_are_no_joints_keep_their_axes(tmp_path: Path) -> None:
     names = [f"M{number}" for number in range(len(TRC_JOINTS))]
     found = _read(tmp_path, trc_text(_points(), names=names), fps=100)
