@@ -37,22 +37,23 @@ def score_differences(rows: Mapping[str, Mapping[str, Score]], column_of: Mappin
     return found
 
 
-def differences_block(block: Block, differences: Differences) -> Block | None:
-    """A row for each pair of a block's rows that says something, and what it allows to say; None where there is none.
+def of_interest(block: Block, differences: Differences) -> Differences:
+    """Of the differences between all rows of a block those that say something; nearly all pairs of many rows do not.
 
-    Of many rows nearly all pairs are of no interest. Those that stay hold the best row of a column or a reference, or
-    the same motions treated in two ways, whose names begin alike ("X" and "X, planted"); where no row can be best, all
-    do.
+    They hold the best row of a column or a reference, or the same motions treated in two ways, whose names begin alike
+    ("X" and "X, planted"). Where no row can be best, all are.
     """
     best = {names[0] for names in _ranked(block).values()}
     shown = best | {row.name for row in block.rows if row.origin == "reference"}
-    kept = {
+    return {
         pair: found
         for pair, found in differences.items()
-        if found and (not best or shown & {*pair} or pair[0].startswith(pair[1]) or pair[1].startswith(pair[0]))
+        if not best or shown & {*pair} or pair[0].startswith(pair[1]) or pair[1].startswith(pair[0])
     }
-    if not kept:
-        return None
+
+
+def differences_block(block: Block, differences: Differences) -> Block | None:
+    """A row for each pair of a block's rows, and what it allows to say; None where there is no pair."""
     rows = tuple(
         Row(
             f"{first} − {second}",
@@ -60,8 +61,11 @@ def differences_block(block: Block, differences: Differences) -> Block | None:
             {column: Cell(each.value, each.ci95) for column, each in found.items()},
             said(found, block.metrics),
         )
-        for (first, second), found in kept.items()
+        for (first, second), found in differences.items()
+        if found
     )
+    if not rows:
+        return None
     return Block(block.title + SUFFIX, block.columns, rows, note=NOTE, metrics=block.metrics)
 
 

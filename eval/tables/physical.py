@@ -22,7 +22,7 @@ from eval.metrics.resampling import (
     paired_difference,
     units_of,
 )
-from eval.report.differences import differences_block, pairs_of
+from eval.report.differences import differences_block, of_interest, pairs_of
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
@@ -216,7 +216,7 @@ def blocks_of(
         for first, second in pairs
     }
     block = Block(title, columns, found, note=note, metrics=measures)
-    differences = differences_block(block, told)
+    differences = differences_block(block, of_interest(block, told))
     return [block, *([differences] if differences else [])]
 
 

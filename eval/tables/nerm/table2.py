@@ -11,7 +11,7 @@ from eval.clip_fid.clips import num_features
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
 from eval.clip_fid.score import CLIP_FID, VERSION
 from eval.metrics.resampling import Difference
-from eval.report.differences import differences_block
+from eval.report.differences import differences_block, of_interest
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
@@ -264,7 +264,7 @@ def _blocks(
         },
         metrics=metrics,
     )
-    told = differences_block(scores, differences)
+    told = differences_block(scores, of_interest(scores, differences))
     return [scores] if told is None or not scores.rows else [scores, told]
 
 

@@ -15,7 +15,7 @@ from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
 from eval.metrics.replications import Score, Scores
 from eval.metrics.resampling import half_width
-from eval.report.differences import DRAWING, differences_block, score_differences
+from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
 from eval.report.results import Block, Cell, Origin, Result, Row, measure
 from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
@@ -267,7 +267,7 @@ def _block(
         provenance={"protocol": asdict(protocol)},
         metrics=tuple(measure(name, column=column) for name, column in shown.items()),
     )
-    told = differences_block(block, score_differences(own, shown))
+    told = differences_block(block, of_interest(block, score_differences(own, shown)))
     return Found([block] if told is None else [block, told], tuple(missing))
 
 

@@ -15,7 +15,7 @@ from eval.metrics.metric import find_metric
 from eval.metrics.r_precision import pool_distances, ranked_both_ways
 from eval.metrics.replications import Score, Scores, Tally
 from eval.metrics.resampling import half_width
-from eval.report.differences import DRAWING, differences_block, score_differences
+from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
 from eval.report.results import Block, Cell, Origin, Row, measure
 from eval.sets.found import Found, each_found
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
@@ -172,7 +172,8 @@ def scored_blocks(
         metrics=tuple(measure(name, column=title_of(name)) for name in turned),
     )
     own = {row.name: row.scores.values for row in rows if row.origin == "ours"}
-    told = differences_block(main, score_differences(own, {name: title_of(name) for name in every}))
+    differences = score_differences(own, {name: title_of(name) for name in every})
+    told = differences_block(main, of_interest(main, differences))
     return (main, other_way) if told is None else (main, other_way, told)
 
 

@@ -57,7 +57,7 @@ def test_options_become_what_tables_take(tmp_path: Path) -> None:
     settings = clips.chosen(seed=7)
     assert (settings.protocol.sizes, settings.protocol.num_clips) == (SecondsRange(0.4, 1.6), 128)
     assert settings.protocol.seed == 7
-    assert TableOptions(figure="5").number == "figure5" and TableOptions(calibrate=True).number is None
+    assert TableOptions(figure="5").numbers == ("figure5",) and TableOptions(calibrate=True).numbers == (None,)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_options_become_what_tables_take(tmp_path: Path) -> None:
         (lambda: EvaluatedOptions(samples=["real=here"]).chosen(), "choose another name"),
         (lambda: ClipOptions(sizes="64:16").chosen(0), "--sizes 64:16"),
         (lambda: ClipOptions(fps="fast").framerates(), "--fps fast"),
-        (lambda: TableOptions(table="1", calibrate=True).number, "give --table NUMBER"),
+        (lambda: TableOptions(table="1", calibrate=True).numbers, "give --table NUMBER"),
     ],
 )
 def test_what_means_nothing_is_refused(ask, told: str) -> None:
