@@ -151,12 +151,13 @@ class _View:
         floor = 0.0 if abs(lowest) < (highest - lowest) / 7 else lowest
         middle = (floor + highest) / 2
         view = cls(right, np.cross(camera, right), floor, middle, 0.0)
-        reach = max((float(np.abs(view.flat(pose - view.centre(pose))).max()) for pose in places), default=0.0)
+        reach = float(np.abs(view.flat(places - view.centre(places)[:, None])).max(initial=0.0))
         return replace(view, half=AIR * max(reach, 0.05))
 
-    def centre(self, pose: Float64[np.ndarray, "joints 3"]) -> Float64[np.ndarray, "3"]:
-        x, _, z = pose.mean(axis=0)
-        return np.array([x, self.middle, z])
+    def centre(self, poses: Float64[np.ndarray, "*poses joints 3"]) -> Float64[np.ndarray, "*poses 3"]:
+        made = np.asarray(poses.mean(axis=-2))
+        made[..., 1] = self.middle
+        return made
 
     def flat(self, places: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 2"]:
         return np.stack((places @ self.right, places @ self.up), axis=-1)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
@@ -82,20 +82,15 @@ def _forward_left_up(vectors: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray
 
 
 def _velocities(places: Float64[np.ndarray, "frames joints 3"], fps: float) -> Float64[np.ndarray, "frames joints 3"]:
-    before, after = _neighbours(len(places))
-    return np.asarray((places[after] - places[before]) * (fps / np.maximum(after - before, 1))[:, None, None])
+    return np.asarray(np.gradient(places, 1.0 / fps, axis=0) if len(places) > 1 else np.zeros_like(places))
 
 
 def _angular_velocities(turns: Float64[np.ndarray, "frames 4"], fps: float) -> Float64[np.ndarray, "frames 3"]:
-    before, after = _neighbours(len(turns))
+    # The frame before each and the one after it; at the ends the frame itself.
+    frames = np.arange(len(turns))
+    before, after = np.maximum(frames - 1, 0), np.minimum(frames + 1, len(turns) - 1)
     steps = kinematics.quaternion_multiply(turns[after], kinematics.quaternion_conjugate(turns[before]))
     return np.asarray(kinematics.quaternion_to_rotation_vector(steps) * (fps / np.maximum(after - before, 1))[:, None])
-
-
-def _neighbours(num_frames: int) -> tuple[Int64[np.ndarray, "frames"], Int64[np.ndarray, "frames"]]:
-    """The frame before and the frame after each; at the ends the frame itself."""
-    frames = np.arange(num_frames)
-    return np.maximum(frames - 1, 0), np.minimum(frames + 1, num_frames - 1)
 
 
 FORMAT = Format(name="robot-csv", write=write_robot_csv, suffixes=(".csv",))
