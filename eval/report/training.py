@@ -25,7 +25,7 @@ class StageTraining:
 
 
 def stages_of(run: Path) -> list[StageTraining]:
-    """Every stage of a run, in the order in which they build on each other as far as names tell.
+    """Every stage of a run, by name.
 
     Raises `RunError` for a folder without stages, `DamagedFileError` for files that are not what was written.
     """
