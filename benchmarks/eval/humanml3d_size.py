@@ -80,7 +80,7 @@ def main() -> None:
         report["stages_when_stopped"] = stages_done(folder)
         steps.append(measured(folder, *train))
         report["stages"] = stages_done(folder)
-        evaluate = ("eval", "--table", "2", "--features", "kinematic", "--max-motions", str(arguments.max_motions))
+        evaluate = ("eval", "--table", "2", "--features", "kinematic", "--motions", str(arguments.max_motions))
         steps.append(measured(folder, *evaluate))
         report |= {"steps": steps, "provenance": provenance(folder / "store")}
     table = Table("command", "wall s", "processor s", "peak memory, GB")

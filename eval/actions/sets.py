@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,11 +10,12 @@ from jaxtyping import Float32, Int64
 
 from eval.actions.recogniser import ActionRecogniser
 from eval.actions.scores import LabelledRecognition
+from eval.sets.planted import PLANTED
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
-from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
-from motionkit.fields.motion_field import to_motion
+from motionkit.fields.contact.planted import planted
+from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.fields.resample import resample
 from motionkit.formats.smpl.body import SMPL
 from motionkit.generate.models import GenerationRequest, GenerativeModel
@@ -118,27 +118,27 @@ def with_rotations(store: "Store", samples: SampleSet) -> SampleSet:
     return replace(samples, local_rotations=np.concatenate([each[:, :joints] for each in rotations]))
 
 
-def generated_like(
-    real: ActionSet, model: GenerativeModel, fps: Fraction, num_draws: int, seed: int
-) -> list[ActionSet]:
-    """For every real motion one with its action and duration (l_max where that is longer), `num_draws` times over.
+def generated_like(real: ActionSet, model: GenerativeModel, draw: int, seed: int) -> dict[str, ActionSet]:
+    """For every real motion one with its action and duration (l_max where that is longer): the model's row and, under
+    its name, that of the same motions planted.
 
     Draw d has seeds of its own. What the model raises for an action that it does not know goes through.
     """
-    durations = (real.samples.sequences.num_frames - 1) / float(fps)
+    durations = (real.samples.sequences.num_frames - 1) / float(real.samples.fps)
     requests = [
         GenerationRequest(min(float(seconds), model.max_duration_seconds), action=action)
         for seconds, action in zip(durations, real.samples.actions, strict=True)
     ]
-    draws = []
-    for draw in range(num_draws):
-        fields = model.generate(requests, seed=seed, first=draw * len(requests))
-        motions = [to_motion(field, fps) for field in fields]
-        draws.append(replace(real, samples=_generated_set(model.name, motions, real.samples), left_out=()))
-    return draws
+    fields = model.generate(requests, seed=seed, first=draw * len(requests))
+    standing = [planted(field, "free") for field in fields]
+    return {
+        name: replace(real, samples=_sampled(name, made, real.samples), left_out=())
+        for name, made in ((model.name, fields), (PLANTED.format(model.name), standing))
+    }
 
 
-def _generated_set(name: str, motions: Sequence[Motion], real: SampleSet) -> SampleSet:
+def _sampled(name: str, fields: Sequence[MotionField], real: SampleSet) -> SampleSet:
+    motions = [to_motion(field, real.fps) for field in fields]
     made = sample_set(
         name, real.fps, [motion.joint_positions for motion in motions], real.sequence_ids, actions=real.actions
     )

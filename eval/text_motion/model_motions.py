@@ -1,22 +1,26 @@
-"""What a trained model makes for the captions and durations of real motions, as embeddings that are kept."""
+"""What a trained model makes for the captions and durations of real motions, as embeddings that are kept.
+
+Every motion is generated once, and embedded as it is and planted: two rows of a table.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
-from functools import partial
+from functools import cache
 from hashlib import sha256
 from json import dumps
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from eval.sets.planted import PLANTED
 from eval.sets.sets import SampleSet, sample_set
 from eval.text_motion.embedding_cache import Embedder
 from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import MultiModalityRule
 from eval.text_motion.real_pairs import CaptionedMotions, as_kit_joints
 from motionkit.fields.contact.planted import planted
-from motionkit.fields.motion_field import MotionField, to_motion
+from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel
 
 AT_ONCE = 128
@@ -28,8 +32,9 @@ REPEATED_FROM = 1_000_000
 class ModelMotions:
     """A model and what it is asked for; `identity` is all that its motions depend on besides request and seed.
 
-    With `kit_lengths` its motions are brought to KIT-ML's 21 joints before they are embedded, with `is_planted` their
-    feet are made to stand. Raises what the model raises for a caption it cannot take, when motions are first asked for.
+    What it returns are the model's row, called `name`, and that of its planted motions. With `kit_lengths` motions are
+    brought to KIT-ML's 21 joints before they are embedded. Raises what the model raises for a caption it cannot take,
+    when motions are first asked for.
     """
 
     name: str
@@ -38,61 +43,70 @@ class ModelMotions:
     seed: int
     kit_lengths: Float32[np.ndarray, "21"] | None = None
     on_motions: Callable[[int], None] = lambda count: None
-    is_planted: bool = False
 
-    def draw(self, wanted: CaptionedMotions, number: int, embedder: Embedder) -> TextMotionPairs:
+    @property
+    def rows(self) -> tuple[str, str]:
+        """The names of both rows."""
+        return self.name, PLANTED.format(self.name)
+
+    def draw(self, wanted: CaptionedMotions, number: int, embedder: Embedder) -> dict[str, TextMotionPairs]:
         """One motion for each caption, as long as the real one; `number` counts independent draws."""
-        requests = _requests(wanted)
-        motions = self._embedded(requests, self.seed + number, 0, wanted.samples.fps, embedder)
-        return TextMotionPairs(embedder.texts(wanted.captions), motions, wanted.samples.sequence_ids)
+        made = self._embedded(_requests(wanted), self.seed + number, 0, wanted.samples.fps, embedder)
+        texts = embedder.texts(wanted.captions)
+        return {row: TextMotionPairs(texts, motions, wanted.samples.sequence_ids) for row, motions in made.items()}
 
     def repeated(
         self, wanted: CaptionedMotions, rule: MultiModalityRule, most_motions: int, embedder: Embedder
-    ) -> Float64[np.ndarray, "texts generations features"] | None:
+    ) -> dict[str, Float64[np.ndarray, "texts generations features"]]:
         """Several motions of one caption each, of as many captions as the rule asks and `most_motions` allows.
 
-        None where not two motions of one text fit.
+        Empty where not two motions of one text fit.
         """
         generations = min(rule.num_generations, most_motions)
         if generations < 2:
-            return None
+            return {}
         different = np.unique(wanted.samples.captions, return_index=True)[1]
         texts = min(rule.num_texts or len(different), len(different), most_motions // generations)
         chosen = np.random.default_rng((self.seed, 8)).choice(different, size=texts, replace=False)
         requests = [request for request in _requests(wanted.select(np.sort(chosen))) for _ in range(generations)]
-        found = self._embedded(requests, self.seed, REPEATED_FROM, wanted.samples.fps, embedder)
-        return found.reshape(texts, generations, -1)
+        made = self._embedded(requests, self.seed, REPEATED_FROM, wanted.samples.fps, embedder)
+        return {row: motions.reshape(texts, generations, -1) for row, motions in made.items()}
 
     def _embedded(
         self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction, embedder: Embedder
-    ) -> Float64[np.ndarray, "requests features"]:
+    ) -> dict[str, Float64[np.ndarray, "requests features"]]:
         requests_sha256 = sha256(dumps([asdict(request) for request in requests]).encode()).hexdigest()
         key = {"model": dict(self.identity), "requests": requests_sha256, "seed": seed, "first": first, "fps": str(fps)}
-        if self.is_planted:
-            key["planted"] = "free"
         if self.kit_lengths is not None:
             key["kit_lengths"] = sha256(self.kit_lengths.astype("<f4").tobytes()).hexdigest()
-        return embedder.kept(key, len(requests), partial(self._generated, requests, seed, first, fps, embedder))
 
-    def _generated(
-        self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction, embedder: Embedder
-    ) -> Float64[np.ndarray, "requests features"]:
-        motions = self._motions(requests, seed, first, fps)
-        if self.kit_lengths is not None:
-            motions = as_kit_joints(motions, self.kit_lengths)
-        return embedder.evaluator.embed_motions(motions)
+        @cache
+        def motions() -> dict[str, SampleSet]:
+            return self._motions(requests, seed, first, fps)
 
-    def _motions(self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction) -> SampleSet:
-        sequences = []
-        for start in range(0, len(requests), AT_ONCE):
-            some = requests[start : start + AT_ONCE]
-            fields: Sequence[MotionField] = self.model.generate(some, seed=seed, first=first + start)
-            if self.is_planted:
-                fields = [planted(field, "free") for field in fields]
-            sequences += [to_motion(field, fps).joint_positions for field in fields]
-            self.on_motions(len(some))
+        def kept(row: str, key: Mapping[str, object]) -> Float64[np.ndarray, "requests features"]:
+            return embedder.kept(key, len(requests), lambda: embedder.evaluator.embed_motions(motions()[row]))
+
+        as_it_is, planted_row = self.rows
+        return {as_it_is: kept(as_it_is, key), planted_row: kept(planted_row, key | {"planted": "free"})}
+
+    def _motions(
+        self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction
+    ) -> dict[str, SampleSet]:
         names = [f"motion {first + index}" for index in range(len(requests))]
-        return sample_set(self.name, fps, sequences, names, [request.text for request in requests])
+        texts = [request.text for request in requests]
+        as_it_is, planted_row = self.rows
+        positions: dict[str, list[Float32[np.ndarray, "_frames 22 3"]]] = {as_it_is: [], planted_row: []}
+        for start in range(0, len(requests), AT_ONCE):
+            fields = self.model.generate(requests[start : start + AT_ONCE], seed=seed, first=first + start)
+            made = [to_motion(field, fps).joint_positions for field in fields]
+            sample_set(self.name, fps, made, names[start : start + AT_ONCE])  # raises for NaN, which cannot be planted
+            positions[as_it_is] += made
+            positions[planted_row] += [to_motion(planted(field, "free"), fps).joint_positions for field in fields]
+            self.on_motions(len(made))
+        sets = {row: sample_set(row, fps, made, names, texts) for row, made in positions.items()}
+        lengths = self.kit_lengths
+        return sets if lengths is None else {row: as_kit_joints(made, lengths) for row, made in sets.items()}
 
 
 def _requests(wanted: CaptionedMotions) -> list[GenerationRequest]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from eval.report.results import Block, Result
 from eval.sample_folder import SampleFolder
 from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
-from eval.sets.planted import PLANTED, PLANTED_NOTE, is_planted
+from eval.sets.planted import PLANTED_NOTE, is_planted
 from eval.sets.real import NoRealMotionError
 from eval.tables.models import Trained, TrainedModel, check_names, trained_models, training_note
 from eval.tables.nerm.retrieval import RetrievalSets, retrieval_blocks, sentence_embeddings
@@ -212,18 +213,17 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
     if isinstance(evaluator, CosineEvaluator):
         job = replace(job, pair_score=evaluator.pair_score)
     folders = {folder.name: folder for folder in job.folders}
-    models = {row: model for name, model in job.models.items() for row in (name, PLANTED.format(name))}
     made = each_found(
-        (*models, *folders),
+        (*job.models, *folders),
         lambda name: (
-            _model_row(job, name, models[name], real, pairs, chosen, embedder)
-            if name in models
-            else _sample_row(job, folders[name], real, pairs, embedder)
+            _model_rows(job, name, real, pairs, chosen, embedder)
+            if name in job.models
+            else [_sample_row(job, folders[name], real, pairs, embedder)]
         ),
         lambda name: f"{name}, {evaluator.name}",
         (MotionkitError, ValueError),
     )
-    rows = [_real_row(job, pairs, chosen), *made.value.values()]
+    rows = [_real_row(job, pairs, chosen), *chain.from_iterable(made.value.values())]
     head = f"{evaluator.name} evaluator, protocol {protocol.name}, {float(real.samples.fps):g} fps"
     provenance = {"evaluator": evaluator.name, "fingerprint": evaluator.fingerprint, "protocol": protocol.name}
     main, other_way, *told = scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
@@ -256,28 +256,31 @@ def _real_row(job: _Job, pairs: TextMotionPairs, chosen: npt.NDArray[np.int64]) 
     return ScoredRow(REAL, "reference", replace(scores, values=values), retrieval=ranked)
 
 
-def _model_row(
+def _model_rows(
     job: _Job,
     name: str,
-    trained: TrainedModel,
     real: CaptionedMotions,
     pairs: TextMotionPairs,
     chosen: npt.NDArray[np.int64],
     embedder: Embedder,
-) -> ScoredRow:
-    lengths, wanted, request = kit_bone_lengths(real.samples), real.select(chosen), job.request
+) -> list[ScoredRow]:
+    """A model's motions as they are, and planted."""
+    trained, lengths, request = job.models[name], kit_bone_lengths(real.samples), job.request
+    wanted = real.select(chosen)
     with task(request.on_progress, f"{embedder.evaluator.name}: {name}", note="motions generated") as work:
-        motions = ModelMotions(
-            *(name, trained.loaded, trained.identity, request.seed, lengths, work.advance), is_planted(name)
-        )
+        motions = ModelMotions(name, trained.loaded, trained.identity, request.seed, lengths, work.advance)
         draws = [motions.draw(wanted, number, embedder) for number in range(request.evaluated.draws)]
         repeated = motions.repeated(wanted, job.protocol.multimodality, request.evaluated.max_motions, embedder)
     reference = pairs.select(chosen) if job.protocol.reference == "paired" else pairs
-    remarks = size_remarks(pairs.motions, reference.motions, draws[0].motions, job.request.seed)
-    made = (training_note(trained), "" if lengths is None else MADE_OF_22, PLANTED_NOTE if is_planted(name) else "")
-    note = "; ".join((f"run {trained.run.name!r}", *filter(None, made), *remarks))
-    ranked = _retrieval(job, reference, draws, chosen)
-    return ScoredRow(name, "ours", _score(job, reference, draws, repeated), note, ranked)
+    rows = []
+    for row in motions.rows:
+        own = [draw[row] for draw in draws]
+        remarks = size_remarks(pairs.motions, reference.motions, own[0].motions, request.seed)
+        made = (training_note(trained), "" if lengths is None else MADE_OF_22, PLANTED_NOTE if is_planted(row) else "")
+        note = "; ".join((f"run {trained.run.name!r}", *filter(None, made), *remarks))
+        scores = _score(job, reference, own, repeated.get(row))
+        rows.append(ScoredRow(row, "ours", scores, note, _retrieval(job, reference, own, chosen)))
+    return rows
 
 
 def _sample_row(

@@ -19,9 +19,10 @@ from eval.report.differences import DRAWING, differences_block, of_interest, sco
 from eval.report.results import Block, Cell, Origin, Result, Row, measure
 from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
+from eval.sets.planted import PLANTED_NOTE, is_planted
 from eval.sets.real import RealMotion, has_training, real_motion
 from eval.sets.sets import SampleSet
-from eval.tables.models import check_names, trained_models
+from eval.tables.models import check_names, trained_models, training_note
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
@@ -180,8 +181,8 @@ def _counted(motions: int, draws: int) -> str:
 
 
 def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> Found[list[_System]]:
-    """A row for each model of the run: one motion for every real one, or for a random choice of `max_motions`, --draws
-    times over."""
+    """Each model of the run, as it is and planted: one motion for every real one, or for a random choice of
+    `max_motions`, --draws times over."""
     asked = _at_most(real.compared, request.evaluated.max_motions, request.seed)
     note = (
         f"{_counted(asked.samples.num_sequences, request.evaluated.draws)}, with the actions and durations of real ones"
@@ -189,13 +190,21 @@ def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) ->
     models = trained_models(request.evaluated.run)
     check_names(request.evaluated.samples, models.value)
 
-    def system(name: str) -> _System:
-        model = models.value[name].loaded
-        draws = generated_like(asked, model, real.compared.samples.fps, request.evaluated.draws, request.seed)
-        return _System(name, tuple(draw.recognised(recogniser) for draw in draws), note, is_model=True)
+    def systems(name: str) -> list[_System]:
+        trained = models.value[name]
+        draws = [generated_like(asked, trained.loaded, draw, request.seed) for draw in range(request.evaluated.draws)]
+        return [
+            _System(
+                row,
+                tuple(draw[row].recognised(recogniser) for draw in draws),
+                "; ".join(filter(None, (note, training_note(trained), PLANTED_NOTE if is_planted(row) else ""))),
+                is_model=True,
+            )
+            for row in draws[0]
+        ]
 
-    found = each_found(models.value, system)
-    return Found(list(found.value.values()), (*models.missing, *found.missing))
+    found = each_found(models.value, systems)
+    return Found(list(chain.from_iterable(found.value.values())), (*models.missing, *found.missing))
 
 
 def _at_most(real: ActionSet, limit: int, seed: int) -> ActionSet:
