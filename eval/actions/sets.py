@@ -46,6 +46,13 @@ class ActionSet:
         """What the recogniser says of them."""
         return LabelledRecognition(recogniser.recognise(self.samples), self.labels)
 
+    def at_most(self, limit: int, seed: int) -> "ActionSet":
+        """All, or a random choice of `limit`, in their order."""
+        if self.samples.num_sequences <= limit:
+            return self
+        chosen = np.sort(np.random.default_rng((seed, 3)).choice(self.samples.num_sequences, limit, replace=False))
+        return ActionSet(self.samples.select(chosen), self.labels[chosen])
+
 
 def plain_name(action: str) -> str:
     """An action's name without the differences that spelling makes: lower case, words separated by one space."""

@@ -183,7 +183,7 @@ def _counted(motions: int, draws: int) -> str:
 def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> Found[list[_System]]:
     """Each model of the run, as it is and planted: one motion for every real one, or for a random choice of
     `max_motions`, --draws times over."""
-    asked = _at_most(real.compared, request.evaluated.max_motions, request.seed)
+    asked = real.compared.at_most(request.evaluated.max_motions, request.seed)
     note = (
         f"{_counted(asked.samples.num_sequences, request.evaluated.draws)}, with the actions and durations of real ones"
     )
@@ -205,14 +205,6 @@ def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) ->
 
     found = each_found(models.value, systems)
     return Found(list(chain.from_iterable(found.value.values())), (*models.missing, *found.missing))
-
-
-def _at_most(real: ActionSet, limit: int, seed: int) -> ActionSet:
-    """All, or a random choice of `limit`, in their order."""
-    if real.samples.num_sequences <= limit:
-        return real
-    chosen = np.sort(np.random.default_rng((seed, 3)).choice(real.samples.num_sequences, size=limit, replace=False))
-    return ActionSet(real.samples.select(chosen), real.labels[chosen])
 
 
 def _folders(source: RecogniserSource, recogniser: ActionRecogniser, request: TableRequest) -> Found[list[_System]]:
