@@ -6,7 +6,7 @@ from fractions import Fraction
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.planted import PLANTED, PLANTED_NOTE
-from eval.tables.models import require_models
+from eval.tables.models import require_models, training_note
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
 from eval.tables.nerm.table2 import COLUMNS, ROW_NOTES
@@ -31,6 +31,7 @@ def build_figure5(request: TableRequest) -> Result:
     yardstick = Yardstick(store, request, request.fps or COLUMNS)
     parts = {f"{name}, unconditional": yardstick.unconditional(model) for name, model in models.items()}
     floors = yardstick.floors()
+    notes = {f"{name}, unconditional": training_note(model) for name, model in models.items()}
     first = next(iter(parts.values()))
     columns = tuple(label(Fraction(fps)) for fps in yardstick.rates)
     nothing: dict[str, Cell] = {}
@@ -50,7 +51,7 @@ def build_figure5(request: TableRequest) -> Result:
                 columns,
                 (
                     *(Row(name, "reference", floors.rows.get(name, nothing), ROW_NOTES[name]) for name in (P1, P2)),
-                    *_rows(parts, SYNTHESIS),
+                    *_rows(parts, SYNTHESIS, notes),
                 ),
                 metrics=(measure(CLIP_FID),),
             ),
@@ -59,7 +60,7 @@ def build_figure5(request: TableRequest) -> Result:
                 columns,
                 (
                     Row(REAL, "reference", first.rows.get(REAL_DIVERSITY, nothing)),
-                    *_rows(parts, DIVERSITY),
+                    *_rows(parts, DIVERSITY, {}),
                 ),
                 lower_is_better=False,
                 note="Better the closer to real motion's. It sees clips, not whole motions.",
@@ -80,12 +81,12 @@ def build_figure5(request: TableRequest) -> Result:
     )
 
 
-def _rows(parts: Mapping[str, Part], quantity: str) -> list[Row]:
-    """Each model's row of a quantity, and its planted motions'."""
+def _rows(parts: Mapping[str, Part], quantity: str, notes: Mapping[str, str]) -> list[Row]:
+    """Each model's row of a quantity, with a note, and its planted motions'."""
     return [
         Row(form.format(name), "ours", part.rows.get(form.format(quantity), {}), note)
         for name, part in parts.items()
-        for form, note in (("{}", ""), (PLANTED, PLANTED_NOTE))
+        for form, note in (("{}", notes.get(name, "")), (PLANTED, PLANTED_NOTE))
     ]
 
 
