@@ -3,7 +3,7 @@
     python -m benchmarks.eval.humanml3d_size [--clips 14616] [--folder FOLDER] [--budget 45s]
 
 The motions are synthetic performances at 20 fps with captions and splits, in the published folder's form; their figures
-say nothing of models. Every command runs in a process of its own. The training is stopped by Ctrl-C after a while and
+say nothing of models. Every command runs in a process of its own. The training is stopped by a signal after a while and
 started again by the same command, which must keep what was done. Beside seconds and memory stands what of it is
 reading: the bytes of the store. A table goes to stderr, JSON to stdout.
 """
@@ -37,7 +37,8 @@ def measured(folder: Path, *command: str, stop_after_seconds: float | None = Non
         process = subprocess.Popen((*MOTIONKIT, *command), cwd=folder, stdout=log, stderr=log)
         if stop_after_seconds is not None:
             time.sleep(stop_after_seconds)
-            os.kill(process.pid, signal.SIGINT)  # Popen.send_signal would take the exit status away
+            # Popen.terminate would take the exit status away; SIGINT is ignored by what a script starts in the background.
+            os.kill(process.pid, signal.SIGTERM)
         _, status, usage = os.wait4(process.pid, 0)
     code = process.returncode = os.waitstatus_to_exitcode(status)
     if code not in ((0,) if stop_after_seconds is None else (0, INTERRUPTED)):
