@@ -189,9 +189,12 @@ class Store:
 
     def index_of(self, sequence_id: str) -> int:
         """Index of a sequence by its id; raises `StoreError` for an id that the store does not hold."""
-        row = pc.index(self.sequences_table["sequence_id"], sequence_id).as_py()
+        ids = self.sequences_table["sequence_id"]
+        row = pc.index(ids, sequence_id).as_py()
         if row < 0:
-            raise StoreError(f"the store {self.path} holds no sequence {sequence_id!r}")
+            alike: list[str] = ids.filter(pc.ends_with(ids, f"/{sequence_id}")).to_pylist()
+            hint = f" (did you mean {alike[0]}?)" if alike else ""
+            raise StoreError(f"the store {self.path} holds no sequence {sequence_id!r}{hint}")
         return int(self._indices[row])
 
     def read(self, sequence: int | np.integer | str, *, rotations: bool = True) -> Motion:

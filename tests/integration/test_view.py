@@ -83,6 +83,13 @@ def test_what_a_motion_was_held_to_is_drawn(motionkit: Run, motion: Motion) -> N
     assert late.code == 2 and "late.csv" in late.stderr
 
 
+def test_a_name_that_is_nearly_an_id(motionkit: Run, motion: Motion) -> None:
+    assert "no store at store that could hold" in motionkit("view", "walk").stderr
+    with StoreWriter.create(Path("store")) as writer:
+        writer.add(motion)
+    assert "holds no sequence 'walk' (did you mean set/walk?)" in motionkit("view", "walk").stderr
+
+
 def test_many_kinds_side_by_side_each_on_its_own_frames(motionkit: Run, motion: Motion) -> None:
     write_npz(motion, Path("walk.npz"))
     np.save("joints.npy", motion.joint_positions)
@@ -152,6 +159,10 @@ def test_folders_one_bad_file_costs_nothing_of_the_others(motionkit: Run, motion
     assert sorted(each["name"] for each in report["motions"]) == ["000001.npy", "a.bvh", "b.bvh"]
     (take,) = takes_of(motionkit("view", "takes/b.bvh"))
     assert take["captions"] == [["somebody walks", 0.0, None]]
+    # What the data set says of its motions is true of one of its folders too.
+    for name in ("new_joints", "new_joint_vecs"):
+        (take,) = takes_of(motionkit("view", f"takes/set/{name}", "--out", f"{name}.html"))
+        assert take["fps"] == [20, 1] and take["name"] == "000001.npy"
     # Names that folders tell apart are told with them.
     Path("other").mkdir()
     Path("takes/a.bvh").rename("other/b.bvh")
@@ -218,7 +229,7 @@ def test_open_hands_the_page_to_the_browser(motionkit: Run, motion: Motion, monk
     ("arguments", "code", "told"),
     [
         ([], 2, "name motions"),
-        (["none.bvh"], 2, "none.bvh is no file"),
+        (["none.bvh"], 2, "there is no file or folder none.bvh"),
         (["walk.npz", "--from", "2", "--to", "1"], 2, "ends before it begins"),
         (["walk.npz", "--from", "nan"], 2, "seconds"),
         (["walk.npz", "--fps", "0"], 2, "--fps 0"),

@@ -11,7 +11,7 @@ from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.skeletons.families import read_skeleton_map
-from motionkit.formats.arrays import npy
+from motionkit.formats.arrays import joints_npy, npy
 from motionkit.formats.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
 from motionkit.formats.scan import reading as one_sequence
 from motionkit.formats.scan.folders import dangling
@@ -55,10 +55,10 @@ def find_motions(
     found: list[Found[ReadT]] = []
     problems: list[FormatError] = []
     opened = cache(lambda: Store.open(store))
-    for name in names:
+    for name in (file for given in names for file in _pose_files(given)):
         path = Path(name)
         if not path.exists():
-            found.append(_stored_named(name, opened, readers.stored))
+            found.append(_stored_named(name, store, opened, readers.stored))
         elif (published := _of_pose_folder(path)) is not None:
             found.append(_of_item(published, path, readers.item))
         else:
@@ -72,9 +72,16 @@ def find_motions(
     return found, problems
 
 
+def _pose_files(name: str) -> list[str]:
+    """The files of `new_joints` or `new_joint_vecs` alone, where their folder is of HumanML3D's form; else the name."""
+    files = sorted(Path(name).glob("*.npy")) if Path(name).name in (JOINTS_FOLDER, VECTORS_FOLDER) else []
+    return [str(file) for file in files] if any(_of_pose_folder(file) for file in files) else [name]
+
+
 def _of_pose_folder(path: Path) -> SourceItem | None:
     """A file in a folder of HumanML3D's form: what its place says, the framerate and the captions, belongs to it."""
-    if path.suffix.lower() != ".npy" or path.parent.name not in (JOINTS_FOLDER, VECTORS_FOLDER):
+    in_place = path.suffix.lower() == ".npy" and path.parent.name in (JOINTS_FOLDER, VECTORS_FOLDER)
+    if not in_place or (path.parent / joints_npy.MANIFEST).is_file():
         return None
     shape = npy.peek_shape(path)
     for layout in LAYOUTS.values():
@@ -100,11 +107,16 @@ def find_stored(store: Path, where: str, stored: Callable[[Motion], ReadT]) -> l
     return [_stored(sequence_id, opened, stored) for sequence_id in ids]
 
 
-def _stored_named(sequence_id: str, opened: Callable[[], Store], made_of: Callable[[Motion], ReadT]) -> Found[ReadT]:
+def _stored_named(
+    sequence_id: str, store: Path, opened: Callable[[], Store], made_of: Callable[[Motion], ReadT]
+) -> Found[ReadT]:
+    nowhere = f"there is no file or folder {sequence_id}"
+    if not store.exists():
+        raise UsageError(f"{nowhere}, and no store at {store} that could hold a sequence of that id")
     try:
         opened().index_of(sequence_id)
     except StoreError as error:
-        raise UsageError(f"{sequence_id} is no file, and as the id of a stored sequence: {error}") from None
+        raise UsageError(f"{nowhere}, and {error}") from None
     return _stored(sequence_id, opened(), made_of)
 
 
