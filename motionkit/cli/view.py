@@ -41,7 +41,9 @@ UnitMetres = Annotated[
 ]
 FormatName = Annotated[
     str,
-    typer.Option(help="mp4, gif or png (a strip of poses) in place of a page; else how files are read, as in ingest."),
+    typer.Option(
+        help="mp4, gif, png (a strip of poses) or rrd in place of a page; else how files are read, as in ingest."
+    ),
 ]
 Speed = Annotated[
     float | None, typer.Option(help="How fast an mp4 or a gif plays: 0.25 is slowed four times.", show_default="1")
@@ -86,7 +88,7 @@ def view(
 ) -> None:
     """Look at motions: one page with moving skeletons, each at its native framerate, on one clock in seconds.
 
-    It is one file that loads nothing from elsewhere; --format mp4, gif or png makes a film or a strip of poses.
+    It is one file that loads nothing from elsewhere; --format mp4, gif, png or rrd makes films, strips, Rerun's files.
 
     Example: motionkit view takes/walk.bvh takes/jump.bvh"""
     from motionkit.view.asked import drawing_asked
@@ -128,7 +130,7 @@ def view(
 
 def _film_asked(format: str, out: Path | None, speed: float | None) -> tuple[str, str]:
     """The suffix of a film or strip that is asked for (empty: a page), and the format that files are read as."""
-    films = ("mp4", "gif", "png")
+    films = ("mp4", "gif", "png", "rrd")
     named = format if format in films else "" if out is None else out.suffix.lower()[1:]
     film = f".{named}" if named in films else ""
     if format in films and out is not None and not out.is_dir() and out.suffix.lower() != film:
@@ -151,11 +153,15 @@ def _place(out: Path | None, sources: "Sequence[ViewSource]", film: str, overwri
 
 def _write_film(path: Path, takes: "list[Take]", speed: float) -> "Viewed":
     from motionkit.export.film import num_pictures, write_film
+    from motionkit.export.recording import write_recording
     from motionkit.view.job import Viewed
 
-    exact = Fraction(speed).limit_denominator(1000)
-    with progress() as show, task(show, "draw", num_pictures(takes, exact, path.suffix)) as work:
-        write_film(path, takes, exact, work.advance)
+    if path.suffix.lower() == ".rrd":
+        write_recording(path, takes)
+    else:
+        exact = Fraction(speed).limit_denominator(1000)
+        with progress() as show, task(show, "draw", num_pictures(takes, exact, path.suffix)) as work:
+            write_film(path, takes, exact, work.advance)
     return Viewed(path, path.stat().st_size, tuple(takes))
 
 
