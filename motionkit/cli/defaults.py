@@ -30,6 +30,8 @@ def defaults_of(app: typer.Typer, name: str, commands: Collection[str]) -> dict[
 
 
 def _defaults(name: str, command: Any, stated: Mapping[str, Any]) -> dict[str, Any]:
+    if hasattr(command, "commands"):
+        return {key: _of_part(name, command.commands, key, value) for key, value in stated.items()}
     options = {
         spelling.removeprefix("--"): parameter
         for parameter in command.params
@@ -45,8 +47,16 @@ def _defaults(name: str, command: Any, stated: Mapping[str, Any]) -> dict[str, A
             )
         # The environment goes before the file, in a command's table too.
         if f"MOTIONKIT_{plain.upper()}" not in os.environ or plain not in KEYS:
-            found[options[plain].name] = _value(f"{FILE}: [{name}] {key}", options[plain], value)
+            found[options[plain].name] = _value(f"{FILE}: [{name.replace(' ', '.')}] {key}", options[plain], value)
     return found
+
+
+def _of_part(name: str, parts: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """Defaults of one of a command's own commands, as of `study make`."""
+    if key not in parts or not isinstance(value, dict):
+        tables = " and ".join(f"[{name}.{each}]" for each in parts)
+        raise UsageError(f"{FILE}: options of 'motionkit {name}' stand in {tables}, and {shown(key)} is neither")
+    return _defaults(f"{name} {key}", parts[key], value)
 
 
 def _value(place: str, option: Any, value: Any) -> Any:

@@ -43,6 +43,18 @@ def test_lists_numbers_and_underscores_are_as_on_the_command_line(motionkit: Com
     assert "--unit-metres must be a positive number" in motionkit("ingest", folder).stderr
 
 
+def test_commands_of_a_command_have_tables_of_their_own(motionkit: Command, folder: Path) -> None:
+    (folder / "motionkit.toml").write_text("[study.make]\ncases = 3\n")
+    assert "default: 3" in " ".join(motionkit("study", "make", "--help").stdout.split())
+    for text, says in (
+        ("[study]\ncases = 3", "[study.make] and [study.score]"),
+        ("[study.make]\nc = 1", "option '--c'"),
+    ):
+        (folder / "motionkit.toml").write_text(text)
+        outcome = motionkit("study", "make")
+        assert outcome.code == 2 and says in outcome.stderr
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
