@@ -49,7 +49,7 @@ class SkeletonMapError(MotionkitError):
         remedy = (
             "correct it and ingest again"
             if skeleton.layout_map
-            else "`motionkit ingest --skeleton-map my-rig.toml` teaches a new one (docs/formats.md)"
+            else "`motionkit info FILE --init my-rig.toml` drafts a map for --skeleton-map (docs/formats.md)"
         )
         super().__init__(
             f"skeleton {skeleton.name!r} cannot be mapped to {layout}: {table} nothing for "
