@@ -6,8 +6,6 @@ Each program runs in a fresh process; wall and CPU seconds (user and system) are
 dropped: it reads the files from disk.
 """
 
-import argparse
-import json
 import resource
 import shutil
 import statistics
@@ -16,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 
 PROGRAMS = {
     "python -c pass": [sys.executable, "-c", "pass"],
@@ -44,13 +42,13 @@ def measure(command: list[str], repeats: int) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--repeats", type=int, default=10)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     figures = {name: measure(command, arguments.repeats) for name, command in PROGRAMS.items()}
     if arguments.json:
-        print(json.dumps({"repeats": arguments.repeats, "programs": figures, "provenance": provenance()}, indent=2))
+        print_json({"repeats": arguments.repeats, "programs": figures})
         return
     print(f"{'program':34} {'wall s':>8} {'CPU s':>8}")
     for name, figure in figures.items():

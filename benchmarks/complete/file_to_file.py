@@ -7,8 +7,6 @@ CPU seconds (user and system), peak resident memory. The floor is a process that
 many as the result has, repeated, piece by piece with the same parser and writer: what is left is completing.
 """
 
-import argparse
-import json
 import resource
 import shlex
 import subprocess
@@ -20,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import arguments_parser, print_json
+
 PIECE_SECONDS = 60.0
 FLOOR = """
 import sys
@@ -27,7 +27,6 @@ from pathlib import Path
 from motionkit.formats.source import number_table
 from motionkit.formats.bvh.text import split_text
 from motionkit.formats.source.source_file import PART_BYTES, FileParts
-from eval.report.results import provenance
 path, repeats = Path(sys.argv[1]), int(sys.argv[2])
 file = FileParts.of(path)
 head = split_text(file.read(0, PART_BYTES), path)
@@ -71,7 +70,7 @@ def measure(command: list[str]) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--minutes", type=float, nargs="+", default=[1.0, 10.0, 60.0, 180.0])
     parser.add_argument("--fps", type=int, default=120)
     parser.add_argument("--arguments", default="", help="Further arguments of motionkit complete.")
@@ -88,13 +87,7 @@ def main() -> None:
             made = [sys.executable, "-c", COMPLETE, "complete", str(clip), *further]
             rows.append({"minutes": minutes, "what": f"30 → {arguments.fps} fps", **measure(made)})
     if arguments.json:
-        print(
-            json.dumps(
-                {"arguments": arguments.arguments, "figures": rows, "provenance": provenance()},
-                indent=2,
-                ensure_ascii=False,
-            )
-        )
+        print_json({"arguments": arguments.arguments, "figures": rows})
         return
     print(f"{'minutes':>8}  {'':14} {'wall s':>8} {'CPU s':>8} {'peak MB':>8}")
     for row in rows:

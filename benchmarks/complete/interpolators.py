@@ -9,8 +9,6 @@ by so many frames from every 25th frame on. `settling` is what `motionkit comple
 floor.
 """
 
-import argparse
-import json
 import random
 import sys
 from collections import defaultdict
@@ -20,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.fields.completion import complete
@@ -95,7 +93,7 @@ def measure(motion: Motion, errors: Errors) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("captures", type=Path)
     parser.add_argument("--takes", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
@@ -110,7 +108,7 @@ def main() -> None:
     for (name, task), found in errors.items():
         figures[name][task] = round(float(np.mean(found)), 2)
     if arguments.json:
-        print(json.dumps({"takes": count, "millimetres": figures, "provenance": provenance()}, indent=2))
+        print_json({"takes": count, "millimetres": figures})
         return
     tasks = ["4×", *(f"gap {gap}" for gap in GAPS), *(f"beyond {reach}" for reach in REACHES)]
     print(f"{count} takes, mm")

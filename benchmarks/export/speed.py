@@ -7,9 +7,7 @@ positions, rotations and root translation take as float32. Output goes to a temp
 goes to stderr, JSON to stdout.
 """
 
-import argparse
 import itertools
-import json
 import tempfile
 import time
 from pathlib import Path
@@ -18,7 +16,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_table_and_json
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
 from motionkit.export.run import export, export_kinds
@@ -77,7 +75,7 @@ def measure(name: str, store: Store, where: str | None, num_frames: int, raw: in
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("store", type=Path)
     parser.add_argument("--formats", nargs="*", default=list(export_kinds()), choices=list(export_kinds()))
     parser.add_argument("--where")
@@ -103,17 +101,8 @@ def main() -> None:
                 for key in ("resident_megabytes_after_a_tenth", "resident_megabytes_at_the_end")
             ),
         )
-    Console(stderr=True).print(table)
-    print(
-        json.dumps(
-            {
-                "store": str(arguments.store),
-                "frames": num_frames,
-                "results": results,
-                "provenance": provenance(arguments.store),
-            }
-        )
-    )
+    figures = {"store": str(arguments.store), "frames": num_frames, "results": results}
+    print_table_and_json(table, figures, arguments.store)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ Both sides take the same raw joints through uniform skeleton, floor, origin, fac
 are read from its notebook and run in this process; the inputs are synthetic walks of 10,000 and of 170 frames.
 """
 
-import argparse
 import json
 import sys
 import time
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import humanml3d
 from motionkit.features.layout import SMPL22_LAYOUT
@@ -93,7 +92,7 @@ def frames_per_second(pipeline: Pipeline, raw: np.ndarray, seconds: float) -> fl
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--peer", type=Path, help="a clone of EricGuo5513/HumanML3D")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--seconds", type=float, default=5.0, help="CPU time per measurement")
@@ -109,7 +108,7 @@ def main() -> None:
             row["largest_difference"] = float(np.abs(ours(raw) - peer(raw)).max())
         rows.append(row)
     if options.json:
-        print(json.dumps({"work": WORK, "rows": rows, "provenance": provenance()}, indent=2, ensure_ascii=False))
+        print_json({"work": WORK, "rows": rows})
         return
     print(WORK)
     print("  ".join(f"{name:>18}" for name in rows[0]))

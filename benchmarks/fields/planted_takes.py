@@ -7,17 +7,15 @@ takes, by the kinematic descriptor and by its first version, in multiples of the
 score when clips are drawn from them once more.
 """
 
-import argparse
-import json
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.command import arguments_parser, print_json
 from eval.clip_fid.clips import Protocol
 from eval.clip_fid.features import Comparison, kinematic1_source, kinematic_source
-from eval.report.results import provenance
 from eval.sets.real import RealMotion, real_motion, training_motion
 from eval.sets.sets import Ragged
 from motionkit.core.motion import Motion
@@ -64,7 +62,7 @@ def scores(store: Store, split: str, framerates: list[Fraction]) -> tuple[dict[s
 
 def main() -> None:
     """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("store", type=Path)
     parser.add_argument("--split", default="test")
     parser.add_argument("--fps", default="20,60,120")
@@ -73,7 +71,7 @@ def main() -> None:
     framerates = [Fraction(each) for each in arguments.fps.split(",")]
     table, moved = scores(Store.open(arguments.store), arguments.split, framerates)
     if arguments.json:
-        print(json.dumps({"clip-FID": table, "moved": moved, "provenance": provenance()}, indent=2))
+        print_json({"clip-FID": table, "moved": moved})
         return
     print("| | floor | planted | multiple of the floor |\n|---|---|---|---|")
     for name, row in table.items():

@@ -9,10 +9,7 @@ holds beside the frames' own numbers while six and sixty minutes are planted. Of
 times the rests of their feet are faster than the limit (`motionkit.fields.contact.detection`), quantiles over takes.
 """
 
-import argparse
-import json
 import os
-import time
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,12 +17,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from eval.report.results import provenance
 from eval.sets.real import real_motion
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
@@ -78,12 +76,7 @@ def plant(motion: Motion) -> None:
 
 def frames_a_second(work: Callable[[], object], frames: int) -> float:
     """The best of some repeats, by the process's own time."""
-    best = np.inf
-    for _ in range(REPEATS):
-        begun = time.process_time()
-        work()
-        best = min(best, time.process_time() - begun)
-    return frames / best
+    return frames / best_cpu_seconds(work, REPEATS)
 
 
 def speeds() -> dict[str, float]:
@@ -137,7 +130,7 @@ def rests(store: Path) -> dict[str, float]:
 
 def main() -> None:
     """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--store", type=Path)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
@@ -148,7 +141,7 @@ def main() -> None:
     if arguments.store is not None:
         figures["times the limit, training takes"] = rests(arguments.store)
     if arguments.json:
-        print(json.dumps({**figures, "provenance": provenance()}, indent=2))
+        print_json({**figures})
         return
     for title, rows in figures.items():
         print(f"\n{title}\n")

@@ -8,14 +8,12 @@ and `numpy.interp` for the root, no positions. The second column of ours starts 
 kinematics included).
 """
 
-import argparse
-import json
 import os
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
+
+from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -23,7 +21,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from eval.report.results import provenance
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
@@ -59,28 +56,19 @@ def scipy_slerp(motion: Motion) -> np.ndarray:
     return rotations
 
 
-def cpu_seconds(work: Callable[[], object], repeats: int) -> float:
-    best = float("inf")
-    for _ in range(repeats):
-        start = time.process_time()
-        work()
-        best = min(best, time.process_time() - start)
-    return best
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     motion = swaying_body(options.seconds)
     bare = replace(motion, local_rotations=None, root_translation=None)
-    peer = cpu_seconds(lambda: scipy_slerp(motion), options.repeats)
+    peer = best_cpu_seconds(lambda: scipy_slerp(motion), options.repeats)
     rows: list[dict[str, Any]] = []
     for name, encoder in INTERPOLATORS.items():
         with_rotations, from_positions = (
-            cpu_seconds(lambda given=given, encoder=encoder: upsample(given, FAST, encoder), options.repeats)
+            best_cpu_seconds(lambda given=given, encoder=encoder: upsample(given, FAST, encoder), options.repeats)
             for given in (motion, bare)
         )
         rows.append(
@@ -102,7 +90,7 @@ def main() -> None:
         "rows": rows,
     }
     if options.json:
-        print(json.dumps(report | {"provenance": provenance()}, indent=2))
+        print_json(report)
         return
     print(f"{motion.num_frames} frames, 22 joints, 30 -> 120 fps; scipy's Slerp, rotations alone: {peer:.4f} s")
     print(f"SLERP's cosine differs from scipy's by at most {agreement:.1e}")

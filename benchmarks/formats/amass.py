@@ -6,19 +6,14 @@ AMASS can't be shared, so the takes are random rotations in the published layout
 CPU seconds of one thread, best of the repeats, files in the page cache. A table goes to stderr, JSON to stdout.
 """
 
-import argparse
-import json
 import platform
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, best_cpu_seconds, print_table_and_json
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.smpl.amass import read_amass
 from motionkit.formats.smpl.body import LAYOUTS
@@ -50,15 +45,6 @@ def write_body_model(folder: Path, family: str) -> None:
     )
 
 
-def best_cpu_seconds(work: Callable[[], object], repeats: int) -> float:
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        work()
-        times.append(time.process_time() - start)
-    return min(times)
-
-
 def measure(folder: Path, family: str, compressed: bool, num_frames: int, repeats: int) -> dict[str, float | str]:
     path = folder / f"{family}_poses.npz"
     write_take(path, 3 * LAYOUTS[family].num_joints, num_frames, compressed)
@@ -82,7 +68,7 @@ def measure(folder: Path, family: str, compressed: bool, num_frames: int, repeat
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--frames", type=int, default=10_000)
     parser.add_argument("--repeats", type=int, default=5)
     arguments = parser.parse_args()
@@ -99,13 +85,7 @@ def main() -> None:
     for row in rows:
         times = [f"{1e3 * float(row[key]):.0f}" for key in row if key.endswith("_seconds")]
         table.add_row(str(row["take"]), f"{row['megabytes']:.1f}", *times)
-    Console(stderr=True).print(table)
-    print(
-        json.dumps(
-            {"machine": platform.processor(), "frames": arguments.frames, "takes": rows, "provenance": provenance()},
-            indent=1,
-        )
-    )
+    print_table_and_json(table, {"machine": platform.processor(), "frames": arguments.frames, "takes": rows})
 
 
 if __name__ == "__main__":

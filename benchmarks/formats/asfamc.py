@@ -6,20 +6,15 @@ CPU seconds of one thread, best of the repeats. The plain parser is what the usu
 float() on each word, keep a dictionary per frame. A table goes to stderr, JSON to stdout.
 """
 
-import argparse
-import json
 import platform
-import time
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, best_cpu_seconds, print_table_and_json
 from motionkit.formats.asfamc import parse_amc, read_asfamc
 from motionkit.formats.scan.items import ReadOptions
 
@@ -37,17 +32,8 @@ def plain(data: bytes) -> list[dict[str, list[float]]]:
     return frames
 
 
-def best_cpu_seconds(work: Callable[[], object], repeats: int) -> float:
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        work()
-        times.append(time.process_time() - start)
-    return min(times)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--files", type=int, default=12)
     parser.add_argument("--repeats", type=int, default=3)
@@ -80,8 +66,7 @@ def main() -> None:
     table = Table("", "CPU s", "frames/s")
     for name, value in seconds.items():
         table.add_row(name, f"{value:.3f}", f"{frames / value:,.0f}")
-    Console(stderr=True).print(table)
-    print(json.dumps(report | {"provenance": provenance()}, indent=2))
+    print_table_and_json(table, report)
 
 
 if __name__ == "__main__":

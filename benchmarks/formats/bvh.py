@@ -8,14 +8,14 @@ counts. A table goes to stderr, JSON to stdout. `pyarrow` parses the same motion
 which is the floor under any reader that goes through Arrow; it computes no rotation and no position.
 """
 
-import argparse
-import json
 import os
 import platform
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from benchmarks.command import arguments_parser, print_table_and_json
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -25,10 +25,8 @@ import pyarrow as pa
 import pymotion.ops.skeleton as peer_skeleton
 from pyarrow import csv
 from pymotion.io.bvh import BVH
-from rich.console import Console
 from rich.table import Table
 
-from eval.report.results import provenance
 from motionkit.formats.bvh import text
 from motionkit.formats.bvh.document import read_bvh
 
@@ -99,7 +97,7 @@ def measure(files: list[Path], repeats: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("sources", nargs="+", type=Path)
     parser.add_argument("--files", type=int, default=20, help="at most this many files of a folder, evenly spread")
     parser.add_argument("--repeats", type=int, default=3)
@@ -115,8 +113,7 @@ def main() -> None:
         rate = result["megabytes_per_second"]
         columns = (result["files"], result["megabytes"], rate["motionkit"], rate["pymotion"], rate["pyarrow_csv"])
         table.add_row(name, *map(str, columns), str(result["times_pymotion"]))
-    Console(stderr=True).print(table)
-    print(json.dumps(report | {"provenance": provenance()}, indent=2))
+    print_table_and_json(table, report)
 
 
 if __name__ == "__main__":

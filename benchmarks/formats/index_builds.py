@@ -8,8 +8,6 @@ what any reader has to do: numpy's loading of the arrays, once a file, and once 
 goes to stderr, JSON to stdout.
 """
 
-import argparse
-import json
 import platform
 import tempfile
 import time
@@ -18,10 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_table_and_json
 from motionkit.formats.indexes.entries import Entry
 from motionkit.formats.indexes.search import read_index
 from motionkit.formats.scan.cuts import StepCut
@@ -71,7 +68,7 @@ def load(item: SourceItem) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("index", type=Path)
     parser.add_argument("--files", type=int, default=60)
     arguments = parser.parse_args()
@@ -116,8 +113,7 @@ def main() -> None:
     for what, value in seconds.items():
         count = len(found.items) if what == "find" else len(items)
         table.add_row(what, f"{value:.2f}", f"{1000 * value / count:.2f}")
-    Console(stderr=True).print(table)
-    print(json.dumps(report | {"provenance": provenance()}, indent=2))
+    print_table_and_json(table, report)
 
 
 if __name__ == "__main__":

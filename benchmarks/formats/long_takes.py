@@ -6,8 +6,6 @@ Files of 21 joints, as large as recorded ones (513 bytes a frame), are written i
 by a process of its own with one worker. A table goes to stderr, JSON to stdout.
 """
 
-import argparse
-import json
 import os
 import subprocess
 import sys
@@ -15,10 +13,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_table_and_json
 
 SPINE = ["Spine", "Spine1", "Neck", "Head"]
 ARM = ["Shoulder", "Arm", "ForeArm", "Hand"]
@@ -71,7 +68,7 @@ def ingest(take: Path, store: Path) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--frames", type=int, nargs="+", default=[10_000, 100_000, 1_000_000])
     table = Table("frames", "file, MB", "peak, MB", "bytes a frame and joint", "CPU, s")
     results = []
@@ -94,8 +91,7 @@ def main() -> None:
             share,
             f"{result['cpu_seconds']:.1f}",
         )
-    Console(stderr=True).print(table)
-    print(json.dumps({"takes": results, "provenance": provenance()}, indent=2))
+    print_table_and_json(table, {"takes": results})
 
 
 if __name__ == "__main__":

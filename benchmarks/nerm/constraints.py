@@ -7,8 +7,6 @@ along the paths, planted. Distances from the path (mean over motions, the worst 
 motions that are within 5 cm on average), skating, jerk, and clip-FID of both against the held-out takes at 20 fps.
 """
 
-import argparse
-import json
 import time
 from dataclasses import replace
 from fractions import Fraction
@@ -17,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.command import arguments_parser, print_json
 from eval.clip_fid.clips import Protocol
 from eval.clip_fid.features import Comparison, kinematic_source
 from eval.metrics.physical import jerk, slide_speed
-from eval.report.results import provenance
 from eval.sets.real import real_motion, training_motion
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.fields.motion_field import to_motion
@@ -61,7 +59,7 @@ def made(model: NermModel, requests: dict[int, GenerationRequest], seed: int, st
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--store", type=Path, required=True)
     parser.add_argument("--motions", type=int, default=96)
@@ -99,8 +97,7 @@ def main() -> None:
     for name, score in comparison.scores(sets).items():
         rows[name]["clip_fid"] = float(score.clip_fid.mean)
     if arguments.json:
-        about = {"rows": rows, "motions": len(along), "provenance": provenance(runs=[arguments.run])}
-        print(json.dumps(about, indent=2))
+        print_json({"rows": rows, "motions": len(along)}, runs=[arguments.run])
         return
     for name, row in rows.items():
         print(f"{name:15}", *(f"{key} {value:.3g}" for key, value in row.items()))

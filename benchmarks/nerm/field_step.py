@@ -9,14 +9,11 @@ All sides compute the same loss (checked before timing); clips are contiguous, a
 CPU seconds of a whole step (forward, backward), one thread; the best of the repeats.
 """
 
-import argparse
-import json
-import time
 from collections.abc import Callable
 
 import torch
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
 from motionkit.training.config import apply_overrides
 from nerm.field.network import EncodedCoordinates, FieldNetwork
 from nerm.settings import FieldConfig
@@ -50,18 +47,8 @@ def per_pose(network: FieldNetwork, coordinates: torch.Tensor) -> EncodedCoordin
     return EncodedCoordinates(features, None, torch.arange(coordinates.numel()).reshape(coordinates.shape))
 
 
-def cpu_seconds(step: Callable[[], None], repeats: int) -> float:
-    """The quickest of some repeats."""
-    found = []
-    for _ in range(repeats):
-        started = time.process_time()
-        step()
-        found.append(time.process_time() - started)
-    return min(found)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--clips", type=int, default=256)
     parser.add_argument("--poses", type=int, default=32)
     parser.add_argument("--hidden", type=int, default=256)
@@ -91,19 +78,9 @@ def main() -> None:
     for loss in losses[1:]:
         torch.testing.assert_close(losses[0], loss)
     distinct = len(torch.unique(torch.round(coordinates * 2.0**40)))
-    figures = {name: cpu_seconds(lambda e=encode: loss_of(e), arguments.repeats) for name, encode in sides.items()}
+    figures = {name: best_cpu_seconds(lambda e=encode: loss_of(e), arguments.repeats) for name, encode in sides.items()}
     if arguments.json:
-        print(
-            json.dumps(
-                {
-                    "poses": coordinates.numel(),
-                    "distinct": distinct,
-                    "cpu_seconds_a_step": figures,
-                    "provenance": provenance(),
-                },
-                indent=2,
-            )
-        )
+        print_json({"poses": coordinates.numel(), "distinct": distinct, "cpu_seconds_a_step": figures})
         return
     print(f"{coordinates.numel()} poses, {distinct} distinct coordinates")
     for name, seconds in figures.items():

@@ -6,13 +6,11 @@ Each window's posterior mean is decoded told 20, 30, 60 and 120 fps, at the inst
 of joints over every pair of framerates. Needs the stage `field` alone.
 """
 
-import argparse
-import json
 from pathlib import Path
 
 import numpy as np
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 from nerm.field.trained import load_field
 from nerm.model import RATES, FramerateShift, framerate_shift
 
@@ -27,14 +25,14 @@ def measure(run: Path, num_windows: int) -> FramerateShift:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--windows", type=int, default=256)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     found = measure(arguments.run, arguments.windows)
     if arguments.json:
-        print(json.dumps(found.plain() | {"provenance": provenance(runs=[arguments.run])}, indent=2))
+        print_json(found.plain(), runs=[arguments.run])
         return
     rates = ", ".join(str(rate) for rate in found.rates)
     print(f"{found.num_motions} windows, {found.num_instants} instants, told {rates} fps")

@@ -13,10 +13,8 @@ CPU seconds, one thread; the best of the repeats. `--memory FPS` decodes 9.8 s a
 says how far the process's peak of resident memory rises.
 """
 
-import argparse
 import json
 import resource
-import time
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -25,7 +23,7 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
 from motionkit.clips.pose_vectors.convention import VectorScaling
 from motionkit.clips.windows import Windows
 from motionkit.generate.models import GenerationRequest
@@ -92,12 +90,7 @@ def random_model(recipe: str) -> NermModel:
 def cpu_seconds(work: Callable[[], object], repeats: int) -> float:
     """The quickest of some repeats, after one that doesn't count."""
     work()
-    found = []
-    for _ in range(repeats):
-        started = time.process_time()
-        work()
-        found.append(time.process_time() - started)
-    return min(found)
+    return best_cpu_seconds(work, repeats)
 
 
 def field_of(model: NermModel) -> TrainedField:
@@ -165,7 +158,7 @@ def decode_very_fast(recipe: str, run: str, fps: int) -> dict[str, object]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--recipe", default="nano", choices=sorted(RECIPES))
     parser.add_argument("--run", default="", help="a trained run; without it random weights of the recipe")
     parser.add_argument("--motions", type=int, default=1)
@@ -187,11 +180,7 @@ def main() -> None:
         "decoding": rates,
     }
     if arguments.json:
-        print(
-            json.dumps(
-                report | {"provenance": provenance(runs=[Path(arguments.run)] if arguments.run else [])}, indent=2
-            )
-        )
+        print_json(report, runs=[Path(arguments.run)] if arguments.run else [])
         return
     _print(report)
 

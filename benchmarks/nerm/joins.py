@@ -8,8 +8,6 @@ the largest change of a joint's velocity from one frame of 60 fps to the next. T
 and what a motion costs.
 """
 
-import argparse
-import json
 import time
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -18,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.command import arguments_parser, print_json
 from eval.metrics.physical import slide_speed
-from eval.report.results import provenance
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.assembly import AssembledField, chain
 from motionkit.fields.motion_field import to_motion
@@ -95,7 +93,7 @@ def figures_of(field: AssembledField, script: Script, seconds: float) -> Figures
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--overlap", type=float, default=0.5)
@@ -118,8 +116,7 @@ def main() -> None:
             found.append(asdict(figures_of(field, script, time.process_time() - begin)))
         rows[name] = {key: np.nanmean([each[key] for each in found], axis=0).tolist() for key in found[0]}
     if arguments.json:
-        about = {"run": str(arguments.run), "rows": rows, "provenance": provenance(runs=[arguments.run])}
-        print(json.dumps(about, indent=2))
+        print_json({"run": str(arguments.run), "rows": rows}, runs=[arguments.run])
         return
     print(f"{'':12}{'apart, cm':>10}{'foot speed, m/s':>20}{'jerk, m/s³':>16}{'jump, m/s':>16}{'skating':>9}{'s':>7}")
     for name, row in rows.items():

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 
 RATES = (20, 250)
 TAKE_SECONDS = 20.0
@@ -120,7 +120,7 @@ def measure(minutes: float, settings: list[str]) -> dict[int, dict[str, float]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--minutes", type=float, default=10.0, help="of motion in either store")
     parser.add_argument("--steps", type=int, default=40)
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
@@ -137,18 +137,7 @@ def main() -> None:
     slow, fast = (figures[fps] for fps in RATES)
     ratios = {name: fast[name] / slow[name] for name in ("own_mb", "resident_mb")}
     if arguments.json:
-        print(
-            json.dumps(
-                {
-                    "minutes": arguments.minutes,
-                    "settings": settings,
-                    "figures": figures,
-                    "ratios": ratios,
-                    "provenance": provenance(),
-                },
-                indent=2,
-            )
-        )
+        print_json({"minutes": arguments.minutes, "settings": settings, "figures": figures, "ratios": ratios})
         return
     print(f"{arguments.minutes:g} minutes of motion, {' '.join(settings)}; MB")
     print(f"{'fps':>5} {'own memory':>12} {'peak resident':>14} {'a batch':>9} {'corpus':>9}")

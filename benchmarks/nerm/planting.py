@@ -11,7 +11,6 @@ floor, and below the ground of the planted motion by the physical table's (its l
 
 import argparse
 import hashlib
-import json
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmarks.command import arguments_parser, print_json
 from eval.metrics.physical import ground_height, slide_speed
-from eval.report.results import provenance
 from eval.sets.real import RealMotion, real_motion
 from motionkit.core.motion import Motion
 from motionkit.export.player.page import write_page
@@ -104,7 +103,7 @@ def rows_of(arguments: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--store", type=Path, required=True)
     parser.add_argument("--motions", type=int, default=20)
@@ -122,8 +121,7 @@ def main() -> None:
         for name, each in (("mean", np.mean), ("largest", np.max))
     }
     if arguments.json:
-        about = {"rows": rows, **summary, "provenance": provenance(runs=[arguments.run])}
-        print(json.dumps(about, indent=2))
+        print_json({"rows": rows, **summary}, runs=[arguments.run])
         return
     print(f"| | {' | '.join(('caption', *COLUMNS.values()))} |\n|{'---|' * (len(COLUMNS) + 2)}")
     for number, row in [*enumerate(rows), *((name, {"caption": "", **row}) for name, row in summary.items())]:

@@ -6,16 +6,14 @@ One thread; the median over the steps, the first ones (and compilation) left out
 `field.compile`; the codes of the time encoding are random, which costs the same.
 """
 
-import argparse
 import dataclasses
-import json
 import statistics
 import time
 from pathlib import Path
 
 import torch
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 from motionkit.clips.poses import WindowPoses
 from motionkit.core.skeleton import SMPL22
 from motionkit.store.cache.positions import open_cache
@@ -42,7 +40,7 @@ def seconds_a_step(poses: WindowPoses, config: FieldConfig, codes: torch.Tensor,
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--store", type=Path, required=True)
     parser.add_argument("--recipe", choices=RECIPES, default="nano")
     parser.add_argument("--batch", type=int)
@@ -65,17 +63,8 @@ def main() -> None:
         for compiled in (False, True)
     }
     if arguments.json:
-        print(
-            json.dumps(
-                {
-                    "recipe": arguments.recipe,
-                    "batch": config.schedule.batch_size,
-                    "cpu_seconds_a_step": figures,
-                    "provenance": provenance(arguments.store),
-                },
-                indent=2,
-            )
-        )
+        asked = {"recipe": arguments.recipe, "batch": config.schedule.batch_size}
+        print_json({**asked, "cpu_seconds_a_step": figures}, arguments.store)
         return
     print(
         f"recipe {arguments.recipe}, {config.schedule.batch_size} × {config.clips.num_poses} poses, "

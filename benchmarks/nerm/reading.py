@@ -7,8 +7,6 @@ windows × 8 random instants and of 1,024 clips of 32 neighbouring poses, and me
 resident meanwhile.
 """
 
-import argparse
-import json
 import mmap
 import time
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 from motionkit.clips.poses import WindowPoses
 from motionkit.clips.windows import PositionSource, Windows
 from motionkit.core.skeleton import SMPL22
@@ -76,7 +74,7 @@ def resident_file_mb() -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("store", type=Path)
     parser.add_argument("--repeats", type=int, default=60)
     parser.add_argument("--json", action="store_true")
@@ -99,7 +97,7 @@ def main() -> None:
             cost = milliseconds(poses, windows, batch, arguments.repeats, after)
             rows.append({"batch": name, "read from": way, "ms": cost, "resident_mb": resident_file_mb() - before})
     if arguments.json:
-        print(json.dumps({"windows": len(windows), "rows": rows, "provenance": provenance(arguments.store)}, indent=2))
+        print_json({"windows": len(windows), "rows": rows}, arguments.store)
         return
     print(f"{'batch':26} {'read from':22} {'CPU ms':>8} {'resident MB':>12}")
     for row in rows:

@@ -9,7 +9,6 @@ The paper's settings are scaled to fit a processor: hidden width 256 for 1,024 a
 Writes time-to-quality.json and time-to-quality.png to DIR.
 """
 
-import argparse
 import json
 import time
 from dataclasses import asdict, dataclass
@@ -19,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.command import arguments_parser
 from eval.metrics.reconstruction import mpjpe_root_aligned
 from eval.report.results import provenance
 from motionkit.clips.poses import WindowPoses
@@ -140,7 +140,7 @@ def draw(curves: dict[str, list[Point]], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("store", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--ours-steps", type=int, default=1500)

@@ -8,7 +8,6 @@ told from real motion by the run's own evaluator under the protocol `native`, wh
 not read the wordings either. Real motion stands beside, with the evaluator asked with the captions and the wordings.
 """
 
-import argparse
 import csv
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import arguments_parser
 from eval.native_evaluator.evaluator import load_native
 from eval.native_evaluator.text_motion import NativeTextMotion
 from eval.sets.sets import sample_set
@@ -61,7 +61,7 @@ def row(name: str, reference: TextMotionPairs, own: TextMotionPairs) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--store", type=Path, required=True)
     parser.add_argument("--wordings", type=Path, default=Path(__file__).with_name("second_wordings.csv"))

@@ -7,15 +7,13 @@ CPU seconds, one thread, all sides in turn, the best of the repeats. How far the
 the same run.
 """
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from typing import Any
 
 import torch
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 from pahires.activation import FourierActivation, linear
 
 
@@ -67,7 +65,7 @@ def measure(rows: int, width: int, num_sines: int, repeats: int) -> dict[str, An
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments_parser(__doc__)
     parser.add_argument("--rows", type=int, default=1024)
     parser.add_argument("--width", type=int, default=256)
     parser.add_argument("--sines", type=int, default=16)
@@ -78,7 +76,7 @@ def main() -> None:
     torch.manual_seed(0)
     result = measure(options.rows, options.width, options.sines, options.repeats)
     if options.json:
-        print(json.dumps(result | {"provenance": provenance()}))
+        print_json(result)
         return
     forwards, whole = result["forward_nanoseconds"], result["with_gradients_nanoseconds"]
     ratios, apart = result["sines_per_table"], result["apart"]

@@ -8,8 +8,6 @@ are), brought up by holding, linear interpolation, SLERP of rotations and cubic 
 stderr, JSON to stdout.
 """
 
-import argparse
-import json
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -19,10 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_table_and_json
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
@@ -126,7 +123,7 @@ def detection(motions: list[Motion], count: int, seconds: float) -> dict[str, di
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--takes", type=int, default=40)
     parser.add_argument("--seconds", type=float, default=6.0)
@@ -158,8 +155,7 @@ def main() -> None:
     table = Table("captured → stated fps", *METHODS, title="flagged / rate told exactly, % of takes")
     for pair, methods in report["detection"].items():
         table.add_row(pair, *(f"{100 * each['flagged']:.0f} / {100 * each['exact']:.0f}" for each in methods.values()))
-    Console(stderr=True).print(table)
-    print(json.dumps(report | {"provenance": provenance()}, indent=2, ensure_ascii=False))
+    print_table_and_json(table, report)
 
 
 if __name__ == "__main__":

@@ -7,8 +7,6 @@ least of the repeats, files in the operating system's cache. With --sources, the
 worker.
 """
 
-import argparse
-import json
 import tempfile
 import time
 from collections.abc import Callable
@@ -22,7 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.table import Table
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 from motionkit.cli.console import stdout
 from motionkit.core import checksums
 from motionkit.core.skeleton import Skeleton
@@ -113,7 +111,7 @@ def ingest_figures(sources: list[Path]) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("store", type=Path)
     parser.add_argument("--sources", nargs="*", type=Path, default=[])
     parser.add_argument("--repeats", type=int, default=5)
@@ -121,7 +119,7 @@ def main() -> None:
     arguments = parser.parse_args()
     figures = measure(arguments.store, arguments.sources, arguments.repeats)
     if arguments.json:
-        print(json.dumps(figures | {"provenance": provenance(arguments.store)}, indent=2))
+        print_json(figures, arguments.store)
         return
     table = Table(title=f"{arguments.store}: processor seconds")
     for heading in ("", "with checks", "without", "more"):

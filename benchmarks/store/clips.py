@@ -6,8 +6,6 @@ The floor is a plain copy of the same bytes from one array to another. Every way
 checked bit by bit.
 """
 
-import argparse
-import json
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.table import Table
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 from motionkit.cli.console import stdout
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
@@ -117,7 +115,7 @@ def copy_rate(positions: np.ndarray, clip_frames: int, seconds: float) -> tuple[
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--frames", type=int, default=500_000, help="size of the random store")
     parser.add_argument("--clip-frames", type=int, default=32)
     parser.add_argument("--seconds", type=float, default=1.0, help="processor time spent on each way")
@@ -157,7 +155,7 @@ def main() -> None:
         "clips_per_second": rates,
     }
     if arguments.json:
-        print(json.dumps(report | {"provenance": provenance()}, indent=2))
+        print_json(report)
         return
     table = Table(title=f"random {length}-frame clips of 22 joints, one core ({bandwidth / 1e9:.1f} GB/s of copying)")
     table.add_column("way")

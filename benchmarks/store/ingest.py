@@ -9,10 +9,8 @@ have, on one core. The peer is upc-pymotion reading a sample of the BVH files am
 each, in this process. A table goes to stderr, JSON to stdout.
 """
 
-import argparse
 import ctypes
 import hashlib
-import json
 import os
 import platform
 import resource
@@ -24,6 +22,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from benchmarks.command import arguments_parser, print_json
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -31,7 +31,6 @@ import numpy as np
 import pyarrow as pa
 from rich.table import Table
 
-from eval.report.results import provenance
 from motionkit.cli.console import stderr
 from motionkit.store import Store
 
@@ -114,7 +113,7 @@ def peer_seconds_per_megabyte(sources: list[Path], count: int, folder: Path) -> 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("sources", nargs="+", type=Path)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=3)
@@ -164,7 +163,7 @@ def main() -> None:
         f"of the medians {report['wall_ratio_of_medians']:.2f}"
     )
     stderr.print(table)
-    print(json.dumps(report | {"provenance": provenance()}, indent=2))
+    print_json(report)
 
 
 if __name__ == "__main__":

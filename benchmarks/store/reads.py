@@ -6,8 +6,6 @@ The peers fetch the same frames of the same random sequences from the same Parqu
     python benchmarks/store/reads.py STORE [--sequences 300] [--json]
 """
 
-import argparse
-import json
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -21,7 +19,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 from rich.table import Table
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 from motionkit.cli.console import stdout
 from motionkit.store import Store
 from motionkit.store.life.rewrite import merge
@@ -101,14 +99,14 @@ def measure(path: Path, num_reads: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("store", type=Path)
     parser.add_argument("--sequences", type=int, default=300, help="number of random reads")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     report = measure(arguments.store, arguments.sequences)
     if arguments.json:
-        print(json.dumps(report | {"provenance": provenance(arguments.store)}, indent=2))
+        print_json(report, arguments.store)
         return
     table = Table(title=f"{report['sequences']:,} sequences, {report['frames']:,} frames; one core")
     table.add_column("what")

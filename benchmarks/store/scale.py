@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from benchmarks.command import arguments_parser, print_json
 from benchmarks.store.clips import BATCH, copy_rate, frames_in_pandas, parquet_by_frame, rate
-from eval.report.results import provenance
 from motionkit.cli.console import stderr
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22
@@ -294,7 +294,7 @@ def print_table(count: int, report: dict[str, dict[str, Any]]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("--sequences", type=int, default=100_000)
     parser.add_argument("--folder", type=Path, help="where the store is made, and kept; by default a temporary folder")
     parser.add_argument("--step", choices=STEPS, help=argparse.SUPPRESS)
@@ -311,7 +311,7 @@ def main() -> None:
         for step in ("reader", "peers", "cache", "clips"):
             report[step] = alone(step, path)
     print_table(arguments.sequences, report)
-    print(json.dumps(report | {"provenance": provenance()}, indent=2))
+    print_json(report)
 
 
 if __name__ == "__main__":

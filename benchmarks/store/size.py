@@ -6,8 +6,6 @@ what comes out is compared, bit by bit, with what went in (or with what was roun
     python benchmarks/store/size.py captures/cmu captures/bandai-namco captures/mixed-bvh [--every 5] [--json]
 """
 
-import argparse
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.table import Table
 
-from eval.report.results import provenance
+from benchmarks.command import arguments_parser, print_json
 from motionkit.cli.console import stdout
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.scan.reading import read
@@ -136,7 +134,7 @@ def blocks_of(sources: list[Path], every: int) -> dict[str, Blocks]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_parser(__doc__)
     parser.add_argument("sources", type=Path, nargs="+", help="files or folders, as for motionkit ingest")
     parser.add_argument("--every", type=int, default=5, help="take every n-th sequence")
     parser.add_argument("--json", action="store_true")
@@ -148,7 +146,7 @@ def main() -> None:
         }
         report["columns"][column] = {"raw_mb": sum(block.nbytes for block in blocks) / 1e6, "variants": figures}
     if arguments.json:
-        print(json.dumps(report | {"provenance": provenance()}, indent=2))
+        print_json(report)
         return
     for column, found in report["columns"].items():
         table = Table(title=f"{column}: {found['raw_mb']:.0f} MB of float32, one core")
