@@ -1,16 +1,14 @@
 """`motionkit complete`: a motion at any framerate, its gaps closed, its ends continued."""
 
-from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import of_source, parse_rate, read_options
-from motionkit.core.errors import MotionkitError, describe
-from motionkit.core.progress import task, tracked
+from motionkit.cli.console import stderr
+from motionkit.cli.each_clip import write_each
+from motionkit.cli.options import parse_rate, read_options
 from motionkit.core.settings import default_path
 from motionkit.training.loaders import loader_names
 
@@ -69,11 +67,6 @@ StorePath = Annotated[Path | None, typer.Option(help="Store of sequence ids.", s
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")]
 
 
-if TYPE_CHECKING:
-    from motionkit.complete.clips import ClipSource
-    from motionkit.complete.job import CompletedClip, Job, OutputPath
-
-
 def complete(
     clips: Clips,
     fps: TargetFps = None,
@@ -117,50 +110,11 @@ def complete(
     compared = [choose_encoder(name.strip(), None, runs_folder) for name in compare.split(",")] if compare else []
     stderr.print(f"motionkit: completing with {chosen.explanation}")
     job = Job(request, chosen, compared, None if file_format is None else f".{file_format}", overwrite=overwrite)
-    failures = [(str(problem.path), of_source(str(problem), problem)) for problem in problems]
-    for _, message in failures:
-        stderr.print(f"motionkit: {message}")
     path_of = OutputPath(out, len(sources), [Path(each) for each in clips if Path(each).is_dir()])
-    done, failed = _complete_each(job, sources, path_of, as_json)
-    failures += failed
-    if as_json:
-        print_json(
-            {
-                "encoder": chosen.name,
-                "clips": [each.plain() for each in done],
-                "failed": [{"clip": name, "message": message} for name, message in failures],
-            }
-        )
-    if failures:
-        raise typer.Exit(1)
-
-
-def _complete_each(
-    job: "Job", sources: "Sequence[ClipSource]", path_of: "OutputPath", as_json: bool
-) -> "tuple[list[CompletedClip], list[tuple[str, str]]]":
-    """What was written, and name and message of each clip that could not be: one that fails loses no other."""
-    done: list[CompletedClip] = []
-    failures: list[tuple[str, str]] = []
-    with progress() as show:
-        for source in tracked(show, "complete", sources, len(sources)):
-            try:
-                with task(show, source.name) as frames:
-                    completed = job.complete(source, path_of, frames.advance)
-            except (MotionkitError, OSError) as error:
-                message = of_source(describe(error), error)
-                failures.append((source.name, message))
-                named = message if source.name in message else f"{source.name}: {message}"
-                stderr.print(f"motionkit: {named}")
-            else:
-                done.append(completed)
-                _print_completed(completed, as_json)
-    return done, failures
-
-
-def _print_completed(completed: "CompletedClip", as_json: bool) -> None:
-    for warning in completed.warnings:
-        stderr.print(f"motionkit: warning: {completed.source}: {warning}")
-    if not as_json:
-        for path in (completed.path, completed.page):
-            if path is not None:
-                stdout.print(str(path))
+    write_each(
+        "complete",
+        (sources, problems),
+        lambda source, on_frames: job.complete(source, path_of, on_frames),
+        lambda done: [f"warning: {done.source}: {warning}" for warning in done.warnings],
+        {"encoder": chosen.name} if as_json else None,
+    )

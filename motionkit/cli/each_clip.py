@@ -1,0 +1,80 @@
+"""What becomes of clips one by one: `complete` and `plant`; one that fails loses no other."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+import typer
+
+from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.cli.options import of_source
+from motionkit.core.errors import FormatError, MotionkitError, describe
+from motionkit.core.progress import task, tracked
+
+if TYPE_CHECKING:
+    from motionkit.complete.clips import ClipSource, Progress
+
+
+class WrittenClip(Protocol):
+    """What became of a clip."""
+
+    @property
+    def source(self) -> str:
+        """The clip's name."""
+        ...
+
+    @property
+    def path(self) -> Path:
+        """Its file."""
+        ...
+
+    @property
+    def page(self) -> Path | None:
+        """The page beside it, where one was asked for."""
+        ...
+
+    def plain(self) -> dict[str, Any]:
+        """All of it as JSON."""
+        ...
+
+
+Written = TypeVar("Written", bound=WrittenClip)
+
+
+def write_each(
+    verb: str,
+    found: "tuple[Sequence[ClipSource], Sequence[FormatError]]",
+    write: "Callable[[ClipSource, Progress], Written]",
+    remarks: Callable[[Written], Iterable[str]],
+    about: Mapping[str, Any] | None,
+) -> None:
+    """Write a file for every clip that was found, and print its path, or JSON that begins with what it is `about`.
+
+    Exits with 1 where a clip cannot be read or made: messages are on stderr, as are the `remarks` on those written.
+    """
+    sources, problems = found
+    failures = [(str(problem.path), of_source(str(problem), problem)) for problem in problems]
+    for _, message in failures:
+        stderr.print(f"motionkit: {message}")
+    done: list[Written] = []
+    with progress() as show:
+        for source in tracked(show, verb, sources, len(sources)):
+            try:
+                with task(show, source.name) as frames:
+                    written = write(source, frames.advance)
+            except (MotionkitError, OSError) as error:
+                message = of_source(describe(error), error)
+                failures.append((source.name, message))
+                stderr.print(f"motionkit: {message if source.name in message else f'{source.name}: {message}'}")
+                continue
+            done.append(written)
+            for remark in remarks(written):
+                stderr.print(f"motionkit: {remark}")
+            for path in (written.path, written.page) if about is None else ():
+                if path is not None:
+                    stdout.print(str(path))
+    if about is not None:
+        failed = [{"clip": name, "message": message} for name, message in failures]
+        print_json({**about, "clips": [each.plain() for each in done], "failed": failed})
+    if failures:
+        raise typer.Exit(1)
