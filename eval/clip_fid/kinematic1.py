@@ -8,20 +8,17 @@ Every quantity is per second or relative, so its meaning does not change with th
 """
 
 import hashlib
-import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float, Float64
 
 from eval.clip_fid.channels import FEET, GROUP_MEANS, JOINT_GROUPS, NUM_JOINTS, local_poses
-from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import whole_file
 
 VERSION = "kinematic/1"
@@ -109,26 +106,6 @@ class KinematicDescriptor:
                 scale=self.scale,
                 fingerprint=np.array(self.fingerprint),
             )
-
-
-def load_kinematic(path: Path) -> KinematicDescriptor:
-    """Read a descriptor that `save` wrote.
-
-    Raises `DamagedFileError` where it is not what was written, and `ValueError` where it is of another version.
-    """
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-            arrays = dict(file)
-        version, fps = str(arrays.pop("version")), Fraction(str(arrays.pop("fps")))
-        written = str(arrays.pop("fingerprint", ""))  # files of before have none
-        descriptor = KinematicDescriptor(fps, **arrays)
-    except (ArithmeticError, BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
-        raise DamagedFileError(path, str(error), "fit it again") from None
-    if version != VERSION:
-        raise ValueError(f"{path} holds a descriptor of version {version}, this is {VERSION}: fit it again")
-    if written not in ("", descriptor.fingerprint):
-        raise DamagedFileError(path, "its numbers are not those of its fingerprint", "fit it again")
-    return descriptor
 
 
 def fit_kinematic(clips: Iterable[Float[np.ndarray, "_clips _poses joints 3"]], fps: Fraction) -> KinematicDescriptor:

@@ -27,15 +27,23 @@ def evaluator(run: str) -> None:
 
 def kinematic(folder: str) -> None:
     """The features of fitted kinematic descriptors, which are fitted where there are none."""
-    from eval.clip_fid.kinematic1 import fit_kinematic, load_kinematic
+    from eval.clip_fid.kinematic import fit_kinematic, load_kinematic
 
     path = Path(folder) / "kinematic.npz"
-    clips = np.random.default_rng(3).normal(size=(40, 8, 22, 3))
+    clips = np.random.default_rng(3).normal(size=(4, 64, 22, 3))
     if not path.exists():
         path.parent.mkdir(exist_ok=True)
-        fit_kinematic([clips], Fraction(20)).save(path)
+        fit_kinematic(clips, Fraction(20)).save(path)
     found = load_kinematic(path)
-    _print(found.pose_mean, found.pose_components, found.centre, found.scale, text=str(found.fps))
+    fitted = (
+        found.pose_mean,
+        found.pose_components,
+        found.predictor,
+        found.least_prediction,
+        found.centre,
+        found.scale,
+    )
+    _print(*fitted, text=str(found.fps))
 
 
 def embeddings(folder: str) -> None:

@@ -1,13 +1,12 @@
 """The kinematic descriptor: invariances, known answers of every block, independence of batches."""
 
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from eval.clip_fid import kinematic1
-from eval.clip_fid.kinematic1 import BLOCKS, KinematicDescriptor, fit_kinematic, load_kinematic
+from eval.clip_fid.kinematic1 import BLOCKS, KinematicDescriptor, fit_kinematic
 from eval.sets.corruptions import turn
 
 FPS = Fraction(60)
@@ -111,14 +110,8 @@ def test_numbers_that_hardly_vary_are_not_blown_up() -> None:
     assert np.abs(fitted.describe(walks(50, 32), FPS)).max() < 100
 
 
-def test_the_fit_travels_through_a_file(descriptor: KinematicDescriptor, tmp_path: Path) -> None:
-    descriptor.save(tmp_path / "fit.npz")
-    again = load_kinematic(tmp_path / "fit.npz")
-    assert again.fingerprint == descriptor.fingerprint
-    clips = walks(5, 20)
-    np.testing.assert_array_equal(again.describe(clips, FPS), descriptor.describe(clips, FPS))
-    other = fit_kinematic([walks(200, 16, seed=1)], FPS)
-    assert other.fingerprint != descriptor.fingerprint
+def test_other_clips_make_another_fit(descriptor: KinematicDescriptor) -> None:
+    assert fit_kinematic([walks(200, 16, seed=1)], FPS).fingerprint != descriptor.fingerprint
 
 
 def test_refusals(descriptor: KinematicDescriptor) -> None:
