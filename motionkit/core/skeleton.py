@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64
 
 # The most that a file may have: more are a mistake or an attack.
 MAX_JOINTS = 10_000
@@ -59,6 +59,11 @@ class Skeleton:
     def num_joints(self) -> int:
         """Number of joints J."""
         return len(self.joint_names)
+
+    @cached_property
+    def parents_or_self(self) -> Int64[np.ndarray, "joints"]:
+        """Each joint's parent; the root's is the root."""
+        return np.maximum(self.parents, 0)
 
     @cached_property
     def fingerprint(self) -> str:

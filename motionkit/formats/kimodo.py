@@ -95,7 +95,7 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
         message = f"{JOINTS}: {positions.shape[1]} joints, expected {known}"
         raise FormatError(message, path=path, reason="channel-count")
     fps, stated, operations = _framerate(archive, options)
-    body = replace(skeleton, offsets=positions[0] - positions[0, [max(each, 0) for each in skeleton.parents]])
+    body = replace(skeleton, offsets=positions[0] - positions[0, skeleton.parents_or_self])
     made = Motion(
         positions,
         body,
@@ -106,7 +106,7 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
     if ROTATIONS not in archive:
         return made
     matrices = npz_archive.read_numbers(archive, ROTATIONS, (*positions.shape[:2], 3, 3))
-    local = np.einsum("tjki,tjkl->tjil", matrices[:, [max(each, 0) for each in skeleton.parents]], matrices)
+    local = np.einsum("tjki,tjkl->tjil", matrices[:, skeleton.parents_or_self], matrices)
     local[:, 0] = matrices[:, 0]
     return rigid.with_rotations(made, local)
 

@@ -141,7 +141,7 @@ def drawing_of(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints
 
 def _bones(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints 3"]) -> tuple[int, ...]:
     parents = list(skeleton.parents)
-    lengths = np.linalg.norm(positions - positions[:, [max(parent, 0) for parent in parents]], axis=-1)
+    lengths = np.linalg.norm(positions - positions[:, skeleton.parents_or_self], axis=-1)
     limits = [TRAVELLING_FROM_ROOT_METRES if parent == 0 else TRAVELLING_METRES for parent in parents]
     travels = np.ptp(lengths, axis=0) > limits
     bones = [-1 if far else parent for parent, far in zip(parents, travels.tolist(), strict=True)]

@@ -38,7 +38,7 @@ class Bones:
     def of(cls, positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton) -> "Bones":
         """The bones of some frames: median lengths, and between the bones of one joint the angles that fit best."""
         values = positions.astype(np.float64)
-        bones = values - values[:, _parents(skeleton)]
+        bones = values - values[:, skeleton.parents_or_self]
         middle, spread = _middle_and_spread(bones)
         moving = _moving(skeleton, middle, spread)
         offsets = np.zeros((skeleton.num_joints, 3))
@@ -91,7 +91,7 @@ class Bones:
         """
         if not np.isfinite(positions).all():
             raise ValueError("feet cannot be planted: some joint positions are NaN or infinite")
-        middle, spread = _middle_and_spread(positions - positions[:, _parents(skeleton)])
+        middle, spread = _middle_and_spread(positions - positions[:, skeleton.parents_or_self])
         allowed = CAPTURED_SHARE * middle + CAPTURED_METRES if captured else ROUNDING_METRES
         changes = set(np.flatnonzero(spread > allowed).tolist()) - {0} - _moving(skeleton, middle, spread)
         return cls.of(positions, skeleton) if changes else None
@@ -145,11 +145,6 @@ class Bones:
         reached[joint, rows] = reached[start, rows] + upper * _directions(old + gone[:, None] * (bent - old))[0]
 
 
-def _parents(skeleton: Skeleton) -> list[int]:
-    """Each joint's parent, the root's own index for the root."""
-    return [max(parent, 0) for parent in skeleton.parents]
-
-
 def _middle_and_spread(
     bones: Float[np.ndarray, "frames joints 3"],
 ) -> tuple[Float64[np.ndarray, "joints"], Float64[np.ndarray, "joints"]]:
@@ -162,7 +157,7 @@ def _moving(
     skeleton: Skeleton, middle: Float64[np.ndarray, "joints"], spread: Float64[np.ndarray, "joints"]
 ) -> frozenset[int]:
     """The joints that hang on no bone: those that travel, or lie on their parent."""
-    limits = [TRAVELLING_FROM_ROOT_METRES if parent == 0 else TRAVELLING_METRES for parent in _parents(skeleton)]
+    limits = [TRAVELLING_FROM_ROOT_METRES if parent == 0 else TRAVELLING_METRES for parent in skeleton.parents_or_self]
     return frozenset(np.flatnonzero((spread > limits) | (middle < NO_LENGTH)).tolist()) - {0}
 
 

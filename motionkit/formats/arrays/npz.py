@@ -92,8 +92,7 @@ def checked_layout_map(text: str, path: Path) -> str:
 
 def bones_of_pose(pose: Float32[np.ndarray, "joints 3"], parents: tuple[int, ...]) -> Float32[np.ndarray, "joints 3"]:
     """Offsets in metres that make one pose the rest pose; the root's is zero."""
-    above = [max(parent, 0) for parent in parents]
-    return np.asarray(pose - pose[above], np.float32)
+    return np.asarray(pose - pose[np.maximum(parents, 0)], np.float32)
 
 
 def _described(

@@ -66,8 +66,7 @@ def retarget(motion: Motion, target: Skeleton, rest: Float64[np.ndarray, "joints
 def standing_skeleton(skeleton: Skeleton, rest: Float64[np.ndarray, "joints 4"]) -> Skeleton:
     """The skeleton whose offsets, unturned, give the pose that these local rotations give of another one."""
     world = kinematics.global_rotations(rest[None], skeleton)[0]
-    parents = [max(parent, 0) for parent in skeleton.parents]
-    offsets = kinematics.quaternion_rotate(world[parents], skeleton.offsets.astype(np.float64))
+    offsets = kinematics.quaternion_rotate(world[skeleton.parents_or_self], skeleton.offsets.astype(np.float64))
     offsets[0] = skeleton.offsets[0]
     tips = tuple(
         (joint, tuple(kinematics.quaternion_rotate(world[joint], np.array(tip)).tolist()))

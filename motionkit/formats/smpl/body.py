@@ -43,8 +43,7 @@ class PoseLayout:
 
     def skeleton(self, name: str, rest_joints: Float[np.ndarray, "joints 3"]) -> Skeleton:
         """The skeleton whose joints rest at these places in metres."""
-        above = np.array([max(parent, 0) for parent in self.parents])
-        offsets = rest_joints - rest_joints[above]
+        offsets = rest_joints - rest_joints[np.maximum(self.parents, 0)]
         offsets[0] = rest_joints[0]
         return Skeleton(
             name=name,

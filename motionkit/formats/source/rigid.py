@@ -25,7 +25,7 @@ def with_rotations(motion: Motion, local_matrices: Float[np.ndarray, "frames joi
         return motion.logged(f"positions only: a matrix is off a rotation by {error:.2g}, or mirrors")
     local_rotations = kinematics.matrix_to_quaternion(local_matrices)
     skeleton, positions = motion.skeleton, motion.joint_positions
-    above = [max(each, 0) for each in skeleton.parents]
+    above = skeleton.parents_or_self
     world = kinematics.global_rotations(local_rotations, skeleton)[:, above]
     bones = kinematics.quaternion_rotate(kinematics.quaternion_conjugate(world), positions - positions[:, above])
     offsets = np.median(bones, axis=0).astype(np.float32)
