@@ -12,7 +12,7 @@ from motionkit.clips.pose_vectors.native import NativeVectors
 from motionkit.features import native
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted
-from peers.generative.networks.layers import diffusion_sample
+from peers.generative.networks.layers import diffusion_sample, drawn, noisy_at_random
 from peers.generative.networks.mdm import Mdm
 from peers.generative.networks.mld import Mld, MldVae
 from peers.generative.recipes import MDM, MDM_50, MLD
@@ -151,6 +151,23 @@ def test_a_denoiser_wants_its_vaes_width() -> None:
         Mld(MldNetworkConfig(replace(SIZES, width=32)), space(), TEXTS, {"mld-vae": vae})
     with pytest.raises(ValueError, match="an odd number of layers, not 4"):
         MldVae(MldVaeNetworkConfig(replace(SIZES, layers=4)), space(), ConditionSizes(0, ()), {})
+
+
+def test_many_noises_of_a_latent_are_the_mean_of_their_losses() -> None:
+    torch.manual_seed(4)
+    vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), space(), ConditionSizes(0, ()), {}).eval()
+    network = Mld(MldNetworkConfig(SIZES, time_features=12, noises=3), space(), TEXTS, {"mld-vae": vae}).eval()
+    rows, lengths, given = torch.randn(2, 8, 263), torch.tensor([8, 6]), conditions(2)
+    batch = MotionBatch(rows, lengths, given, torch.arange(2), torch.arange(8).repeat(2, 1))
+    found = network.losses(batch, torch.Generator().manual_seed(5))["loss"]
+    generator = torch.Generator().manual_seed(5)
+    latents = drawn(*vae.encode(rows, lengths), generator)[:, None]
+    noisy, steps, noise = noisy_at_random(latents.repeat(3, 1, 1), network.diffusion, generator)
+    alone = [
+        (network(noisy[own], steps[own], given) - noise[own]).square().mean()
+        for own in (slice(first, first + 2) for first in (0, 2, 4))
+    ]
+    torch.testing.assert_close(found, torch.stack(alone).mean())
 
 
 def test_joints_are_those_of_the_vectors() -> None:
