@@ -1,6 +1,6 @@
 """What one trained model scores: how it reconstructs and what it generates, by framerate."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -44,10 +44,6 @@ ERRORS = {MPJPE: mpjpe_cell, MRE: mre_cell}
 _Fields = Mapping[Window, MotionField]
 
 
-def _as_is(fields: _Fields) -> dict[str, _Fields]:
-    return {"{}": fields}
-
-
 def _and_planted(fields: _Fields) -> dict[str, _Fields]:
     return {"{}": fields, PLANTED: planted_fields(fields)}
 
@@ -72,22 +68,16 @@ class Yardstick:
         """clip-FID of real motion with itself: independent draws (P1), and disjoint halves of the takes (P2)."""
         return kept(self.request.results, "floors", self._clip_terms(), self._floors)
 
-    def synthesis(self, trained: TrainedModel, sampling: SamplingOptions = SamplingOptions()) -> Part:
+    def synthesis(
+        self, trained: TrainedModel, sampling: SamplingOptions = SamplingOptions(), *, planted: bool = False
+    ) -> Part:
         """clip-FID of what a model generates for the captions and durations of the real sequences.
 
-        Raises `RunError` where a stage of it is not trained.
+        And, where asked for, of the same motions planted. Raises `RunError` where a stage of it is not trained.
         """
+        name = "synthesis-and-planted" if planted else "synthesis"
         terms = {**self._generated_terms(trained), "sampling": asdict(sampling)}
-        return kept(self.request.results, "synthesis", terms, lambda: self._synthesis(trained, sampling))
-
-    def synthesis_and_planted(self, trained: TrainedModel, sampling: SamplingOptions = SamplingOptions()) -> Part:
-        """As `synthesis`, and the same of these motions planted."""
-        terms = {**self._generated_terms(trained), "sampling": asdict(sampling)}
-
-        def made() -> Part:
-            return self._synthesis(trained, sampling, _and_planted)
-
-        return kept(self.request.results, "synthesis-and-planted", terms, made)
+        return kept(self.request.results, name, terms, lambda: self._synthesis(trained, sampling, planted))
 
     def unconditional(self, trained: TrainedModel) -> Part:
         """clip-FID and diversity of what a model generates without any condition but the real sequences' durations.
@@ -158,19 +148,14 @@ class Yardstick:
         """What a model is asked for: the real sequences' durations and conditions."""
         return windows_of(self.real.at(min(self._columns.value)), model.max_duration_seconds)
 
-    def _synthesis(
-        self,
-        trained: TrainedModel,
-        sampling: SamplingOptions,
-        variants: Callable[[_Fields], Mapping[str, _Fields]] = _as_is,
-    ) -> Part:
+    def _synthesis(self, trained: TrainedModel, sampling: SamplingOptions, planted: bool) -> Part:
         if not self._columns.value:
             return Part({SYNTHESIS: {}}, self._columns.missing)
         model, request = trained.loaded, self.request
         fields = generate_fields(model, self._windows(model), request.seed, request.evaluated.max_motions, sampling)
         rows: dict[str, dict[str, Cell]] = {}
         missing = list(self._columns.missing)
-        for form, made in variants(fields).items():
+        for form, made in (_and_planted(fields) if planted else {"{}": fields}).items():
             rows[form.format(SYNTHESIS)] = {}
             for fps in self._columns.value:
                 samples = self._sampled(trained.run.name, made, fps)
