@@ -37,13 +37,13 @@ def score_differences(rows: Mapping[str, Mapping[str, Score]], column_of: Mappin
     return found
 
 
-def of_interest(block: Block, differences: Differences) -> Differences:
+def of_interest(block: Block, differences: Differences, best: Iterable[str] = ()) -> Differences:
     """Of the differences between all rows of a block those that say something; nearly all pairs of many rows do not.
 
     They hold the best row of a column or a reference, or the same motions treated in two ways, whose names begin alike
-    ("X" and "X, planted"). Where no row can be best, all are.
+    ("X" and "X, planted"). `best` names the best rows where the columns do not. Where no row can be best, all are.
     """
-    best = {names[0] for names in _ranked(block).values()}
+    best = {*best} or {names[0] for names in _ranked(block).values()}
     shown = best | {row.name for row in block.rows if row.origin == "reference"}
     return {
         pair: found

@@ -37,6 +37,7 @@ from motionkit.generate.models import installed_models
 VERSION = "physical/1"
 COLUMNS = (Fraction(20), Fraction(120))
 REAL = "real"
+SKATING = find_metric("slide_speed").title
 # Per instant, so no framerate moves them, whoever defined them first.
 PER_INSTANT = ("physdiff_penetrate", "physdiff_float")
 OURS = (*METRICS[:4], *(find_metric(name) for name in PER_INSTANT), *METRICS[4:])
@@ -216,8 +217,15 @@ def blocks_of(
         for first, second in pairs
     }
     block = Block(title, columns, found, note=note, metrics=measures)
-    differences = differences_block(block, of_interest(block, told))
+    differences = differences_block(block, of_interest(block, told, _nearest(means)))
     return [block, *([differences] if differences else [])]
+
+
+def _nearest(means: Mapping[str, Mapping[str, Mean]]) -> list[str]:
+    """The row whose feet skate most nearly as real ones do; none of blocks without that column."""
+    speeds = {name: row[SKATING].value for name, row in means.items() if SKATING in row}
+    real = speeds.pop(REAL, None)
+    return [] if real is None else sorted(speeds, key=lambda name: abs(speeds[name] - real))[:1]
 
 
 def _means(metrics: Sequence[Metric], row: Measured, resampling: Resampling) -> dict[str, Mean]:

@@ -41,7 +41,9 @@ def test_rows_without_resamplings_have_no_difference() -> None:
 def test_pairs_without_the_best_row_are_shown_of_the_same_motions_alone() -> None:
     names = ("a", "b", "b, planted", "c")
     every = {pair: {"FID": Difference(-1.0, 0.5)} for pair in pairs_of(names, ("r",))}
-    assert [*of_interest(block_of(r=0.1, a=1.0, b=3.0, **{"b, planted": 2.0}, c=4.0), every)] == [
-        *(("a", "b"), ("a", "b, planted"), ("a", "c"), ("b", "b, planted")),
-        *(("a", "r"), ("b", "r"), ("b, planted", "r"), ("c", "r")),
-    ]
+    block, treated = block_of(r=0.1, a=1.0, b=3.0, **{"b, planted": 2.0}, c=4.0), ("b", "b, planted")
+    references = [("a", "r"), ("b", "r"), ("b, planted", "r"), ("c", "r")]
+    best = [("a", "b"), ("a", "b, planted"), ("a", "c"), treated]
+    assert [*of_interest(block, every)] == [*best, *references]
+    named = [("a", "c"), treated, ("b", "c"), ("b, planted", "c")]
+    assert [*of_interest(block, every, ["c"])] == [*named, *references]
