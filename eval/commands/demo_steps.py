@@ -21,11 +21,11 @@ from motionkit.formats.bvh.document import read_bvh
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.store.reader import Store
 from motionkit.synthetic.demo_corpus import write_demo_corpus
+from motionkit.training.config import flatten
+from motionkit.training.stage import registered_stages
 from motionkit.training.text import load_text_encoder
 
 RECIPE = "demo"
-# The recipe's.
-TEXT_ENCODER = "minilm"
 STAGES = ("codebook", "field", "denoiser")
 PICTURED_ACTIONS = ("walk", "jump", "wave_both", "squat")
 PICTURED_SECONDS = 4.0
@@ -80,7 +80,8 @@ def run_demo(folder: DemoFolder, size: DemoSize, seed: int) -> DemoOutcome:
     The steps print what their commands print. Raises `UsageError` for a folder with something else in it, and
     `MissingExtraError` without the extra `text`.
     """
-    load_text_encoder(TEXT_ENCODER)  # asked for now, not after minutes of training
+    settings = flatten(registered_stages()["denoiser"].recipe(RECIPE))
+    load_text_encoder(str(settings["denoiser.conditions.text_encoder"]))  # asked for now, not after minutes of training
     _prepare(folder)
     seconds: dict[str, float] = {}
     with _step("corpus", seconds):

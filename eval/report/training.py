@@ -36,13 +36,13 @@ def stages_of(run: Path) -> list[StageTraining]:
     found = []
     for path in folders:
         stage = RunFolder(run).stage(path.name)
-        config, summary = stage.read_config(), stage.read_summary() if stage.is_complete else {}
-        steps = summary.get("steps", summary.get("step"))
+        config = stage.read_config()
         facts = {
             "recipe": str(config.get("recipe", "–")),
-            "steps": "not finished" if not summary else "–" if steps is None else f"{int(steps):,}",
-            "parameters": f"{int(summary['parameters']):,}" if "parameters" in summary else "–",
-            "processor time": f"{summary['cpu_seconds']:,.0f} s" if "cpu_seconds" in summary else "–",
+            "steps": "–" if stage.is_complete else "not finished",
+            "parameters": "–",
+            "processor time": "–",
+            **stage.effort(),
             "commit": str(config.get("commit") or "–")[:12],
             "store": str(config.get("store_fingerprint", "–"))[:12],
             "weights (sha256)": weights.get(path.name, "–")[:12],

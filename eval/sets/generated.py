@@ -10,7 +10,7 @@ import numpy as np
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.fields.interpolation.interpolators import InterpolatedField
 from motionkit.fields.motion_field import MotionField, to_motion
-from motionkit.generate.models import GenerationRequest, GenerativeModel, MayKnowNoConditions, SamplingOptions
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, knows_no_conditions
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def generate_fields(
         picked = np.random.default_rng((seed, 7)).choice(len(windows), size=limit, replace=False)
         chosen = [windows[index] for index in np.sort(picked).tolist()]
     requests = [window.request for window in chosen]
-    if isinstance(model, MayKnowNoConditions) and model.unconditional:
+    if knows_no_conditions(model):
         requests = [GenerationRequest(request.duration_seconds) for request in requests]
     made: dict[Window, MotionField] = {}
     for draw in range(draws):

@@ -16,7 +16,7 @@ from motionkit.complete.encoders import installed_encoders
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.fields.motion_field import MotionEncoder, MotionField
-from motionkit.generate.models import GenerativeModel, MayKnowNoConditions, installed_models
+from motionkit.generate.models import GenerativeModel, installed_models, knows_no_conditions
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunError, RunFolder
 
@@ -89,16 +89,14 @@ def training_note(trained: Trained[Any]) -> str:
     """How a model was trained, as far as its stages' summaries say: steps, parameters, processor time, framerate."""
     told = []
     for name in trained.loader.stages:
-        stage = RunFolder(trained.run).stage(name)
-        summary = stage.read_summary() if stage.is_complete else {}
-        steps = summary.get("steps", summary.get("step"))
-        facts = [] if steps is None else [f"{int(steps):,} steps"]
-        facts += [f"{int(summary['parameters']):,} parameters"] if "parameters" in summary else []
-        facts += [f"{summary['cpu_seconds']:,.0f} s of processor time"] if "cpu_seconds" in summary else []
-        told += [f"{name}: {', '.join(facts)}"] if facts else []
+        effort = RunFolder(trained.run).stage(name).effort()
+        facts = [
+            f"{value} of {fact}" if fact == "processor time" else f"{value} {fact}" for fact, value in effort.items()
+        ]
+        told += [f"{name}: {', '.join(facts)}"] if effort else []
     model = trained.loaded
     rate = f"trained at up to {float(model.max_training_fps):g} fps"
-    if isinstance(model, MayKnowNoConditions) and model.unconditional:
+    if knows_no_conditions(model):
         rate += ", knows no texts and no actions"
     return "; ".join((*told, rate)) if told else ""
 

@@ -99,14 +99,12 @@ class ChecksRequests(Protocol):
         ...
 
 
-@runtime_checkable
-class MayKnowNoConditions(Protocol):
-    """A model that says whether it knows any: tables ask one that knows none for motions of no stated kind."""
+def knows_no_conditions(model: GenerativeModel) -> bool:
+    """Whether a model says by an attribute `unconditional` that it was trained without texts and actions.
 
-    @property
-    def unconditional(self) -> bool:
-        """Whether it was trained without texts and actions."""
-        ...
+    Tables ask such a one for motions of no stated kind.
+    """
+    return bool(getattr(model, "unconditional", False))
 
 
 @runtime_checkable

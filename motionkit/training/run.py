@@ -102,6 +102,16 @@ class StageFolder:
             self.metrics.check(summary.pop(LOGGED))
         return summary
 
+    def effort(self) -> dict[str, str]:
+        """For people: steps, parameters and processor time, as far as the summary of a complete stage says them."""
+        summary = self.read_summary() if self.is_complete else {}
+        formats = {
+            "steps": ("{:,.0f}", summary.get("steps", summary.get("step"))),
+            "parameters": ("{:,.0f}", summary.get("parameters")),
+            "processor time": ("{:,.0f} s", summary.get("cpu_seconds")),
+        }
+        return {name: told.format(value) for name, (told, value) in formats.items() if value is not None}
+
     def read_budget(self) -> dict[str, Any]:
         """What budget.json says, plain numbers; raises `RunError` where there is none, `DamagedFileError`."""
         budget = self._read(self.budget_path)
