@@ -1,9 +1,6 @@
 """`motionkit eval` and `motionkit report`, driven by the command line on a small store."""
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -18,6 +15,8 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
 from tests.helpers.outcome import Outcome
+
+Command = Callable[..., Outcome]
 
 
 def walk(seed: int, fps: int, seconds: float) -> np.ndarray:
@@ -55,19 +54,14 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    script = "from motionkit.cli.app import main; main()"
-    command = (sys.executable, "-W", "error", "-c", script, *map(str, arguments))
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-
-
 SMALL = ("--clips", "128", "--replications", "2", "--features", "kinematic")
 
 
-def test_table_2(store: Path, tmp_path: Path) -> None:
-    done = run("eval", "--table", "2", "--store", store, "--results", tmp_path, "--fps", "20,60", *SMALL, "--json")
-    assert done.returncode == 0, done.stderr
+def test_table_2(motionkit: Command, store: Path, tmp_path: Path) -> None:
+    done = motionkit(
+        "eval", "--table", "2", "--store", store, "--results", tmp_path, "--fps", "20,60", *SMALL, "--json"
+    )
+    assert done.code == 0, done.stderr
     result = json.loads(done.stdout)
     block = result["blocks"][0]
     rows = {row["name"]: row["cells"] for row in block["rows"]}
@@ -92,23 +86,25 @@ def test_table_2(store: Path, tmp_path: Path) -> None:
 
     cell = format_cell(Cell(slerp["60 fps"]["value"], slerp["60 fps"]["ci95"]))
     assert f"| {cell} |" in (tmp_path / "nerm-table2.md").read_text()
-    page = run("report", "--results", tmp_path)
-    assert page.returncode == 0, page.stderr
+    page = motionkit("report", "--results", tmp_path)
+    assert page.code == 0, page.stderr
     assert "clip-FID by framerate" in (tmp_path / "report.html").read_text()
-    drawn = run("report", "--results", tmp_path, "--format", "png")
+    drawn = motionkit("report", "--results", tmp_path, "--format", "png")
     assert drawn.stdout.split() == [str(tmp_path / "nerm-table2.png")]
     assert (tmp_path / "nerm-table2.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_samples_become_a_row_and_what_cannot_be_computed_is_named(store: Path, tmp_path: Path) -> None:
+def test_samples_become_a_row_and_what_cannot_be_computed_is_named(
+    motionkit: Command, store: Path, tmp_path: Path
+) -> None:
     folder = tmp_path / "mine"
     folder.mkdir()
     for index in range(3):
         np.save(folder / f"{index}.npy", walk(index, 60, 3.0))
     arguments = ("--fps", "60,120,250", "--samples", f"mine={folder}", "--results", tmp_path, "--json", *SMALL)
     (folder / "motions.json").write_text('{"fps": 60}')
-    done = run("eval", "--table", "2", "--store", store, *arguments)
-    assert done.returncode == 0, done.stderr
+    done = motionkit("eval", "--table", "2", "--store", store, *arguments)
+    assert done.code == 0, done.stderr
     result = json.loads(done.stdout)
     rows = {row["name"]: row for row in result["blocks"][0]["rows"]}
     assert set(rows["mine"]["cells"]) == {"60 fps", "120 fps"}
@@ -117,10 +113,10 @@ def test_samples_become_a_row_and_what_cannot_be_computed_is_named(store: Path, 
     assert any("250 fps" in line and "0 of 6 sequences" in line for line in result["missing"])
 
 
-def test_calibration(store: Path, tmp_path: Path) -> None:
+def test_calibration(motionkit: Command, store: Path, tmp_path: Path) -> None:
     arguments = ("--store", store, "--results", tmp_path, "--fps", "60", "--json", *SMALL)
-    done = run("eval", "--calibrate", *arguments)
-    assert done.returncode == 0, done.stderr
+    done = motionkit("eval", "--calibrate", *arguments)
+    assert done.code == 0, done.stderr
     result = json.loads(done.stdout)
     ratios, spearman, games = result["blocks"]
     values = {row["name"]: row["cells"]["60 fps"]["value"] for row in ratios["rows"]}
@@ -140,12 +136,12 @@ def test_calibration(store: Path, tmp_path: Path) -> None:
     drawn = (tmp_path / "calibration.png").read_bytes()
     assert drawn.startswith(b"\x89PNG")
     (tmp_path / "calibration.png").unlink()
-    again = run("report", "--results", tmp_path, "--format", "png")
+    again = motionkit("report", "--results", tmp_path, "--format", "png")
     assert again.stdout.split() == [str(tmp_path / "calibration.png")]
     assert (tmp_path / "calibration.png").read_bytes() == drawn
 
 
-def test_sets_that_mislead_are_named_under_the_table(store: Path, tmp_path: Path) -> None:
+def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: Path, tmp_path: Path) -> None:
     """The real files as another system's, statues as a third's, fewer clips than features; sizes in seconds."""
     for name in ("copy", "statues"):
         (tmp_path / name).mkdir()
@@ -155,8 +151,10 @@ def test_sets_that_mislead_are_named_under_the_table(store: Path, tmp_path: Path
         np.save(tmp_path / "statues" / f"{index}.npy", np.repeat(walk(index, 120, 0.02)[:1], 600, axis=0))
     samples = [part for name in ("copy", "statues") for part in ("--samples", f"{name}={tmp_path / name}")]
     arguments = ("--clips", "64", "--replications", "2", "--features", "kinematic", "--sizes", "0.2s:0.5s", "--json")
-    done = run("eval", "--table", "2", "--store", store, "--results", tmp_path, "--fps", "120", *samples, *arguments)
-    assert done.returncode == 0, done.stderr
+    done = motionkit(
+        "eval", "--table", "2", "--store", store, "--results", tmp_path, "--fps", "120", *samples, *arguments
+    )
+    assert done.code == 0, done.stderr
     result = json.loads(done.stdout)
     notes = "\n".join(result["notes"])
     assert "copy, 120 fps: 2 of 2 sequences are copies of sequences of real (test)" in notes
@@ -183,9 +181,7 @@ def test_sets_that_mislead_are_named_under_the_table(store: Path, tmp_path: Path
         (("report", "--results", "nowhere"), 2, "there is no result in 'nowhere'"),
     ],
 )
-def test_faults_are_one_line(
-    motionkit: Callable[..., Outcome], arguments: tuple[str, ...], code: int, message: str
-) -> None:
+def test_faults_are_one_line(motionkit: Command, arguments: tuple[str, ...], code: int, message: str) -> None:
     done = motionkit(*arguments)
     assert (done.code, done.stdout) == (code, "")
     assert message in done.stderr

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 from collections.abc import Iterator
 from dataclasses import replace
@@ -81,7 +82,7 @@ def test_an_interrupted_training_equals_an_uninterrupted_one(
         return step_generator(seed, purpose, step)
 
     for earlier in STAGES[name].builds_on(None):
-        train_peer(earlier, store, tmp_path)
+        shutil.copytree(run / earlier, tmp_path / earlier)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(loop, "step_generator", interrupting)
         train_peer(name, store, tmp_path)
@@ -166,11 +167,11 @@ def test_a_model_refuses_what_it_does_not_know(run: Path) -> None:
         model.generate([GenerationRequest(1.0)], seed=0, sampling=SamplingOptions(steps=51))
 
 
-def test_a_denoiser_of_another_vae_is_refused(store: Path, tmp_path: Path) -> None:
+def test_a_denoiser_of_another_vae_is_refused(store: Path, run: Path, tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"stage 'mld-vae' of run .* is not trained"):
         train_peer("mld", store, tmp_path)
     for name in ("mld-vae", "mld"):
-        train_peer(name, store, tmp_path)
+        shutil.copytree(run / name, tmp_path / name)
     config = tiny_config("mld", motions=replace(tiny_config("mld").motions, max_frames=40))
     with pytest.raises(RunError, match="mld-vae was trained on other motions"):
         train_peer("mld", store, tmp_path, config)
@@ -217,10 +218,9 @@ def test_stages_see_what_their_settings_say(store: Path) -> None:
     assert (batch.frames.diff(dim=1) == 1).all() and len(set(batch.frames[:, 0].tolist())) > 3
 
 
-def test_gradients_are_clipped_where_that_is_asked_for(store: Path, tmp_path: Path) -> None:
+def test_gradients_are_clipped_where_that_is_asked_for(store: Path, run: Path, tmp_path: Path) -> None:
     tiny = tiny_config("actor")
     config = replace(tiny, optimizer=replace(tiny.optimizer, clip_norm=1e-9))
-    train_peer("actor", store, tmp_path / "short", config)
-    train_peer("actor", store, tmp_path / "free")
-    short, free = (figures(tmp_path / each, "actor")[-1]["loss"] for each in ("short", "free"))
+    train_peer("actor", store, tmp_path, config)
+    short, free = (figures(each, "actor")[-1]["loss"] for each in (tmp_path, run))
     assert short > 1.2 * free
