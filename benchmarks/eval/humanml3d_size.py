@@ -37,7 +37,7 @@ def measured(folder: Path, *command: str, stop_after_seconds: float | None = Non
         process = subprocess.Popen((*MOTIONKIT, *command), cwd=folder, stdout=log, stderr=log)
         if stop_after_seconds is not None:
             time.sleep(stop_after_seconds)
-            # Popen.terminate would take the exit status away; SIGINT is ignored by what a script starts in the background.
+            # Popen.terminate would take the exit status away; SIGINT is ignored by what a script starts behind it.
             os.kill(process.pid, signal.SIGTERM)
         _, status, usage = os.wait4(process.pid, 0)
     code = process.returncode = os.waitstatus_to_exitcode(status)
