@@ -207,6 +207,8 @@ def test_a_table_shows_what_is_trained_and_says_how_to_train_the_rest(project: P
         f"{OTHERWISE}, 2 diffusion steps",
     ]
     assert all(set(row.cells) == set(cost.columns) for row in cost.rows if row.origin == "ours")
+    assert all(set(row.cells[figure8.CPU].details) == {"at 20 fps", "at 120 fps"} for row in cost.rows[2:])
+    assert all(set(row.cells[figure8.CPU].details) == {"at 20 fps", "at 120 fps"} for row in cost.rows[2:])
     with pytest.raises(UsageError, match="one framerate"):
         build_figure8(request(project, "table-global", "results-7", 20, 60))
 
