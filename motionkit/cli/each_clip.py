@@ -1,8 +1,7 @@
 """What becomes of clips one by one: `complete` and `plant`; one that fails loses no other."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -13,39 +12,15 @@ from motionkit.core.progress import task, tracked
 
 if TYPE_CHECKING:
     from motionkit.complete.clips import ClipSource, Progress
-
-
-class WrittenClip(Protocol):
-    """What became of a clip."""
-
-    @property
-    def source(self) -> str:
-        """The clip's name."""
-        ...
-
-    @property
-    def path(self) -> Path:
-        """Its file."""
-        ...
-
-    @property
-    def page(self) -> Path | None:
-        """The page beside it, where one was asked for."""
-        ...
-
-    def plain(self) -> dict[str, Any]:
-        """All of it as JSON."""
-        ...
-
-
-Written = TypeVar("Written", bound=WrittenClip)
+    from motionkit.complete.job import CompletedClip
+    from motionkit.plant.job import PlantedClip
 
 
 def write_each(
     verb: str,
     found: "tuple[Sequence[ClipSource], Sequence[FormatError]]",
-    write: "Callable[[ClipSource, Progress], Written]",
-    remarks: Callable[[Written], Iterable[str]],
+    write: "Callable[[ClipSource, Progress], CompletedClip | PlantedClip]",
+    remarks: Callable[[Any], Iterable[str]],
     about: Mapping[str, Any] | None,
 ) -> None:
     """Write a file for every clip that was found, and print its path, or JSON that begins with what it is `about`.
@@ -56,7 +31,7 @@ def write_each(
     failures = [(str(problem.path), of_source(str(problem), problem)) for problem in problems]
     for _, message in failures:
         stderr.print(f"motionkit: {message}")
-    done: list[Written] = []
+    done: list[CompletedClip | PlantedClip] = []
     with progress() as show:
         for source in tracked(show, verb, sources, len(sources)):
             try:

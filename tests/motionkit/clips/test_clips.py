@@ -1,4 +1,3 @@
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -13,18 +12,9 @@ from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import field
+from tests.helpers.nerm_corpus import MemorySource
 
 PAIRS = SMPL22.left_right_pairs
-
-
-@dataclass(frozen=True, eq=False)
-class MemorySource:
-    positions: np.ndarray
-    sequence_index: np.ndarray
-    start_row: np.ndarray
-    num_frames: np.ndarray
-    fps_numerator: np.ndarray
-    fps_denominator: np.ndarray
 
 
 def make_source(frames: list[int], rates: list[Fraction], seed: int = 0) -> MemorySource:
