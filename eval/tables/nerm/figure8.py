@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
@@ -86,23 +86,20 @@ def generation_cost(
     may keep what it needs at the next.
     """
 
-    def spent(rate: Fraction) -> Float64[np.ndarray, "2"]:
-        begun = _clocks()
+    def spent(rate: Fraction) -> tuple[float, float]:
+        cpu, wall = time.process_time(), time.perf_counter()
         (field,) = model.generate([GenerationRequest(seconds)], seed=0, sampling=sampling)
         to_motion(field, rate)
-        return _clocks() - begun
+        return time.process_time() - cpu, time.perf_counter() - wall
 
-    def quickest(rate: Fraction) -> list[float]:
+    def quickest(rate: Fraction) -> tuple[float, float]:
         spent(rate)  # what is kept from call to call (coordinates) is not a motion's cost
-        return np.min([spent(rate) for _ in range(REPEATS)], axis=0).tolist()
+        cpu, wall = zip(*(spent(rate) for _ in range(REPEATS)), strict=True)
+        return min(cpu), min(wall)
 
     cpu, wall = quickest(fps)
     others = {f"at {label(rate)}": quickest(rate)[0] for rate in OTHER_FPS if rate != fps}
     return {CPU: Cell(cpu, details=others), WALL: Cell(wall)}
-
-
-def _clocks() -> Float64[np.ndarray, "2"]:
-    return np.array([time.process_time(), time.perf_counter()])
 
 
 def _renamed(cells: Mapping[str, Cell], column: str, name: str) -> dict[str, Cell]:
