@@ -1,17 +1,14 @@
 """What a day of one GPU gives each generative peer's recipe `paper`: an estimate, from one training step counted here.
 
-    python -m benchmarks.eval.gpu_day --store STORE [--windows 23384] [--json]
+    python -m benchmarks.eval.gpu_day --store STORE [--windows 23384]
 
 Of every stage, losses and gradients of two motions are computed on the CPU, the longest of the store: floating point
 operations grow with the batch, and are scaled to the recipe's; operations that launch a kernel do not. A step takes at
 least the larger of FLOPs over what a GPU sustains and launches times what one costs. Reading, drawing and copying a
 batch come on top. `--windows` is how many motions an epoch visits (HumanML3D's training split with its mirror images).
-NeRM's stages are in docs/nerm.md.
+NeRM's stages are in docs/nerm.md. A table goes to stderr, JSON to stdout.
 """
 
-import argparse
-import json
-import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,8 +19,7 @@ from rich.table import Table
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import FlopCounterMode
 
-from eval.report.results import provenance
-from motionkit.cli.console import stderr
+from benchmarks.command import arguments_parser, print_table_and_json
 from motionkit.store import Store
 from motionkit.training.config import apply_overrides
 from peers.generative.batches import PoseSpace
@@ -101,11 +97,10 @@ def counted_stage(
 
 
 def main() -> None:
-    """Count each stage's step; a table goes to stderr, JSON to stdout."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Count each stage's step."""
+    parser = arguments_parser(__doc__)
     parser.add_argument("--store", type=Path, required=True)
     parser.add_argument("--windows", type=int, default=23_384)
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     store = Store.open(arguments.store)
     found: dict[str, Estimate] = {}
@@ -125,16 +120,13 @@ def main() -> None:
             f"{each.published_steps:,}",
             f"{each.published_hours:.3g}",
         )
-    stderr.print(table)
-    if arguments.json:
-        report = {
-            "windows": arguments.windows,
-            "sustained_flops": SUSTAINED_FLOPS,
-            "launch_seconds": LAUNCH_SECONDS,
-            "stages": {name: asdict(each) for name, each in found.items()},
-            "provenance": provenance(arguments.store),
-        }
-        json.dump(report, sys.stdout, indent=2)
+    figures = {
+        "windows": arguments.windows,
+        "sustained_flops": SUSTAINED_FLOPS,
+        "launch_seconds": LAUNCH_SECONDS,
+        "stages": {name: asdict(each) for name, each in found.items()},
+    }
+    print_table_and_json(table, figures, arguments.store)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,13 @@
 """What a training step of each generative peer keeps for its gradients, by the framerate it is trained at (E.4).
 
-    python -m benchmarks.eval.peer_memory [--json]
+    python -m benchmarks.eval.peer_memory
 
 Synthetic motions stand in one store at 250 fps. Every stage's recipe `nano`, untrained, has motions of its own longest
 duration at 20, 60, 120 and 250 fps, and the framerate it is published at is changed alone. Counted are the bytes of
 all tensors that autograd keeps from a step's losses, each storage once, a motion of the batch; weights are left out.
-NeRM's stage is measured by `benchmarks/nerm/memory.py`.
+NeRM's stage is measured by `benchmarks/nerm/memory.py`. A table goes to stderr, JSON to stdout.
 """
 
-import argparse
-import json
-import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,9 +19,8 @@ from typing import Any
 import torch
 from rich.table import Table
 
+from benchmarks.command import arguments_parser, print_table_and_json
 from benchmarks.nerm.memory import MEGABYTE, write_corpus
-from eval.report.results import provenance
-from motionkit.cli.console import stderr
 from motionkit.store import Store
 from peers.generative.batches import PoseSpace
 from peers.generative.corpus import open_corpus
@@ -84,10 +80,8 @@ def kept_a_motion(stage: PeerStage, store: Store, fps: int, earlier: Mapping[str
 
 
 def main() -> None:
-    """Measure every stage at every framerate; a table goes to stderr, JSON to stdout."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true")
-    arguments = parser.parse_args()
+    """Measure every stage at every framerate."""
+    arguments_parser(__doc__).parse_args()
     torch.set_num_threads(1)
     found: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory() as scratch:
@@ -103,9 +97,7 @@ def main() -> None:
     for name, each in found.items():
         ratio = each[str(RATES[-1])] / each[str(RATES[0])]
         table.add_row(name, *(f"{each[str(fps)]:.2f}" for fps in RATES), f"{ratio:.1f}")
-    stderr.print(table)
-    if arguments.json:
-        json.dump({"megabytes_a_motion": found, "provenance": provenance()}, sys.stdout, indent=2)
+    print_table_and_json(table, {"megabytes_a_motion": found})
 
 
 if __name__ == "__main__":
