@@ -151,7 +151,7 @@ def _show_rig(file: Path, init: Path | None, as_json: bool) -> None:
             stdout.print(f"missing: {', '.join(found.missing)}")
     if text is not None and init is not None:
         write_whole(init, text)
-        stderr.print(f"{init}: a guess; motionkit view {file} --skeleton-map {init} shows it", soft_wrap=True)
+        stderr.print(f"{init}: a guess; motionkit view {file} --skeleton-map {init} shows it")
 
 
 def _print_quality(report: "QualityReport", as_json: bool) -> None:

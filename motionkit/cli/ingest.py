@@ -261,9 +261,7 @@ class _FirstOfEachReason:
         if self._num_met[problem.reason] <= self.NUM_SHOWN:
             stderr.print(f"{kind}{problem}")
         elif self._num_met[problem.reason] == self.NUM_SHOWN + 1:
-            stderr.print(
-                f"{kind}more of the kind {problem.reason}: counted at the end, --json names them all", markup=False
-            )
+            stderr.print(f"{kind}more of the kind {problem.reason}: counted at the end, --json names them all")
 
 
 def _print_summary(report: "IngestReport", store: Path | None) -> None:

@@ -66,9 +66,7 @@ def _print(report: "MergeReport", as_json: bool) -> None:
             }
         )
         return
-    stdout.print(
-        f"stored {report.num_stored:,} sequences in {report.store}, which holds {report.num_in_store:,}", markup=False
-    )
+    stdout.print(f"stored {report.num_stored:,} sequences in {report.store}, which holds {report.num_in_store:,}")
     if report.num_already_stored:
         stdout.print(f"already there: {report.num_already_stored:,}")
     if report.conflicts:

@@ -57,9 +57,7 @@ def remove(
             }
         )
         return
-    stdout.print(
-        f"removed {len(removed):,} sequences from {path}, which holds {manifest.num_sequences:,}", markup=False
-    )
+    stdout.print(f"removed {len(removed):,} sequences from {path}, which holds {manifest.num_sequences:,}")
     if manifest.num_removed_segments:
         stdout.print(f"their frames leave the disk with 'motionkit compact --store {path}'")
 

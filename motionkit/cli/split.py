@@ -87,6 +87,4 @@ def _print(report: "SplitReport", dry_run: bool) -> None:
             f"{each.num_sequences:12,}{f'{each.num_seen:,} of {each.num_captioned:,}':>16}",
         )
     doing = "would change" if dry_run else "changed"
-    stdout.print(
-        f"{doing} the split of {report.num_changed:,} sequences of {report.store}, by {report.by}", markup=False
-    )
+    stdout.print(f"{doing} the split of {report.num_changed:,} sequences of {report.store}, by {report.by}")

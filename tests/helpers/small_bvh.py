@@ -50,3 +50,24 @@ ROOT Hips
         for frame in range(num_frames)
     ]
     return f"{header}MOTION\nFrames: {num_frames}\nFrame Time: {frame_time}\n" + "\n".join(rows) + "\n"
+
+
+def two_joints_bvh(rows: list[str]) -> str:
+    """A BVH file of two joints at 100 fps with these rows of nine numbers."""
+    header = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 90 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT Head
+  {
+    OFFSET 0 70 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0 10 0
+    }
+  }
+}
+"""
+    return f"{header}MOTION\nFrames: {len(rows)}\nFrame Time: 0.01\n" + "\n".join(rows) + "\n"

@@ -13,32 +13,11 @@ from motionkit.store import Store
 from motionkit.store.ingest import stretches
 from motionkit.store.ingest.ingest import ingest
 from motionkit.store.ingest.stretches import NumberedItem, ReadSequence, cut, read_stretch
-
-BVH = """HIERARCHY
-ROOT Hips
-{{
-  OFFSET 0 90 0
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-  JOINT Head
-  {{
-    OFFSET 0 70 0
-    CHANNELS 3 Zrotation Xrotation Yrotation
-    End Site
-    {{
-      OFFSET 0 10 0
-    }}
-  }}
-}}
-MOTION
-Frames: {count}
-Frame Time: 0.01
-"""
+from tests.helpers.small_bvh import two_joints_bvh
 
 
 def bvh(count: int) -> str:
-    return BVH.format(count=count) + "".join(
-        f"{frame} 90 0 0 0 {frame / 7:.6f} 0 {frame} 0\n" for frame in range(count)
-    )
+    return two_joints_bvh([f"{frame} 90 0 0 0 {frame / 7:.6f} 0 {frame} 0" for frame in range(count)])
 
 
 def items_of(folder: Path, sizes: list[int | tuple[int, int]]) -> list[SourceItem]:

@@ -15,27 +15,7 @@ from motionkit.engines.ray_engine import RayEngine
 from motionkit.store import Store
 from motionkit.store.ingest import stretches
 from motionkit.store.ingest.ingest import ingest
-
-BVH = """HIERARCHY
-ROOT Hips
-{{
-  OFFSET 0 90 0
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-  JOINT Head
-  {{
-    OFFSET 0 70 0
-    CHANNELS 3 Zrotation Xrotation Yrotation
-    End Site
-    {{
-      OFFSET 0 10 0
-    }}
-  }}
-}}
-MOTION
-Frames: {num_frames}
-Frame Time: 0.01
-{frames}
-"""
+from tests.helpers.small_bvh import two_joints_bvh
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +29,8 @@ def takes(tmp_path: Path) -> Path:
     folder = tmp_path / "takes"
     folder.mkdir()
     for take in range(70):
-        frames = "\n".join(f"{frame} 90 0 {take} 0 {frame / 7:.6f} 0 {frame} 0" for frame in range(1, 20 + 9 * take))
-        text = BVH.format(num_frames=19 + 9 * take, frames=frames)
+        rows = [f"{frame} 90 0 {take} 0 {frame / 7:.6f} 0 {frame} 0" for frame in range(1, 20 + 9 * take)]
+        text = two_joints_bvh(rows)
         (folder / f"take-{take:02d}.bvh").write_text(text if take % 20 != 13 else text[:-200])
     return folder
 
