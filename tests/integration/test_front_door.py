@@ -6,12 +6,13 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import nbclient
+import nbformat
 import numpy as np
 import pytest
 import torch
@@ -24,8 +25,7 @@ from motionkit.cli.app import build_app
 from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import make_body, perform
 from motionkit.synthetic.demo_corpus import write_demo_corpus
-from tests.helpers.outcome import Outcome
-from tests.helpers.pages import blocks, run_page
+from tests.helpers.pages import blocks
 from tests.helpers.repository import REPOSITORY
 
 pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
@@ -156,26 +156,8 @@ def test_examples_of_other_pages_run(page: str, project: Path, monkeypatch: pyte
         exec(compile(code, page, "exec"), {})
 
 
-def test_the_tutorial_runs(
-    demo: Path, tmp_path: Path, motionkit: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = shutil.copytree(demo, tmp_path / "demo")
-    monkeypatch.chdir(folder)
-    command("eval", *SMALL_TABLE)
-
-    def run(words: list[str]) -> None:
-        outcome = motionkit(*words)
-        assert outcome.code == 0, (words, outcome.stderr)
-
-    names = run_page(TUTORIAL, run)
-    assert names["motion"].fps == 60 and mk.read("slow.bvh").fps == Fraction(24000, 1001)
-    assert mk.read("smooth.bvh").fps == 240 and len(list(Path("circle").glob("*.bvh"))) == 1
-    assert {"both.html", "circle.html"} <= {path.name for path in folder.iterdir()}
-    assert Path("results/report.html").exists()
-
-
 def test_the_notebook_is_the_tutorial() -> None:
-    """`make docs` writes it again; where nbclient is installed, test_the_notebook_runs has Jupyter run it."""
+    """`make docs` writes it again."""
     shown = [cell for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
     magic = {"python": "", "bash": "%%bash\n"}
     of_page = [magic[each.language] + each.text.rstrip() for each in blocks(TUTORIAL) if each.language in magic]
@@ -183,9 +165,10 @@ def test_the_notebook_is_the_tutorial() -> None:
 
 
 def test_the_notebook_runs(demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    nbformat = pytest.importorskip("nbformat", reason="needs the extra motionkit[docs]")
-    nbclient = pytest.importorskip("nbclient", reason="needs the extra motionkit[docs]")
+    """Jupyter runs what the tutorial says, commands and Python, and every line of it succeeds."""
     folder = shutil.copytree(demo, tmp_path / "demo")
+    (tmp_path / "strict.sh").write_text("set -eu\n")
+    monkeypatch.setenv("BASH_ENV", str(tmp_path / "strict.sh"))
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.chdir(folder)
     command("eval", *SMALL_TABLE)
@@ -193,6 +176,10 @@ def test_the_notebook_runs(demo: Path, tmp_path: Path, monkeypatch: pytest.Monke
     nbclient.NotebookClient(notebook, resources={"metadata": {"path": str(folder)}}, timeout=600).execute()
     shown = [output.data for cell in notebook.cells for output in cell.get("outputs", ()) if "data" in output]
     assert sum("text/html" in data for data in shown) == 3  # a store, a motion, a result
+    assert mk.read("slow.bvh").fps == Fraction(24000, 1001) and mk.read("smooth.bvh").fps == 240
+    assert {motion.fps for motion in map(mk.read, Path("circle").glob("*.bvh"))} == {60}
+    assert {"both.html", "circle.html"} <= {path.name for path in folder.iterdir()}
+    assert Path("results/report.html").exists()
 
 
 def test_the_page_names_all_that_there_is() -> None:
