@@ -26,7 +26,7 @@ from eval.tables.models import check_names, trained_models, training_note
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.progress import task
+from motionkit.core.progress import task, tracked
 from motionkit.generate.models import installed_models
 
 if TYPE_CHECKING:
@@ -184,15 +184,17 @@ def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) ->
     """Each model of the run, as it is and planted: one motion for every real one, or for a random choice of
     `max_motions`, --draws times over."""
     asked = real.compared.at_most(request.evaluated.max_motions, request.seed)
-    note = (
-        f"{_counted(asked.samples.num_sequences, request.evaluated.draws)}, with the actions and durations of real ones"
-    )
+    count = request.evaluated.draws
+    note = f"{_counted(asked.samples.num_sequences, count)}, with the actions and durations of real ones"
     models = trained_models(request.evaluated.run)
     check_names(request.evaluated.samples, models.value)
 
     def systems(name: str) -> list[_System]:
         trained = models.value[name]
-        draws = [generated_like(asked, trained.loaded, draw, request.seed) for draw in range(request.evaluated.draws)]
+        draws = [
+            generated_like(asked, trained.loaded, draw, request.seed)
+            for draw in tracked(request.on_progress, name, range(count), count)
+        ]
         return [
             _System(
                 row,
