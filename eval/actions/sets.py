@@ -47,11 +47,19 @@ class ActionSet:
         return LabelledRecognition(recogniser.recognise(self.samples), self.labels)
 
     def at_most(self, limit: int, seed: int) -> "ActionSet":
-        """All, or a random choice of `limit`, in their order."""
+        """All, or a random choice of `limit` in their order without actions of which a single motion was chosen.
+
+        Raises `NoActionsError` where that leaves none.
+        """
         if self.samples.num_sequences <= limit:
             return self
         chosen = np.sort(np.random.default_rng((seed, 3)).choice(self.samples.num_sequences, limit, replace=False))
-        return ActionSet(self.samples.select(chosen), self.labels[chosen])
+        kept = chosen[np.bincount(self.labels[chosen])[self.labels[chosen]] >= LEAST_MOTIONS]
+        if not len(kept):
+            raise NoActionsError(
+                f"{limit:,} motions chosen at random have no action in common: --motions asks for more"
+            )
+        return ActionSet(self.samples.select(kept), self.labels[kept])
 
 
 def plain_name(action: str) -> str:
