@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -110,7 +111,14 @@ def train_stage(job: Job, context: StageContext, *, is_first: bool, place: str =
         doing = "complete already, kept" if complete else f"{stage.description} → {folder.path}"
         stderr.print(f"{stage.name}{place}: {doing}")
     if not complete and (stage.shared or is_first):
-        stage.train(context, job.config)
+        with nullcontext() if job.budget_seconds is None else _one_thread():
+            stage.train(context, job.config)
+
+
+def _one_thread() -> AbstractContextManager[None]:
+    from motionkit.training.budget import one_thread  # imports torch
+
+    return one_thread()
 
 
 def _tell(summary: Mapping[str, Any], as_json: bool) -> None:

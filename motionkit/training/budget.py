@@ -1,7 +1,8 @@
 """Trainings that end when their processor time is spent: at the start it is measured how many steps fit, and kept."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Protocol, runtime_checkable
 
@@ -81,6 +82,20 @@ def _measured(
     each = (ended - first) / count
     left = budget_seconds - (ended - begun)
     return Plan(budget_seconds, int(left / max(each, 1e-9)), round(each, 6), round(ended - begun, 3))
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Have torch compute on one thread: processor time then is the same training on any number of processors.
+
+    Threads that wait for one another spend it too, several times the work's on a busy machine.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def seconds_spent(device: torch.device) -> Callable[[], float]:

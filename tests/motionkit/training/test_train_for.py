@@ -81,6 +81,7 @@ class World:
 
     clock: Clock = field(default_factory=Clock)
     trained: list[str] = field(default_factory=list)
+    num_threads: list[int] = field(default_factory=list)
 
     def stage(
         self, name: str, order: int, builds_on: Callable[[Config], tuple[str, ...]], share: float = 1.0
@@ -89,6 +90,7 @@ class World:
             self.trained.append(name)
             fingerprint = read_manifest(context.store).fingerprint
             folder = context.begin(name, config, store_fingerprint=fingerprint, builds_on=builds_on(config))
+            self.num_threads.append(torch.get_num_threads())
             training = Climb(config.steps, self.clock)
             context.fit_budget(training, folder)
             train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
@@ -212,6 +214,18 @@ def test_a_budget_too_short_leaves_nothing_behind(world: World) -> None:
         run("--budget", "40s")
     assert not list(Path("runs/nano/codes").iterdir())
     assert "gan" in run("--budget", "40m")
+
+
+def test_a_budget_is_spent_by_one_thread(world: World) -> None:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        run("--budget", "40m")
+        assert world.num_threads.count(1) == len(world.num_threads) - 1
+        assert world.num_threads[world.trained.index("judge")] == 2
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
 
 
 def test_a_part_of_a_training_is_measured_all_over_it(tmp_path: Path) -> None:
