@@ -1,5 +1,6 @@
 """Progress bars on a terminal; `motionkit.cli.console` imports them where there is one."""
 
+from datetime import timedelta
 from typing import Any
 
 from rich.console import Console
@@ -27,6 +28,16 @@ class _NameColumn(TextColumn):
         return Text(printable(super().render(task).plain))
 
 
+class _TimeLeftColumn(TimeRemainingColumn):
+    """A column of a progress display with a task's own estimate, or rich's where it has none."""
+
+    def render(self, task: Task) -> Text:
+        seconds = task.fields["seconds_left"]
+        if seconds is None:
+            return super().render(task)
+        return Text(str(timedelta(seconds=round(seconds))), style="progress.remaining")
+
+
 class Bars:
     """A callback: one bar for each task that is under way; without any, nothing is drawn."""
 
@@ -46,7 +57,12 @@ class Bars:
         if self._display is None:
             self._display = Display(*_columns(), console=self._console, transient=True)
             self._display.start()
-        facts: dict[str, Any] = {"completed": progress.done, "total": progress.total, "note": progress.note}
+        facts: dict[str, Any] = {
+            "completed": progress.done,
+            "total": progress.total,
+            "note": progress.note,
+            "seconds_left": progress.seconds_left,
+        }
         if progress.name in self._tasks:
             self._display.update(self._tasks[progress.name], **facts)
         else:
@@ -65,6 +81,6 @@ def _columns() -> tuple[ProgressColumn, ...]:
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        _TimeLeftColumn(),
         _NameColumn("{task.fields[note]}", markup=False),
     )

@@ -108,12 +108,15 @@ class ProgressLines:
 
 
 def _state(progress: Progress, seconds: float, already: int) -> str:
-    """`field: 1,200 of 8,000 (15 %), about 4 min left, loss 0.1`; the time left is by the steps since `already`."""
+    """`field: 1,200 of 8,000 (15 %), about 4 min left, loss 0.1`; the time left is the task's own, or by the steps
+    since `already`."""
     facts = [f"{progress.done:,}"]
     if progress.total:
         facts = [f"{progress.done:,} of {progress.total:,} ({progress.done / progress.total:.0%})"]
-        if progress.done > already and seconds > 0:
+        left = progress.seconds_left
+        if left is None and progress.done > already and seconds > 0:
             left = (progress.total - progress.done) * seconds / (progress.done - already)
+        if left is not None:
             facts.append(f"about {left / 60:,.0f} min left" if left >= 90 else f"about {left:.0f} s left")
     return f"{progress.name}: {', '.join(filter(None, (*facts, progress.note)))}"
 

@@ -41,16 +41,6 @@ class TimeLeft:
         return elapsed * left / worked if worked > 0.01 * (worked + left) else None
 
 
-def told_left(seconds: float | None) -> str:
-    """In words: "about 1 h 5 min left"; empty for None."""
-    if seconds is None:
-        return ""
-    minutes = round(seconds / 60)
-    if minutes < 1:
-        return "less than a minute left"
-    return f"about {minutes // 60} h {minutes % 60} min left" if minutes >= 60 else f"about {minutes} min left"
-
-
 def train_all(
     jobs: Sequence[Job], context: StageContext, as_json: bool, title: str | None = None
 ) -> list[dict[str, Any]] | None:
@@ -72,7 +62,7 @@ def train_all(
                 def report(state: Progress, name: str = name) -> None:
                     show(state)
                     if state.name == name and state.total:
-                        overall.note(told_left(left.seconds(name, state.done / state.total)))
+                        overall.set_seconds_left(left.seconds(name, state.done / state.total))
 
                 of_job = _of_job(context, job, report)
                 # Again, since a stage that it builds on may just have been trained.

@@ -22,6 +22,7 @@ T = TypeVar("T")
 class Progress:
     """The state of one task, known by its name: `done` of `total` steps (None: unknown), and a short note.
 
+    `seconds_left` is how long it will still take, where that is known better than by the steps done so far.
     `finished` marks the last report of a task, whether it was completed or not.
     """
 
@@ -29,6 +30,7 @@ class Progress:
     done: int = 0
     total: int | None = None
     note: str = ""
+    seconds_left: float | None = None
     finished: bool = False
 
 
@@ -61,6 +63,10 @@ class Task:
     def note(self, text: str) -> None:
         """Set the note beside the numbers, such as the name of the current file."""
         self._report(replace(self._progress, note=text))
+
+    def set_seconds_left(self, seconds: float | None) -> None:
+        """Set how long the task will still take; None leaves it to the steps done so far."""
+        self._report(replace(self._progress, seconds_left=seconds))
 
     def finish(self) -> None:
         """Send the last report."""

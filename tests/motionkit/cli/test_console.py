@@ -124,14 +124,23 @@ def test_lines_come_every_ten_seconds_with_what_is_left(capsys: pytest.CaptureFi
     seconds[0] = 60.0
     lines(Progress("field", 300, finished=True))
     lines(Progress("read", 8))
+    seconds[0] = 80.0
+    lines(Progress("read", 9, 10, seconds_left=200.0))
     assert capsys.readouterr() == (
         "",
         # 50 steps in 10 s: 850 take 170 s more; 200 in 21 s: 700 take 73.5.
         "field: 150 of 1,000 (15%), about 3 min left, loss 11\n"
         "field: 300 of 1,000 (30%), about 74 s left, loss 22\n"
         "field: 300 of 1,000 (30%), about 2 min left, loss 22; read: 7, a\\nb\n"
-        "read: 8\n",
+        "read: 8\n"
+        "read: 9 of 10 (90%), about 3 min left\n",
     )
+
+
+def test_a_tasks_own_estimate_is_shown(terminal: io.StringIO) -> None:
+    with console.progress() as show:
+        show(Progress("table:2", 1, 18, seconds_left=3725.0))
+    assert "1/18" in terminal.getvalue() and "1:02:05" in terminal.getvalue()
 
 
 def test_no_bar_is_drawn_where_stderr_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from motionkit.cli import train as train_module
 from motionkit.cli.options import parse_duration
-from motionkit.cli.train_jobs import TimeLeft, told_left
+from motionkit.cli.train_jobs import TimeLeft
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.store import StoreWriter
 from motionkit.store.manifest import read_manifest
@@ -326,9 +326,6 @@ def test_the_time_left_is_of_what_is_left() -> None:
     assert left.seconds("first", 1.0) == pytest.approx(200 * 3 / 0.5)
     assert left.seconds("second", 0.0) == pytest.approx(300 * 3 / 0.5)
     assert left.seconds("second", 1.0) == 0.0
-    assert [told_left(seconds) for seconds in (None, 20.0, 130.0, 3900.0)] == [
-        *("", "less than a minute left", "about 2 min left", "about 1 h 5 min left"),
-    ]
 
 
 def test_durations_have_units() -> None:
