@@ -51,7 +51,7 @@ def train_all(
     fingerprint = read_manifest(context.store).fingerprint
     summaries: list[dict[str, Any]] = []
     left = TimeLeft({job.stage.name: job.weight for job in jobs if job.config is not None})
-    with joined_ranks() as ranks, progress() as show:
+    with _threads(jobs), joined_ranks() as ranks, progress() as show:
         for job in jobs:
             ranks.on_first(partial(_check, job, _of_job(context, job, show), fingerprint))
         # Not of one stage, whose own bar says as much.
@@ -78,6 +78,15 @@ def train_all(
     return summaries if ranks.is_first else None
 
 
+def _threads(jobs: Sequence[Job]) -> AbstractContextManager[None]:
+    """One thread where a job has a budget; else as many as torch takes."""
+    if all(job.budget_seconds is None for job in jobs):
+        return nullcontext()
+    from motionkit.training.budget import one_thread
+
+    return one_thread()
+
+
 def _of_job(context: StageContext, job: Job, on_progress: OnProgress) -> StageContext:
     return replace(context, budget_seconds=job.budget_seconds, on_progress=on_progress)
 
@@ -101,14 +110,7 @@ def train_stage(job: Job, context: StageContext, *, is_first: bool, place: str =
         doing = "complete already, kept" if complete else f"{stage.description} → {folder.path}"
         stderr.print(f"{stage.name}{place}: {doing}")
     if not complete and (stage.shared or is_first):
-        with nullcontext() if job.budget_seconds is None else _one_thread():
-            stage.train(context, job.config)
-
-
-def _one_thread() -> AbstractContextManager[None]:
-    from motionkit.training.budget import one_thread  # imports torch
-
-    return one_thread()
+        stage.train(context, job.config)
 
 
 def _tell(summary: Mapping[str, Any], as_json: bool) -> None:
