@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from motionkit.cli.console import progress, stderr, stdout
-from motionkit.core.progress import OnProgress, Progress, task
+from motionkit.core.progress import OnProgress, Progress, ignore, task
 from motionkit.training.stage import Stage, StageContext
 
 
@@ -51,11 +51,12 @@ def train_all(
     fingerprint = read_manifest(context.store).fingerprint
     summaries: list[dict[str, Any]] = []
     left = TimeLeft({job.stage.name: job.weight for job in jobs if job.config is not None})
+    kept = sum(job.config is None for job in jobs)
     with _threads(jobs), joined_ranks() as ranks, progress() as show:
         for job in jobs:
             ranks.on_first(partial(_check, job, _of_job(context, job, show), fingerprint))
         # Not of one stage, whose own bar says as much.
-        with task(show if title else lambda _: None, title or "", len(jobs)) as overall:
+        with task(show if title else ignore, title or "", len(jobs), done=kept) as overall:
             for number, job in enumerate(jobs, start=1):
                 name = job.stage.name
 
@@ -69,7 +70,7 @@ def train_all(
                 ranks.on_first(partial(_check_kept, job, of_job, fingerprint))
                 place = f" ({number} of {len(jobs)})" if title else ""
                 train_stage(job, replace(of_job, shared=job.stage.shared), is_first=ranks.is_first, place=place)
-                overall.advance()
+                overall.advance(job.config is not None)
                 if job.stage.shared:
                     ranks.wait()  # for what the first one saves at last: the next stage reads it
                 if ranks.is_first:
