@@ -38,11 +38,11 @@ from eval.metrics.gaussian import fit_gaussian
 from eval.metrics.physical import METRICS
 from eval.report.results import provenance
 from eval.sets.corruptions import low_pass
-from eval.sets.generated import Window, sample_fields
+from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
 from eval.sets.planted import planted_fields
 from eval.sets.real import RealMotion, real_motion
 from eval.sets.sets import SampleSet
-from eval.tables.models import generated_fields
+from eval.tables.models import require_models
 from motionkit.clips.detail.fit import fit_detail
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
@@ -123,7 +123,8 @@ def generated_rows(fields: Mapping[str, dict[Window, MotionField]], reference: S
 
 def generated(run: Path, wanted: SampleSet, detail: Detail) -> dict[str, dict[Window, MotionField]]:
     """A run's motions for some takes, in every way."""
-    (_, own), *_ = generated_fields(run, wanted, 0, 10**6).value.items()
+    model = next(iter(require_models(run).value.values())).loaded
+    own = generate_fields(model, windows_of(wanted, model.max_duration_seconds), 0, 10**6)
     standing = planted_fields(own)
 
     def each(of: Detail, those: Mapping[Window, MotionField]) -> dict[Window, MotionField]:

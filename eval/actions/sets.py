@@ -1,8 +1,9 @@
 """Motions whose actions a recogniser knows: real ones, and what a model generates for their actions and durations."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,8 @@ from jaxtyping import Float32, Int64
 
 from eval.actions.recogniser import ActionRecogniser
 from eval.actions.scores import LabelledRecognition
+from eval.sets.found import Found
+from eval.sets.generated import as_known
 from eval.sets.planted import PLANTED
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
@@ -18,7 +21,7 @@ from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.fields.resample import resample
 from motionkit.formats.smpl.body import SMPL
-from motionkit.generate.models import GenerationRequest, GenerativeModel
+from motionkit.generate.models import GenerationRequest, GenerativeModel, knows_no_conditions, refusal
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -54,12 +57,17 @@ class ActionSet:
         if self.samples.num_sequences <= limit:
             return self
         chosen = np.sort(np.random.default_rng((seed, 3)).choice(self.samples.num_sequences, limit, replace=False))
-        kept = chosen[np.bincount(self.labels[chosen])[self.labels[chosen]] >= LEAST_MOTIONS]
+        kept = _of_several(self.labels, chosen)
         if not len(kept):
             raise NoActionsError(
                 f"{limit:,} motions chosen at random have no action in common: --motions asks for more"
             )
         return ActionSet(self.samples.select(kept), self.labels[kept])
+
+
+def _of_several(labels: Int64[np.ndarray, "motions"], rows: Int64[np.ndarray, "some"]) -> Int64[np.ndarray, "kept"]:
+    """The rows of which another one has the same label."""
+    return np.asarray(rows[np.bincount(labels[rows], minlength=1)[labels[rows]] >= LEAST_MOTIONS])
 
 
 def plain_name(action: str) -> str:
@@ -74,10 +82,9 @@ def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
     """
     index = {plain_name(action): label for label, action in enumerate(actions)}
     found = np.array([index.get(plain_name(action), -1) for action in samples.actions or [""] * samples.num_sequences])
-    counts = np.bincount(found[found >= 0], minlength=len(actions))
     long_enough = samples.sequences.num_frames >= LEAST_FRAMES
-    kept = np.flatnonzero((found >= 0) & long_enough & (counts[found] >= LEAST_MOTIONS))
-    left_out = _left_out(samples, found, counts, long_enough, actions)
+    kept = _of_several(found, np.flatnonzero((found >= 0) & long_enough))
+    left_out = _left_out(samples, found, long_enough, actions)
     if not len(kept):
         raise NoActionsError(
             f"{samples.name}: no motion's action is one that the recogniser knows ({', '.join(actions)}); "
@@ -89,7 +96,6 @@ def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
 def _left_out(
     samples: SampleSet,
     found: Int64[np.ndarray, "sequences"],
-    counts: Int64[np.ndarray, "actions"],
     long_enough: np.ndarray,
     actions: Sequence[str],
 ) -> tuple[str, ...]:
@@ -102,7 +108,8 @@ def _left_out(
     if unknown:
         listed = ", ".join(f"{action} ({count})" for action, count in sorted(unknown.items()))
         lines.append(f"{sum(unknown.values())} motions of actions that it does not know: {listed}")
-    single = [actions[label] for label in np.flatnonzero((counts > 0) & (counts < LEAST_MOTIONS)).tolist()]
+    counts = np.bincount(found[(found >= 0) & long_enough], minlength=len(actions))
+    single = [actions[label] for label in np.flatnonzero(counts == 1).tolist()]
     if single:
         lines.append(f"actions with a single motion: {', '.join(single)}")
     short = int(((found >= 0) & ~long_enough).sum())
@@ -133,18 +140,38 @@ def with_rotations(store: "Store", samples: SampleSet) -> SampleSet:
     return replace(samples, local_rotations=np.concatenate([each[:, :joints] for each in rotations]))
 
 
+def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel]) -> Found[ActionSet]:
+    """The motions of the actions that every model knows, at least two of each, so that rows are of the same motions.
+
+    Models that know no action, or no condition at all, are not asked. Where that leaves no motion, all of them.
+    """
+    actions = dict.fromkeys(real.samples.actions)
+    unknown: dict[str, list[str]] = {}
+    for name, model in models.items():
+        if not knows_no_conditions(model):
+            refused = [action for action in actions if refusal(model, GenerationRequest(None, action=action))]
+            unknown |= {name: refused} if 0 < len(refused) < len(actions) else {}
+    left_out = set(chain.from_iterable(unknown.values()))
+    kept = _of_several(real.labels, np.flatnonzero([action not in left_out for action in real.samples.actions]))
+    if not left_out or not len(kept):
+        return Found(real)
+    told = tuple(f"{name} knows no {', '.join(each)}: no model is asked for that" for name, each in unknown.items())
+    return Found(ActionSet(real.samples.select(kept), real.labels[kept]), told)
+
+
 def generated_like(real: ActionSet, model: GenerativeModel, draw: int, seed: int) -> dict[str, ActionSet]:
     """For every real motion one with its action and duration (l_max where that is longer): the model's row and, under
     its name, that of the same motions planted.
 
-    Draw d has seeds of its own. What the model raises for an action that it does not know goes through.
+    A model that knows no conditions is asked for the durations alone. Draw d has seeds of its own. What the model
+    raises for an action that it does not know goes through.
     """
     durations = (real.samples.sequences.num_frames - 1) / float(real.samples.fps)
     requests = [
         GenerationRequest(min(float(seconds), model.max_duration_seconds), action=action)
         for seconds, action in zip(durations, real.samples.actions, strict=True)
     ]
-    fields = model.generate(requests, seed=seed, first=draw * len(requests))
+    fields = model.generate(as_known(model, requests), seed=seed, first=draw * len(requests))
     standing = [planted(field, "free") for field in fields]
     return {
         name: replace(real, samples=_sampled(name, made, real.samples), left_out=())

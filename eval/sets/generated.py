@@ -1,6 +1,6 @@
 """What a generative model makes for the captions and durations of a real set, as sample sets at any framerate."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil
@@ -11,6 +11,8 @@ from eval.sets.sets import SampleSet, sample_set
 from motionkit.fields.interpolation.interpolators import InterpolatedField
 from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, knows_no_conditions
+
+AT_ONCE = 256
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,13 @@ def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
     return windows
 
 
+def as_known(model: GenerativeModel, requests: Sequence[GenerationRequest]) -> list[GenerationRequest]:
+    """Requests as a model can take them: one that knows no conditions is asked for durations alone."""
+    if knows_no_conditions(model):
+        return [GenerationRequest(request.duration_seconds) for request in requests]
+    return list(requests)
+
+
 def generate_fields(
     model: GenerativeModel,
     windows: Sequence[Window],
@@ -50,22 +59,24 @@ def generate_fields(
     limit: int,
     sampling: SamplingOptions = SamplingOptions(),
     draws: int = 1,
+    on_motions: Callable[[int], None] = lambda count: None,
 ) -> dict[Window, MotionField]:
     """A motion field per window and draw, or for a random choice of `limit` windows where there are more.
 
-    A model that knows no conditions is asked for the windows' durations alone.
+    A model that knows no conditions is asked for the windows' durations alone. `on_motions` is told of each `AT_ONCE`.
     """
     chosen = list(windows)
     if len(windows) > limit:
         picked = np.random.default_rng((seed, 7)).choice(len(windows), size=limit, replace=False)
         chosen = [windows[index] for index in np.sort(picked).tolist()]
-    requests = [window.request for window in chosen]
-    if knows_no_conditions(model):
-        requests = [GenerationRequest(request.duration_seconds) for request in requests]
+    requests = as_known(model, [window.request for window in chosen])
     made: dict[Window, MotionField] = {}
     for draw in range(draws):
-        fields = model.generate(requests, seed=seed + draw, sampling=sampling)
-        made |= zip((replace(window, draw=draw) for window in chosen), fields, strict=True)
+        for first in range(0, len(requests), AT_ONCE):
+            some = slice(first, first + AT_ONCE)
+            fields = model.generate(requests[some], seed=seed + draw, sampling=sampling, first=first)
+            made |= zip((replace(window, draw=draw) for window in chosen[some]), fields, strict=True)
+            on_motions(len(fields))
     return made
 
 

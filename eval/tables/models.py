@@ -10,11 +10,13 @@ from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, is_framed, windows_of
 from eval.sets.planted import DETAILED, PLANTED, detailed_fields, planted_fields
 from eval.sets.sets import SampleSet
+from eval.tables.registry import TableRequest
 from motionkit.clips.detail.stage import has_detail, load_detail
 from motionkit.clips.reconstruction import ReconstructsWindows
 from motionkit.complete.encoders import installed_encoders
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.core.progress import task, tracked
 from motionkit.fields.motion_field import MotionEncoder, MotionField
 from motionkit.generate.models import GenerativeModel, installed_models, knows_no_conditions
 from motionkit.training.loaders import Loader
@@ -101,12 +103,12 @@ def training_note(trained: Trained[Any]) -> str:
     return "; ".join((*told, rate)) if told else ""
 
 
-def require_models(run: Path) -> dict[str, TrainedModel]:
+def require_models(run: Path) -> Found[dict[str, TrainedModel]]:
     """As `trained_models`; raises `RunError` where there is none."""
     found = trained_models(run)
     if not found.value:
         raise RunError("; ".join(found.missing) or "no model is installed")
-    return found.value
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,28 +119,29 @@ class Generated:
     training: Mapping[str, str]
 
 
-def generated_fields(
-    run: Path | None, real: SampleSet, seed: int, max_motions: int, draws: int = 1
-) -> Found[Generated]:
-    """What each model of a run generates for the captions and durations of a real set.
+def generated_fields(request: TableRequest, real: SampleSet) -> Found[Generated]:
+    """What each model of a request's run generates for the captions and durations of a real set.
 
     As the model gives it, planted, and where the run has learnt detail, planted with detail: of models that make
     functions of time, for detail is part of those.
     """
+    run, most, draws = request.evaluated.run, request.evaluated.max_motions, request.evaluated.draws
     models = trained_models(run)
-
-    def generated(name: str) -> dict[Window, MotionField]:
-        model = models.value[name].loaded
-        return generate_fields(model, windows_of(real, model.max_duration_seconds), seed, max_motions, draws=draws)
-
-    found = each_found(models.value, generated)
-    rows: dict[str, dict[Window, MotionField]] = {}
     detail = load_detail(run) if run is not None and has_detail(run) else None
-    for name, fields in found.value.items():
+
+    def generated(name: str) -> dict[str, dict[Window, MotionField]]:
+        model = models.value[name].loaded
+        windows = windows_of(real, model.max_duration_seconds)
+        with task(request.on_progress, f"generating {name}", draws * min(len(windows), most)) as work:
+            fields = generate_fields(model, windows, request.seed, most, draws=draws, on_motions=work.advance)
         standing = planted_fields(fields)
-        rows |= {name: fields, PLANTED.format(name): standing}
+        rows = {name: fields, PLANTED.format(name): standing}
         if detail is not None and not is_framed(fields):
-            rows[DETAILED.format(name)] = detailed_fields(standing, detail, seed)
+            rows[DETAILED.format(name)] = detailed_fields(standing, detail, request.seed)
+        return rows
+
+    found = each_found(tracked(request.on_progress, "systems", models.value, len(models.value)), generated)
+    rows = {row: fields for of_model in found.value.values() for row, fields in of_model.items()}
     training = {name: training_note(model) for name, model in models.value.items()}
     return Found(Generated(rows, training), (*models.missing, *found.missing))
 

@@ -131,12 +131,9 @@ def build_physical(request: TableRequest) -> Result:
     rates = each_found(request.fps or COLUMNS, real.indices_at, framerate_label, (NoRealMotionError,))
     if not rates.value:
         raise NoRealMotionError(rates.missing[-1])
-    evaluated = request.evaluated
-    with task(request.on_progress, "generating", 1):
-        wanted = real.at(min(rates.value))
-        generated = generated_fields(evaluated.run, wanted, request.seed, evaluated.max_motions, evaluated.draws)
+    generated = generated_fields(request, real.at(min(rates.value)))
     fields = generated.value.rows
-    check_names(evaluated.samples, (REAL, *fields))
+    check_names(request.evaluated.samples, (REAL, *fields))
     blocks: list[Block] = []
     slow: list[str] = []
     for fps in rates.value:
@@ -155,7 +152,7 @@ def build_physical(request: TableRequest) -> Result:
         missing=(*rates.missing, *generated.missing, *slow),
         provenance=request.provenance(
             store,
-            run=evaluated.run.name if evaluated.run and fields else None,
+            run=request.evaluated.run.name if request.evaluated.run and fields else None,
             samples={folder.name: folder.fingerprint for folder in folders},
         ),
     )

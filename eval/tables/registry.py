@@ -134,8 +134,9 @@ class TableRequest:
 class Table:
     """A table of a paper that can be built here; without `takes_samples` it has no rows of other systems' motions.
 
-    `shown` gives the loaders that it has rows of, `reads` names other stages of a run that it reads, evaluators: by
-    these `motionkit train --for` knows what it lacks (`motionkit.training.systems.ShowsSystems`).
+    `shown` gives the loaders that it has rows of, `reads` names other stages of a run that it reads, evaluators, and
+    `settings` is what its systems are trained with, as `--set` takes it: by these `motionkit train --for` knows what it
+    lacks (`motionkit.training.systems.ShowsSystems`).
     """
 
     paper: str
@@ -145,6 +146,7 @@ class Table:
     takes_samples: bool = True
     shown: Callable[[], Mapping[str, Loader[Any]]] = dict
     reads: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
 
     @property
     def is_default(self) -> bool:

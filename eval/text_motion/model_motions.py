@@ -13,6 +13,7 @@ from json import dumps
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from eval.sets.generated import AT_ONCE
 from eval.sets.planted import PLANTED
 from eval.sets.sets import SampleSet, sample_set
 from eval.text_motion.embedding_cache import Embedder
@@ -23,7 +24,6 @@ from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel
 
-AT_ONCE = 128
 REPEATED_FROM = 1_000_000
 """Requests of MultiModality are numbered from here, so that they share no random numbers with the others."""
 

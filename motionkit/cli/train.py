@@ -103,6 +103,9 @@ def planned(asked: Asked, context: StageContext) -> list[Job]:
     """The jobs, in order; raises what can be told of them without opening the store."""
     from motionkit.store.manifest import read_manifest
 
+    if asked.wanted is not None:
+        settings = table_that_shows(asked.paper, asked.wanted).settings
+        asked = replace(asked, overrides=(*settings, *asked.overrides))
     kept = is_kept(context.run) if asked.wanted is not None and not context.overwrite else _nothing_kept
     needed = _needed(asked, context, kept)
     configs = _configs(needed, asked, context.recipe, kept)

@@ -107,6 +107,21 @@ def knows_no_conditions(model: GenerativeModel) -> bool:
     return bool(getattr(model, "unconditional", False))
 
 
+def needs_a_condition(model: GenerativeModel) -> bool:
+    """Whether a model says by an attribute `always_conditioned` that it never learnt to do without one."""
+    return bool(getattr(model, "always_conditioned", False))
+
+
+def refusal(model: GenerativeModel, request: GenerationRequest) -> str:
+    """Why a model that can say so will not answer a request; empty where it will, or cannot say."""
+    if isinstance(model, ChecksRequests):
+        try:
+            model.check(request)
+        except UsageError as error:
+            return str(error)
+    return ""
+
+
 @runtime_checkable
 class FollowsConstraints(Protocol):
     """A model whose motions can be held to constraints of some kinds; of others none is asked."""

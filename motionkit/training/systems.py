@@ -32,6 +32,11 @@ class ShowsSystems(Protocol):
         """Other stages of the run that it reads: evaluators."""
         ...
 
+    @property
+    def settings(self) -> tuple[str, ...]:
+        """What its systems are trained with, KEY=VALUE, where nothing else is asked for."""
+        ...
+
 
 @dataclass(frozen=True)
 class Needed:

@@ -33,11 +33,15 @@ MOTIONS_PER_BATCH = 64
 
 @dataclass(frozen=True, eq=False)
 class PeerModel:
-    """A `motionkit.generate.models.GenerativeModel`; `name` is that of its rows."""
+    """A `motionkit.generate.models.GenerativeModel`; `name` is that of its rows.
+
+    `unconditional` says that it hears no text and no action.
+    """
 
     name: str
     trained: TrainedStage
     device: torch.device
+    unconditional: bool = False
 
     @property
     def skeleton(self) -> Skeleton:
@@ -55,9 +59,9 @@ class PeerModel:
         return float(self.trained.config.motions.max_duration_seconds)
 
     @property
-    def unconditional(self) -> bool:
-        """Whether it was trained without conditions."""
-        return bool(self.trained.config.conditions.kind == "none")
+    def always_conditioned(self) -> bool:
+        """Whether it learnt from no motion without its condition, but for those that have none."""
+        return not (self.unconditional or self.trained.config.conditions.drop)
 
     @cached_property
     def text_encoder(self) -> TextEncoder:
@@ -80,12 +84,20 @@ class PeerModel:
                 f"{seconds:g} s is outside what {self.name} covers: more than 0 and up to "
                 f"{self.max_duration_seconds:g} s"
             )
+        if self.unconditional and (request.text or request.action):
+            raise UsageError(f"this {self.name} knows no texts and no actions: ask unconditionally")
         kind, known = self.trained.config.conditions.kind, self.trained.sizes.actions
         if request.text and not request.action and kind != "text":
-            raise UsageError(f"this {self.name} was trained without texts: ask for an action, or unconditionally")
+            raise UsageError(
+                f"this {self.name} was trained without texts: ask for an action, or unconditionally, or train another "
+                "run with --set conditions.kind=text"
+            )
         if request.action and not (request.text and kind == "text") and request.action not in known:
             raise UsageError(
-                f"this {self.name} knows no action {request.action!r}; it knows {', '.join(known) or 'none'}"
+                f"this {self.name} knows no action {request.action!r}; it knows {', '.join(known)}"
+                if known
+                else f"this {self.name} was trained without actions: ask for a text, or unconditionally, or train "
+                "another run with --set conditions.kind=action"
             )
 
     def generate(
@@ -193,4 +205,6 @@ class PeerModel:
 def load(peer: GenerativePeer, run: Path) -> PeerModel:
     """A peer of a run, on a GPU where there is one; raises `RunError` where a stage is not trained."""
     device = resolve_device("auto")
-    return PeerModel(peer.title, load_stage(RunFolder(run), peer, peer.stages[-1].name, device), device)
+    trained = load_stage(RunFolder(run), peer, peer.stages[-1].name, device)
+    unconditional = not peer.conditional or trained.config.conditions.kind == "none"
+    return PeerModel(peer.title, trained, device, unconditional)

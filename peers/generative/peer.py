@@ -61,10 +61,14 @@ class PeerStage:
 
 @dataclass(frozen=True)
 class GenerativePeer:
-    """A published system: `title` names its rows in tables; the last of its stages generates."""
+    """A published system: `title` names its rows in tables; the last of its stages generates.
+
+    One that is not `conditional` hears no text and no action, whatever it is trained on.
+    """
 
     title: str
     stages: tuple[PeerStage, ...]
+    conditional: bool = True
 
 
 def stage_named(peer: GenerativePeer, name: str) -> PeerStage:

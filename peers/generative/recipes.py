@@ -380,5 +380,6 @@ NEMF = GenerativePeer(
             share=0.8,
         ),
     ),
+    conditional=False,
 )
 PEERS = (MDM, MDM_50, MLD, INR_MLP, ACTOR, T2M, CAMDM, FLOW, JL2P, HIER, NEMF)

@@ -1,72 +1,60 @@
 """NeRM's Figure 5: unconditional generation, by clip-FID and diversity."""
 
 from collections.abc import Mapping
-from fractions import Fraction
+from itertools import chain
 
 from eval.clip_fid.score import CLIP_FID
-from eval.report.results import Block, Cell, Result, Row, measure
+from eval.report.results import Block, Result, Row, measure
+from eval.sets.found import each_found
 from eval.sets.planted import PLANTED, PLANTED_NOTE
-from eval.tables.models import require_models, training_note
+from eval.tables.models import TrainedModel, require_models, training_note
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
 from eval.tables.nerm.table2 import COLUMNS, ROW_NOTES
 from eval.tables.parts import Part
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
-from motionkit.generate.models import installed_models
+from motionkit.core.progress import tracked
+from motionkit.generate.models import installed_models, needs_a_condition
+from motionkit.training.run import RunError
 
-VERSION = "unconditional/2"
+VERSION = "unconditional/3"
 REAL = "real"
+ANY_CONDITION = "it never learnt to do without a condition: each motion has that of a random training motion"
 
 
 def build_figure5(request: TableRequest) -> Result:
-    """clip-FID and diversity of motions that were generated without a condition.
+    """clip-FID and diversity of motions that were generated without a condition, or under any where a model needs one.
 
-    Raises `UsageError` without a run, `RunError` where it holds no model, and what loading the store raises.
+    Raises `UsageError` without a run, `RunError` where it holds no model or none generates, and what loading the store
+    raises.
     """
     if request.evaluated.run is None:
         raise UsageError("figure 5 needs a trained model: --run NAME (motionkit train makes one)")
     store = request.open_store()
     models = require_models(request.evaluated.run)
     yardstick = Yardstick(store, request, request.fps or COLUMNS)
-    parts = {f"{name}, unconditional": yardstick.unconditional(model) for name, model in models.items()}
     floors = yardstick.floors()
-    notes = {f"{name}, unconditional": training_note(model) for name, model in models.items()}
-    first = next(iter(parts.values()))
-    columns = tuple(label(Fraction(fps)) for fps in yardstick.rates)
-    nothing: dict[str, Cell] = {}
+    made = each_found(
+        tracked(request.on_progress, "systems", models.value, len(models.value)),
+        lambda name: yardstick.unconditional(models.value[name]),
+    )
+    if not made.value:
+        raise RunError("; ".join(made.missing))
+    parts = {f"{name}, unconditional": part for name, part in made.value.items()}
+    notes = {f"{name}, unconditional": _note(models.value[name]) for name in made.value}
+    of_parts = [part.missing for part in parts.values()]
     protocol = request.clip_fid.protocol
     return Result(
         task="nerm-figure5",
         version=VERSION,
         title="Figure 5: unconditional generation",
         caption=(
-            "Motions generated without text or action, as long as the real sequences of "
+            "Motions generated without a text or action of their own, as long as the real sequences of "
             f"{request.real.named}: mean over {protocol.replications} replications of N = {protocol.num_clips:,} "
             "random clips a side, ± half the 95 % interval: of clip-FID over takes, of diversity over replications."
         ),
-        blocks=(
-            Block(
-                "clip-FID on the kinematic descriptor",
-                columns,
-                (
-                    *(Row(name, "reference", floors.rows.get(name, nothing), ROW_NOTES[name]) for name in (P1, P2)),
-                    *_rows(parts, SYNTHESIS, notes),
-                ),
-                metrics=(measure(CLIP_FID),),
-            ),
-            Block(
-                "Diversity (Eq. 7) of clips in the kinematic descriptor's space",
-                columns,
-                (
-                    Row(REAL, "reference", first.rows.get(REAL_DIVERSITY, nothing)),
-                    *_rows(parts, DIVERSITY, {}),
-                ),
-                lower_is_better=False,
-                note="Better the closer to real motion's. It sees clips, not whole motions.",
-                metrics=(measure("diversity"),),
-            ),
-        ),
+        blocks=_blocks(parts, floors, notes, tuple(map(label, yardstick.rates))),
         definition={
             "split": request.real.split,
             "where": request.real.where,
@@ -76,9 +64,39 @@ def build_figure5(request: TableRequest) -> Result:
             "The paper draws this figure as bars without numbers, for methods trained on another data set; its FID of "
             "whole motions needs the evaluator of Guo et al.",
         ),
-        missing=tuple(dict.fromkeys(line for part in (*parts.values(), floors) for line in part.missing)),
+        missing=tuple(dict.fromkeys((*models.missing, *made.missing, *floors.missing, *chain(*of_parts)))),
         provenance=request.provenance(store, run=request.evaluated.run.name),
     )
+
+
+def _blocks(
+    parts: Mapping[str, Part], floors: Part, notes: Mapping[str, str], columns: tuple[str, ...]
+) -> tuple[Block, Block]:
+    real = next(iter(parts.values())).rows[REAL_DIVERSITY]
+    return (
+        Block(
+            "clip-FID on the kinematic descriptor",
+            columns,
+            (
+                *(Row(name, "reference", floors.rows[name], ROW_NOTES[name]) for name in (P1, P2)),
+                *_rows(parts, SYNTHESIS, notes),
+            ),
+            metrics=(measure(CLIP_FID),),
+        ),
+        Block(
+            "Diversity (Eq. 7) of clips in the kinematic descriptor's space",
+            columns,
+            (Row(REAL, "reference", real), *_rows(parts, DIVERSITY, {})),
+            lower_is_better=False,
+            note="Better the closer to real motion's. It sees clips, not whole motions.",
+            metrics=(measure("diversity"),),
+        ),
+    )
+
+
+def _note(trained: TrainedModel) -> str:
+    told = training_note(trained)
+    return "; ".join(filter(None, (told, ANY_CONDITION if needs_a_condition(trained.loaded) else "")))
 
 
 def _rows(parts: Mapping[str, Part], quantity: str, notes: Mapping[str, str]) -> list[Row]:

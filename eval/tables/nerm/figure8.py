@@ -3,20 +3,24 @@
 import time
 from collections.abc import Mapping
 from fractions import Fraction
+from itertools import chain
 
 import numpy as np
 from jaxtyping import Float32
 
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
+from eval.sets.found import Found, each_found
 from eval.sets.planted import PLANTED
-from eval.tables.models import require_models, training_note
+from eval.tables.models import TrainedModel, require_models, training_note
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import SYNTHESIS, Yardstick, label
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
+from motionkit.core.progress import tracked
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, installed_models
+from motionkit.training.run import RunError
 
 VERSION = "cost/3"
 TARGET_FPS, OTHER_FPS = Fraction(60), (Fraction(20), Fraction(120))
@@ -29,7 +33,8 @@ CPU, WALL = "CPU seconds a motion", "seconds a motion"
 def build_figure8(request: TableRequest) -> Result:
     """Seconds for one motion of 9.8 s (or l_max) at 60 fps, and clip-FID there, by the number of diffusion steps.
 
-    Raises `UsageError` without a run, `RunError` where it holds no model, and what loading the store raises.
+    Raises `UsageError` without a run, `RunError` where it holds no model or none generates, and what loading the store
+    raises.
     """
     if request.evaluated.run is None:
         raise UsageError("figure 8 needs a trained model: --run NAME (motionkit train makes one)")
@@ -39,18 +44,17 @@ def build_figure8(request: TableRequest) -> Result:
     store, models = request.open_store(), require_models(request.evaluated.run)
     yardstick = Yardstick(store, request, (fps,))
     floors = yardstick.floors()
-    missing = list(floors.missing)
-    quality, column = f"clip-FID, {label(fps)}", label(fps)
-    rows = [Row(name, "reference", _renamed(floors.rows.get(name, {}), column, quality)) for name in (P1, P2)]
-    seconds = min(SECONDS, *(trained.loaded.max_duration_seconds for trained in models.values()))
-    for name, trained in models.items():
-        for told, sampling in _samplings(trained.loaded, fps, seconds).items():
-            part = yardstick.synthesis(trained, sampling, planted=True)
-            missing.extend(part.missing)
-            cells = generation_cost(trained.loaded, sampling, fps, seconds)
-            for form in ("{}", PLANTED):
-                cells |= _renamed(part.rows[form.format(SYNTHESIS)], column, form.format(quality))
-            rows.append(Row(f"{name}{told}", "ours", cells, training_note(trained)))
+    quality = f"clip-FID, {label(fps)}"
+    references = [Row(name, "reference", _renamed(floors.rows[name], label(fps), quality)) for name in (P1, P2)]
+    seconds = min(SECONDS, *(trained.loaded.max_duration_seconds for trained in models.value.values()))
+    made = each_found(
+        tracked(request.on_progress, "systems", models.value, len(models.value)),
+        lambda name: _rows_of(name, models.value[name], yardstick, seconds),
+    )
+    if not made.value:
+        raise RunError("; ".join(made.missing))
+    rows = [*references, *chain.from_iterable(each.value for each in made.value.values())]
+    of_rows = [each.missing for each in made.value.values()]
     return Result(
         task="nerm-figure8",
         version=VERSION,
@@ -72,9 +76,24 @@ def build_figure8(request: TableRequest) -> Result:
             "The paper draws this figure without numbers, for one GPU (RTX 3090). Seconds are of this machine, and "
             "wall seconds of whatever else it did; CPU seconds count all threads.",
         ),
-        missing=tuple(dict.fromkeys(missing)),
+        missing=tuple(dict.fromkeys((*models.missing, *made.missing, *floors.missing, *chain(*of_rows)))),
         provenance=request.provenance(store, run=request.evaluated.run.name),
     )
+
+
+def _rows_of(name: str, trained: TrainedModel, yardstick: Yardstick, seconds: float) -> Found[list[Row]]:
+    """A model's row for each way of sampling it."""
+    (fps,) = yardstick.rates
+    rows: list[Row] = []
+    missing: list[str] = []
+    for told, sampling in _samplings(trained.loaded, fps, seconds).items():
+        part = yardstick.synthesis(trained, sampling, planted=True)
+        missing += part.missing
+        cells = generation_cost(trained.loaded, sampling, fps, seconds)
+        for form in ("{}", PLANTED):
+            cells |= _renamed(part.rows[form.format(SYNTHESIS)], label(fps), form.format(f"clip-FID, {label(fps)}"))
+        rows.append(Row(f"{name}{told}", "ours", cells, training_note(trained)))
+    return Found(rows, tuple(missing))
 
 
 def generation_cost(

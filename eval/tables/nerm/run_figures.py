@@ -20,18 +20,24 @@ from eval.report.results import Cell
 from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
 from eval.sets.planted import PLANTED, planted_fields
-from eval.sets.real import RealMotion, real_motion, training_motion
+from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed
 from eval.tables.models import Trained, TrainedModel, reconstructor
 from eval.tables.nerm import table4
-from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, P1, P2, ColumnScores, real_column, score_column
+from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, P1, P2, real_column, score_column
 from eval.tables.nerm.table4 import VERSION as RECONSTRUCTION_VERSION
 from eval.tables.nerm.table4 import described_windows
 from eval.tables.parts import Part, kept
 from eval.tables.registry import TableRequest
 from motionkit.fields.motion_field import MotionEncoder, MotionField
-from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.generate.models import (
+    GenerationRequest,
+    GenerativeModel,
+    SamplingOptions,
+    needs_a_condition,
+    refusal,
+)
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -85,6 +91,8 @@ class Yardstick:
         As it is, and planted. Raises `RunError` where a stage of it is not trained.
         """
         terms = self._generated_terms(trained)
+        if needs_a_condition(trained.loaded):
+            terms["conditions"] = "of random training motions"
         return kept(self.request.results, "unconditional", terms, lambda: self._unconditional(trained))
 
     def reconstruction(self, trained: Trained[MotionEncoder]) -> Part:
@@ -125,14 +133,20 @@ class Yardstick:
 
     @cached_property
     def _columns(self) -> Found[dict[Fraction, Comparison]]:
-        """What each framerate's motions are compared with, on the kinematic descriptor."""
+        """What each framerate's motions are compared with, on the kinematic descriptor.
+
+        Raises `NoRealMotionError` where there is no motion to compare with at any.
+        """
         train, source = training_motion(self.store, self.real), kinematic_source()
 
         def comparison(fps: Fraction) -> Comparison:
             column = real_column(fps, self.real, train).low_passed(self.request.clip_fid.low_pass_hz)
             return column.comparison(source, self.request.clip_fid.protocol)
 
-        return each_found(self.rates, comparison, lambda fps: f"clip-FID, {label(fps)}")
+        found = each_found(self.rates, comparison, lambda fps: f"clip-FID, {label(fps)}")
+        if not found.value:
+            raise NoRealMotionError("; ".join(found.missing))
+        return found
 
     def _floors(self) -> Part:
         missing = list(self._columns.missing)
@@ -149,32 +163,22 @@ class Yardstick:
         return windows_of(self.real.at(min(self._columns.value)), model.max_duration_seconds)
 
     def _synthesis(self, trained: TrainedModel, sampling: SamplingOptions, planted: bool) -> Part:
-        if not self._columns.value:
-            return Part({SYNTHESIS: {}}, self._columns.missing)
         model, request = trained.loaded, self.request
         fields = generate_fields(model, self._windows(model), request.seed, request.evaluated.max_motions, sampling)
         rows: dict[str, dict[str, Cell]] = {}
         missing = list(self._columns.missing)
         for form, made in (_and_planted(fields) if planted else {"{}": fields}).items():
-            rows[form.format(SYNTHESIS)] = {}
+            cells = rows[form.format(SYNTHESIS)] = {}
             for fps in self._columns.value:
-                samples = self._sampled(trained.run.name, made, fps)
-                if samples is None:
-                    missing.append(f"{trained.run.name}, {label(fps)}: {NOT_SO_FAST}")
-                    continue
-                found = self._scored(samples)
+                found = self._scored(form.format(_named(trained)), made, fps)
                 missing += found.missing
-                rows[form.format(SYNTHESIS)] |= {label(fps): cell for cell in found.value.cells.values()}
+                if found.value is not None:
+                    cells[label(fps)], _ = found.value
         return Part(rows, tuple(missing))
 
     def _unconditional(self, trained: TrainedModel) -> Part:
-        if not self._columns.value:
-            return Part({}, self._columns.missing)
         model, request = trained.loaded, self.request
-        windows = [
-            replace(window, request=GenerationRequest(window.request.duration_seconds))
-            for window in self._windows(model)
-        ]
+        windows = self._without_conditions(model)
         variants = _and_planted(generate_fields(model, windows, request.seed, request.evaluated.max_motions))
         rows: dict[str, dict[str, Cell]] = {
             form.format(name): {} for form in variants for name in (SYNTHESIS, DIVERSITY)
@@ -182,25 +186,48 @@ class Yardstick:
         missing = list(self._columns.missing)
         for fps, comparison in self._columns.value.items():
             for form, fields in variants.items():
-                samples = self._sampled(trained.run.name, fields, fps)
-                if samples is None:
-                    continue
-                found = self._scored(samples)
+                found = self._scored(form.format(_named(trained)), fields, fps)
                 missing += found.missing
-                for cell in found.value.cells.values():
+                if found.value is not None:
+                    cell, samples = found.value
                     rows[form.format(SYNTHESIS)][label(fps)] = cell
                     rows[form.format(DIVERSITY)][label(fps)] = _diversity(samples, comparison)
             rows.setdefault(REAL_DIVERSITY, {})[label(fps)] = _diversity(comparison.real, comparison)
         return Part(rows, tuple(missing))
 
-    def _sampled(self, name: str, fields: Mapping[Window, MotionField], fps: Fraction) -> SampleSet | None:
-        """A model's motions at a framerate, smoothed like the real ones; None where it has none for it."""
-        samples = sample_fields(fields, self._columns.value[fps].real.sequence_ids, fps, name)
-        cutoff = self.request.clip_fid.low_pass_hz
-        return samples if samples is None or cutoff is None else low_passed(samples, cutoff)
+    def _without_conditions(self, model: GenerativeModel) -> list[Window]:
+        """What a model is asked for without conditions; one that never learnt to do without has random ones.
 
-    def _scored(self, samples: SampleSet) -> Found[ColumnScores]:
-        return score_column(self._columns.value[samples.fps], {samples.name: samples}, halves=False)
+        These are of training motion, so that what it makes is spread as all that it has learnt.
+        """
+        windows = self._windows(model)
+        asked = [GenerationRequest(window.request.duration_seconds) for window in windows]
+        if needs_a_condition(model):
+            train = training_motion(self.store, self.real)
+            known = [
+                pair
+                for pair in zip(train.captions, train.actions, strict=True)
+                if any(pair) and not refusal(model, GenerationRequest(None, *pair))
+            ]
+            if not known:
+                raise NoRealMotionError(f"{model.name} needs a condition, and no training motion has one that it knows")
+            chosen = np.random.default_rng((self.request.seed, 11)).integers(len(known), size=len(asked))
+            pairs = zip(asked, chosen.tolist(), strict=True)
+            asked = [replace(request, text=known[row][0], action=known[row][1]) for request, row in pairs]
+        return [replace(window, request=request) for window, request in zip(windows, asked, strict=True)]
+
+    def _scored(
+        self, name: str, fields: Mapping[Window, MotionField], fps: Fraction
+    ) -> Found[tuple[Cell, SampleSet] | None]:
+        """clip-FID of a row's motions at a framerate, and these, smoothed like the real ones; None without any."""
+        comparison, cutoff = self._columns.value[fps], self.request.clip_fid.low_pass_hz
+        samples = sample_fields(fields, comparison.real.sequence_ids, fps, name)
+        if samples is None:
+            return Found(None, (f"{name}, {label(fps)}: {NOT_SO_FAST}",))
+        samples = samples if cutoff is None else low_passed(samples, cutoff)
+        scored = score_column(comparison, {name: samples}, halves=False)
+        cell = scored.value.cells.get(name)
+        return Found(None if cell is None else (cell, samples), scored.missing)
 
     def _reconstruction(self, trained: Trained[MotionEncoder]) -> Part:
         sets = described_windows(reconstructor(trained, self.store), self.store, self.request)
@@ -219,6 +246,10 @@ class Yardstick:
                     if cell is not None:
                         rows.setdefault(error_of(name, error), {})[label(fps)] = cell
         return Part(rows, tuple(missing))
+
+
+def _named(trained: TrainedModel) -> str:
+    return f"{trained.loaded.name} of run {trained.run.name!r}"
 
 
 def _diversity(samples: SampleSet, comparison: Comparison) -> Cell:

@@ -34,7 +34,7 @@ from eval.text_motion.scores import score_text_motion
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
-from motionkit.generate.models import installed_models
+from motionkit.generate.models import GenerationRequest, installed_models, refusal
 
 VERSION = "text-motion/1"
 DEFAULT_FPS = Fraction(20)
@@ -90,7 +90,8 @@ def build_table1(request: TableRequest) -> Result:
     with task(request.on_progress, "loading"):
         evaluators = text_motion_evaluators(request, protocol)
         found = _models(request)
-        models = found.value
+        models = {name: each for name, each in found.value.items() if not _refusal(each)}
+        deaf = tuple(f"{name}: {_refusal(each)}" for name, each in found.value.items() if name not in models)
         check_names(request.evaluated.samples, models)
         for each in models.values():
             longest = each.loaded.max_duration_seconds
@@ -114,7 +115,7 @@ def build_table1(request: TableRequest) -> Result:
         blocks=(*blocks.value, *map(paper_block, dict.fromkeys(sight.fps for sight in real))),
         definition=_definition(request, protocol, real),
         notes=_notes(protocol, real),
-        missing=tuple(dict.fromkeys((*evaluators.missing, *found.missing, *blocks.missing))),
+        missing=tuple(dict.fromkeys((*evaluators.missing, *found.missing, *deaf, *blocks.missing))),
         provenance=request.provenance(
             store,
             runs={each.run.name: dict(each.identity) for each in models.values()},
@@ -149,6 +150,11 @@ def _models(request: TableRequest) -> Found[dict[str, TrainedModel]]:
         except MotionkitError as error:
             missing.append(f"{title}: {error}")
     return Found(found, tuple(missing))
+
+
+def _refusal(model: TrainedModel) -> str:
+    """Why a model has no row: it takes no texts. How long its motions may be then cuts no others."""
+    return refusal(model.loaded, GenerationRequest(None, "a person walks"))
 
 
 def _sight(request: TableRequest, evaluator: TextMotionEvaluator) -> _Sight:

@@ -97,10 +97,7 @@ def build_table2(request: TableRequest) -> Result:
     train = training_motion(store, real)
     with task(request.on_progress, "real sets"):
         rates = _usable_rates(request.fps or COLUMNS, real)
-    with task(request.on_progress, "generating", 1):
-        wanted = real.at(min(rates.value))
-        evaluated = request.evaluated
-        generated = generated_fields(evaluated.run, wanted, request.seed, evaluated.max_motions, evaluated.draws)
+    generated = generated_fields(request, real.at(min(rates.value)))
     fields = generated.value.rows
     check_names(request.evaluated.samples, _model_notes(fields))
     notes = _row_notes(fields, folders, generated.value.training)
@@ -215,8 +212,10 @@ def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Fou
     label = column.label
     try:
         comparison = column.comparison(source, request.clip_fid.protocol)
-        with task(request.on_progress, f"{source.name}, {label}", 2 * comparison.protocol.replications) as work:
-            found = score_column(comparison, column.rows, work.advance, column.subset_sizes)
+        costs = comparison.protocol.costs(len(column.rows))
+        with task(request.on_progress, f"{source.name}, {label}", sum(costs)) as work:
+            left = iter(costs)
+            found = score_column(comparison, column.rows, lambda: work.advance(next(left)), column.subset_sizes)
     except MotionkitError as error:
         return Found({}, (f"{label}, {source.name}: {error}",))
     features = comparison.features

@@ -10,7 +10,7 @@ import numpy as np
 from eval.actions.recogniser import ActionRecogniser
 from eval.actions.recognisers import RecogniserSource, find_recogniser
 from eval.actions.scores import ActionProtocol, LabelledRecognition, find_action_protocol, score_actions
-from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, with_rotations
+from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, known_to_all, with_rotations
 from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
 from eval.metrics.replications import Score, Scores
@@ -75,7 +75,6 @@ class _System:
     draws: tuple[LabelledRecognition, ...]
     note: str
     is_reference: bool = False
-    is_model: bool = False
 
 
 def build_table3(request: TableRequest) -> Result:
@@ -113,15 +112,14 @@ def build_table3(request: TableRequest) -> Result:
         notes=_notes(source, real),
         missing=tuple(dict.fromkeys(chain(*absent))),
         provenance=request.provenance(
-            store,
-            run=request.evaluated.run.name
-            if request.evaluated.run and any(each.is_model for each in systems)
-            else None,
+            store, run=request.evaluated.run.name if request.evaluated.run and models.value else None
         ),
     )
 
 
-TABLE = Table("nerm", "3", "action-to-motion", build_table3, shown=installed_models)
+TABLE = Table(
+    "nerm", "3", "action-to-motion", build_table3, shown=installed_models, settings=("conditions.kind=action",)
+)
 
 
 def _choices(request: TableRequest) -> tuple[RecogniserSource, list[ActionProtocol]]:
@@ -183,11 +181,12 @@ def _counted(motions: int, draws: int) -> str:
 def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> Found[list[_System]]:
     """Each model of the run, as it is and planted: one motion for every real one, or for a random choice of
     `max_motions`, --draws times over."""
-    asked = real.compared.at_most(request.evaluated.max_motions, request.seed)
-    count = request.evaluated.draws
-    note = f"{_counted(asked.samples.num_sequences, count)}, with the actions and durations of real ones"
     models = trained_models(request.evaluated.run)
     check_names(request.evaluated.samples, models.value)
+    known = known_to_all(real.compared, {name: trained.loaded for name, trained in models.value.items()})
+    asked = known.value.at_most(request.evaluated.max_motions, request.seed)
+    count = request.evaluated.draws
+    note = f"{_counted(asked.samples.num_sequences, count)}, with the actions and durations of real ones"
 
     def systems(name: str) -> list[_System]:
         trained = models.value[name]
@@ -200,13 +199,12 @@ def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) ->
                 row,
                 tuple(draw[row].recognised(recogniser) for draw in draws),
                 "; ".join(filter(None, (note, training_note(trained), PLANTED_NOTE if is_planted(row) else ""))),
-                is_model=True,
             )
             for row in draws[0]
         ]
 
     found = each_found(models.value, systems)
-    return Found(list(chain.from_iterable(found.value.values())), (*models.missing, *found.missing))
+    return Found(list(chain.from_iterable(found.value.values())), (*models.missing, *known.missing, *found.missing))
 
 
 def _folders(source: RecogniserSource, recogniser: ActionRecogniser, request: TableRequest) -> Found[list[_System]]:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 
@@ -66,6 +66,7 @@ class Clock:
 class Table:
     shown: Callable[[], Mapping[str, Loader[object]]]
     reads: tuple[str, ...] = ("judge",)
+    settings: tuple[str, ...] = ()
 
 
 def loader(*stages: str) -> Loader[object]:
@@ -169,6 +170,13 @@ def test_what_is_complete_is_kept_and_the_rest_goes_on(world: World, monkeypatch
     for name in whole:
         first, second = (Path("runs") / each / name / "model.safetensors" for each in ("whole", "parts"))
         assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_table_says_how_its_systems_are_trained(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(train_module, "table_that_shows", lambda paper, wanted: replace(TABLE, settings=("steps=4",)))
+    assert {stage["steps"] for stage in run().values()} == {4}
+    assert {stage["steps"] for stage in run("--run", "other", "--set", "steps=5").values()} == {5}
+    assert table_that_shows(None, "table:3").settings == ("conditions.kind=action",)
 
 
 def test_nothing_is_trained_for_a_stage_that_needs_nothing(world: World) -> None:

@@ -22,7 +22,7 @@ from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.generate.models import GenerationRequest
+from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.store.writer import StoreWriter
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 from tests.helpers.table_request import table_request
@@ -213,8 +213,14 @@ def test_fewer_motions_than_real_ones_are_a_random_choice(
 def test_a_model_that_makes_less_crops_the_real_motions(
     store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
+    def check(request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
+        raise UsageError("no texts")
+
     models["nano"].max_duration_seconds = 3.0  # type: ignore[misc]
+    # Who can have no row cuts nobody's motions.
+    models["nano-fixed"].max_duration_seconds, models["nano-fixed"].check = 1.0, check  # type: ignore[misc, attr-defined]
     result = build(store, tmp_path / "results", run)
+    assert "NeRM, fixed framerate: no texts" in result.missing
     assert result.definition["real_motions"]["20 fps"]["cropped"] == 23
     assert result.definition["protocol"]["lengths"]["longest_seconds"] == 3.0
 

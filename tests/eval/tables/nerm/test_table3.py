@@ -25,7 +25,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays.joints_npy import write_joints_npy
 from motionkit.formats.smpl import uestc
 from motionkit.formats.smpl.body import SMPL
-from motionkit.generate.models import GenerationRequest
+from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from tests.helpers.acting import ACTIONS, acted, acted_at
@@ -123,6 +123,38 @@ def test_a_model_that_does_something_else_is_found_out(
     assert rows_of(result)["NeRM"]["FID (test)"] == pytest.approx(rows_of(honest)["NeRM"]["FID (test)"], abs=3)
 
 
+class Choosy(ScriptedModel):
+    """Says before it begins that it does not know the last action."""
+
+    name = "Choosy"
+
+    def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
+        if request.action == spelt(ACTIONS[2]):
+            raise UsageError(f"no {request.action}")
+
+
+class Deaf(ScriptedModel):
+    """Knows no conditions, and says so."""
+
+    name, unconditional = "Deaf", True
+
+
+def test_models_are_asked_for_what_all_of_them_know(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nods(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
+        assert not request.action
+        return partial(acted_at, action="nod", seed=chance[1])
+
+    made = (actor(), Choosy(actor().script, 2.0), Deaf(nods, 2.0))
+    install_models(monkeypatch, *(lambda run, model=model: model for model in made))  # type: ignore[misc]
+    result = build(store, tmp_path, run=trained_run(tmp_path / "runs" / "nano"))
+    rows = rows_of(result)
+    assert {model.asked for model in made} == {24}
+    assert min(rows[name]["Accuracy"] for name in ("NeRM", "Choosy")) > 0.9 and rows["Deaf"]["Accuracy"] == 0.5
+    assert f"Choosy knows no {spelt(ACTIONS[2])}: no model is asked for that" in result.missing
+
+
 def test_samples_of_another_system_are_a_row(store: Path, tmp_path: Path) -> None:
     folder = tmp_path / "theirs"
     folder.mkdir()
@@ -162,16 +194,16 @@ def test_what_cannot_be_scored_is_said(store: Path, tmp_path: Path, monkeypatch:
 
 
 def test_actions_are_found_however_they_are_spelt_and_single_motions_are_left_out() -> None:
-    names = ("Warm_Up", "warm up", "JUMP", "jump", "jump", "sit", "", "fly")
-    lengths = (40, 40, 40, 40, 5, 40, 40, 40)
+    names = ("Warm_Up", "warm up", "JUMP", "jump", "jump", "sit", "", "fly", "hop", "hop")
+    lengths = (40, 40, 40, 40, 5, 40, 40, 40, 40, 5)
     made = [acted("nod", i, length) for i, length in enumerate(lengths)]
-    samples = sample_set("some", FPS, made, [str(i) for i in range(8)], actions=names)
-    found = known_actions(samples, ("warm-up", "jump", "sit"))
+    samples = sample_set("some", FPS, made, [str(i) for i in range(10)], actions=names)
+    found = known_actions(samples, ("warm-up", "jump", "sit", "hop"))
     assert found.samples.sequence_ids == ("0", "1", "2", "3") and found.labels.tolist() == [0, 0, 1, 1]
     assert found.left_out == (
         "2 motions of actions that it does not know: fly (1), no action (1)",
-        "actions with a single motion: sit",
-        "1 motions of fewer than 10 frames",
+        "actions with a single motion: sit, hop",
+        "2 motions of fewer than 10 frames",
     )
     with pytest.raises(NoActionsError, match=r"some: no motion's action is one that the recogniser knows \(dance\)"):
         known_actions(samples, ("dance",))
