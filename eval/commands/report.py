@@ -29,7 +29,7 @@ def report(
         str, typer.Option(help="html for one page; png draws curves; markdown, latex or csv print the tables instead.")
     ] = "html",
     store: Annotated[
-        Path | None, typer.Option(help="With html: what this store holds in front of its results.", show_default="none")
+        Path | None, typer.Option(help="With html: begin with what this store holds.", show_default="none")
     ] = None,
     run: Annotated[
         list[str] | None,
@@ -40,7 +40,8 @@ def report(
 ) -> None:
     """Show every result of the results folder: one HTML page, pictures, or Markdown, LaTeX or CSV on stdout.
 
-    In front of them what a store holds, and how runs were trained and what they answer to held-out captions.
+    With --store the page begins with what the store holds, with --run it says how runs were trained, and with both it
+    shows what their models answer to held-out captions.
 
     Results that cannot be read are named, and the exit code is 1.
 

@@ -38,7 +38,7 @@ def ablate(
     store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
     run: Annotated[str | None, typer.Option(help="Runs are called RUN-VARIANT; the recipe's name by default.")] = None,
-    stage: Annotated[str, typer.Option(help="all that the table needs, or the first of them alone.")] = "all",
+    stage: Annotated[str, typer.Option(help="all that the table needs, or the first by its name.")] = "all",
     overrides: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="A setting of every variant (motionkit recipe lists them)."),

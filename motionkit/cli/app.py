@@ -8,6 +8,7 @@ the same way.
 import sys
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
+from inspect import getdoc
 from typing import Annotated, Any
 
 import typer
@@ -42,8 +43,13 @@ def build_app(only: str = "") -> typer.Typer:
         if isinstance(loaded, typer.Typer):
             app.add_typer(loaded, name=entry.name)
         else:
-            app.command(name=entry.name)(loaded)
+            app.command(name=entry.name, help=_paragraphs(loaded))(loaded)
     return app
+
+
+def _paragraphs(command: Any) -> str:
+    """A command's docstring, each paragraph in one line: the terminal breaks it at its own width."""
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in (getdoc(command) or "").split("\n\n"))
 
 
 def _loaded(entry: EntryPoint) -> Any:

@@ -51,7 +51,7 @@ OutPlace = Annotated[
 FormatChoice = Annotated[
     ClipFormat | None, typer.Option("--format", help="Write bvh or npz instead of the clip's own format.")
 ]
-Plant = Annotated[bool, typer.Option("--plant", help="Let feet stand that slide, in what is made.")]
+Plant = Annotated[bool, typer.Option("--plant", help="Make sliding feet stand, in what is made.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 ComparedNames = Annotated[
     str | None,

@@ -38,7 +38,7 @@ def export(
         Path | None,
         typer.Option(help="A character's .bvh or .glb: its bones and names, its file.", show_default=False),
     ] = None,
-    plant: Annotated[bool, typer.Option("--plant", help="With --onto: let feet stand that slide.")] = False,
+    plant: Annotated[bool, typer.Option("--plant", help="With --onto: make sliding feet stand.")] = False,
     skeleton_map: Annotated[
         list[Path] | None, typer.Option(help="With --onto: TOML that says how its rig becomes the 22 joints.")
     ] = None,

@@ -38,9 +38,7 @@ PoseFiles = Annotated[
 ]
 JointPlaces = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="NAME@S[-S]=X,Y,Z", help="A joint at a place (left_foot@1.0-1.4=0.2,0.05,1); may be repeated."
-    ),
+    typer.Option(metavar="NAME@S[-S]=X,Y,Z", help="A joint at a place in metres: left_foot@1=0,0,1. May be repeated."),
 ]
 PoseJoints = Annotated[
     str | None, typer.Option(metavar="NAME,NAME,…", help="The joints of poses that count (else all).")
@@ -57,7 +55,7 @@ Sampler = Annotated[str | None, typer.Option(help="ddim or ddpm (else the recipe
 SamplingSteps = Annotated[
     int | None, typer.Option(min=1, help="Diffusion steps visited (else the recipe's; ddpm likes more).")
 ]
-Plant = Annotated[bool, typer.Option("--plant/--no-plant", help="Let feet stand that slide, on bones of one length.")]
+Plant = Annotated[bool, typer.Option("--plant/--no-plant", help="Make sliding feet stand, on bones of one length.")]
 WithDetail = Annotated[bool, typer.Option("--detail", help="Add what captures hold above 10 Hz (docs/detail.md).")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with a call that was stopped.")]

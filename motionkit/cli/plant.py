@@ -27,7 +27,7 @@ Where = Annotated[
     str | None, typer.Option(metavar="SQL", help="Stored sequences for which this holds: \"action = 'walk'\".")
 ]
 PathOfBody = Annotated[
-    BodyPath, typer.Option("--path", help="Keep near the path that was given, or go where feet that stand carry it.")
+    BodyPath, typer.Option("--path", help="Keep the body near its own path, or let the standing feet carry it.")
 ]
 OutPlace = Annotated[
     Path | None, typer.Option(help="File, or folder for several clips.", show_default="NAME.planted.EXT beside each")
@@ -53,7 +53,7 @@ def plant(
     store: StorePath = None,
     as_json: AsJson = False,
 ) -> None:
-    """Let feet stand that slide, in captures and in anybody's samples; bones keep their length.
+    """Make sliding feet stand, in captures and in anybody's samples; bones keep their length.
 
     With --store and no clip, all sequences of the store (or those of --where), into --out.
 

@@ -14,7 +14,7 @@ def pull(
     address: Annotated[
         str,
         typer.Argument(
-            help="hf://datasets/OWNER/NAME for a store, hf://OWNER/NAME for a run; @REVISION behind it pins one.",
+            help="hf://datasets/OWNER/NAME for a store, hf://OWNER/NAME for a run; or with @REVISION.",
             show_default=False,
         ),
     ],

@@ -25,7 +25,7 @@ def push(
     store: Annotated[Path | None, typer.Option(help="Store to push.", show_default="./store")] = None,
     run: Annotated[str | None, typer.Option(help="Run to push: its complete stages, without checkpoints.")] = None,
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
-    public: Annotated[bool, typer.Option("--public", help="For everybody; a new repository is private else.")] = False,
+    public: Annotated[bool, typer.Option("--public", help="Let everybody have it; else it is private.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be pushed; the Hub is not asked.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was pushed as JSON.")] = False,
 ) -> None:

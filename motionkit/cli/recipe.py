@@ -11,7 +11,7 @@ from motionkit.training.stage import Stage, choose_stages, registered_stages
 
 
 def recipe(
-    names: Annotated[list[str] | None, typer.Argument(help="Recipes: nano, demo, base, paper.")] = None,
+    names: Annotated[list[str] | None, typer.Argument(help="Recipes: nano, small, demo, base, paper.")] = None,
     stage: Annotated[str, typer.Option(help="One installed stage, or all of the model's.")] = "all",
     as_json: Annotated[bool, typer.Option("--json", help="Print the settings as JSON.")] = False,
 ) -> None:

@@ -52,7 +52,7 @@ SkeletonMaps = Annotated[
     list[Path] | None, typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md).")
 ]
 PathFile = Annotated[
-    Path | None, typer.Option("--path", help="Draw this path on the floor: a CSV as of `motionkit generate --path`.")
+    Path | None, typer.Option("--path", help="Draw this path on the floor: a CSV as for `motionkit generate --path`.")
 ]
 PoseFiles = Annotated[
     list[str] | None, typer.Option("--pose", metavar="S=FILE[@S]", help="Draw this pose too; may be repeated.")
@@ -60,8 +60,8 @@ PoseFiles = Annotated[
 PosePlaced = Annotated[
     bool, typer.Option("--pose-placed", help="Poses are drawn where their files say, not where the motion is.")
 ]
-OutPlace = Annotated[Path | None, typer.Option(help="The page's file.", show_default="NAME.view.html here")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the page if it exists.")]
+OutPlace = Annotated[Path | None, typer.Option(help="File to write.", show_default="NAME.view.html here")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
 OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")]
 
