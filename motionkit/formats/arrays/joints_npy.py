@@ -62,9 +62,12 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
     manifest = read_manifest(path.parent / MANIFEST)
     fps = options.fps or manifest.fps
     if fps is None:
+        of_humanml3d = (
+            "; of HumanML3D name the folder above, whose framerate is known" if path.parent.name == "new_joints" else ""
+        )
         raise FormatError(
             f'nothing says the framerate; put {{"fps": 30}} into {MANIFEST} beside the file, a column fps into an '
-            "annotation CSV, or use --fps",
+            f"annotation CSV, or use --fps{of_humanml3d}",
             path=path,
             reason="no-framerate",
         )

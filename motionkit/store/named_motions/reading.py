@@ -1,5 +1,6 @@
 """Motions by the names that people give, files, folders, ids of a store: found, and read in one call."""
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -238,11 +239,26 @@ def _find(path: Path, options: ReadOptions) -> tuple[list[_Sequence], list[Forma
         raise UsageError(f"{path} is a store: Store.open({str(path)!r}) reads it")
 
     def of_item(item: SourceItem) -> _Sequence:
-        return _Sequence(item.sequence_id, partial(one_sequence.read, item, options))
+        return _Sequence(item.sequence_id, partial(_read_item, item, options))
 
     readers = Readers(of_item, lambda motion: _Sequence(motion.sequence_id, lambda: motion))
     found, problems = find_motions([str(path)], options, path, readers)
-    return [each.read() for each in found], problems
+    return [each.read() for each in found], list(map(_of_python, problems))
+
+
+def _read_item(item: SourceItem, options: ReadOptions) -> Motion:
+    try:
+        return one_sequence.read(item, options)
+    except FormatError as error:
+        raise _of_python(error).with_traceback(error.__traceback__) from None
+
+
+def _of_python(error: FormatError) -> FormatError:
+    """The error with arguments of `read` for remedies (`fps=`), where readers name the command line's (`--fps`)."""
+    message = re.sub(
+        r"--(fps|unit-metres|skeleton-map)(?![\w-])", lambda said: said[1].replace("-", "_") + "=", error.message
+    )
+    return FormatError(message, path=error.path, reason=error.reason, line=error.line, frame=error.frame)
 
 
 def _named(found: list[_Sequence]) -> str:

@@ -74,6 +74,14 @@ def test_options_that_are_none(takes: Path, given: dict) -> None:
         mk.read(takes / "alpha.bvh", **given)
 
 
+def test_remedies_are_arguments_of_read(tmp_path: Path) -> None:
+    (tmp_path / "new_joints").mkdir()
+    np.save(tmp_path / "new_joints" / "walk.npy", np.zeros((9, 24, 3), np.float32))
+    for read in (mk.read, lambda path: next(mk.read_all(path))):
+        with pytest.raises(mk.FormatError, match="or use fps=; of HumanML3D name the folder above"):
+            read(tmp_path / "new_joints")
+
+
 def test_a_store_says_how_it_is_read(takes: Path, tmp_path: Path) -> None:
     with mk.StoreWriter.create(tmp_path / "store") as writer:
         writer.add(mk.read(takes / "alpha.bvh"))
