@@ -293,10 +293,11 @@ def _too_few(column: Column, comparison: Comparison) -> list[str]:
     few = {name: count for name, count in counts.items() if count <= size}
     if few:
         named = ", ".join(f"{name} ({count})" for name, count in few.items())
-        found.append(
-            f"At {column.label} these have no more motions than there are features ({size}): {named}. Their "
-            f"clips are parts of the same few motions, and clip-FID says how those differ; {advice} motions."
-        )
+        # The first is the same for all columns, and said once.
+        found += [
+            f"Where clips are parts of a few motions, clip-FID says how those differ; {advice} motions.",
+            f"At {column.label} these have no more motions than there are features ({size}): {named}.",
+        ]
     return found
 
 
