@@ -10,6 +10,9 @@ from motionkit.core.files import whole_file
 from motionkit.export.film import COLOURS
 from motionkit.export.player.takes import Take, drawing_of
 
+# The viewer is dark: bones and what is neither left nor right are light, as the films' are not.
+LIGHT = (190, 190, 190)
+
 
 def write_recording(path: Path, takes: Sequence[Take]) -> None:
     """Write takes as an .rrd file: a view each, side by side, y up, in metres, on one clock in seconds.
@@ -38,12 +41,12 @@ def _log(recording: object, place: str, take: Take) -> None:
 
     drawing, names = drawing_of(take.skeleton, take.joint_positions), take.skeleton.joint_names
     joints = [
-        rerun.AnnotationInfo(number, name, tuple(bytes.fromhex(COLOURS[side][1:])))
+        rerun.AnnotationInfo(number, name, tuple(bytes.fromhex(COLOURS[side][1:])) if side else LIGHT)
         for number, (name, side) in enumerate(zip(names, drawing.sides, strict=True))
     ]
     bones = [(joint, parent) for joint, parent in enumerate(drawing.bones) if parent >= 0]
     body = rerun.ClassDescription(
-        info=rerun.AnnotationInfo(0, take.name), keypoint_annotations=joints, keypoint_connections=bones
+        info=rerun.AnnotationInfo(0, take.name, LIGHT), keypoint_annotations=joints, keypoint_connections=bones
     )
     look = rerun.Points3D.from_fields(class_ids=[0], keypoint_ids=range(len(names)), radii=[0.012], show_labels=False)
     for each in (rerun.ViewCoordinates.RIGHT_HAND_Y_UP, rerun.AnnotationContext([body]), look):
