@@ -40,7 +40,7 @@ class Upload:
 
 def store_upload(path: Path, repository: Repository, on_progress: OnProgress = ignore) -> Upload:
     """A store's committed files and its card; raises `StoreError` where it is not intact."""
-    content, manifest = (path / MANIFEST_FILE).read_bytes(), read_manifest(path)
+    manifest, content = read_manifest(path), (path / MANIFEST_FILE).read_bytes()
     with task(on_progress, "check", len(manifest.files)) as work:
         fault = next(faults(path, lambda _: work.advance()), None)
     if fault:
