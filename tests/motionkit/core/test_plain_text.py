@@ -62,7 +62,7 @@ def test_json_is_read_as_json_reads_it_but_for_huge_whole_numbers() -> None:
 def test_values_in_messages_are_cut() -> None:
     assert shown("a" * 20) == repr("a" * 20)
     assert shown("a" * 2000) == f"'{'a' * 37}...{'a' * 38}'"
-    assert shown(16**5000) == "a number of thousands of digits"
+    assert "digits" in shown(16**5000)  # Python 3.14 has words of its own
     nested: list[object] = ["a"]
     for _ in range(40):
         nested = [nested] * 40  # whole, it would be 40 ** 40 letters
