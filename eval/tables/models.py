@@ -64,7 +64,7 @@ def trained_models(run: Path | None) -> Found[dict[str, TrainedModel]]:
     loaders = list(installed_models().values())
     if run is None or not run.is_dir():
         where = "no run was given" if run is None else f"there is no run {str(run)!r}"
-        return Found({}, tuple(f"{loader.title}: {where} (motionkit train makes one)" for loader in loaders))
+        return Found({}, tuple(f"{each.title}: {where} ({each.train_command(run)})" for each in loaders))
     begun = [loader for loader in loaders if loader.begun_in(run)]
     missing: list[str] = []
     missing += [
@@ -105,9 +105,14 @@ def training_note(trained: Trained[Any]) -> str:
 
 def require_models(run: Path) -> Found[dict[str, TrainedModel]]:
     """As `trained_models`; raises `RunError` where there is none."""
+    begun = any(loader.begun_in(run) for loader in installed_models().values())
     found = trained_models(run)
     if not found.value:
-        raise RunError("; ".join(found.missing) or "no model is installed")
+        raise RunError(
+            "; ".join(found.missing)
+            if begun
+            else f"{str(run)!r} holds no trained system: motionkit train --for table:2 --run {run.name}"
+        )
     return found
 
 

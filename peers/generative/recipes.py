@@ -265,7 +265,7 @@ FLOW = _of_one_stage(
     "ACMDM's small form: a rectified flow of absolute coordinates",
     "peers.generative.networks.flow:Flow",
     nano={
-        "network": FlowNetworkConfig(TransformerSizes(4, 128, 2, 341, 0.0), sampling_steps=25),
+        "network": FlowNetworkConfig(TransformerSizes(4, 128, 2, 341, 0.0), sampling_steps=25, guidance_scale=1.0),
         "motions": COORDINATES,
         "conditions": MINILM,
         "schedule": _cosine(5000, 16, 3e-3),

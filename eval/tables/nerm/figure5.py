@@ -30,7 +30,7 @@ def build_figure5(request: TableRequest) -> Result:
     raises.
     """
     if request.evaluated.run is None:
-        raise UsageError("figure 5 needs a trained model: --run NAME (motionkit train makes one)")
+        raise UsageError("figure 5 needs trained systems: --run NAME (motionkit train --for figure:5)")
     store = request.open_store()
     models = require_models(request.evaluated.run)
     yardstick = Yardstick(store, request, request.fps or COLUMNS)

@@ -37,7 +37,7 @@ def build_figure8(request: TableRequest) -> Result:
     raises.
     """
     if request.evaluated.run is None:
-        raise UsageError("figure 8 needs a trained model: --run NAME (motionkit train makes one)")
+        raise UsageError("figure 8 needs trained systems: --run NAME (motionkit train --for figure:8)")
     fps, *others = request.fps or (TARGET_FPS,)
     if others:
         raise UsageError(f"figure 8 is at one framerate: --fps {fps}")

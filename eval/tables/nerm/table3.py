@@ -27,7 +27,7 @@ from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task, tracked
-from motionkit.generate.models import installed_models
+from motionkit.generate.models import installed_models, knows_no_conditions
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -186,10 +186,11 @@ def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) ->
     known = known_to_all(real.compared, {name: trained.loaded for name, trained in models.value.items()})
     asked = known.value.at_most(request.evaluated.max_motions, request.seed)
     count = request.evaluated.draws
-    note = f"{_counted(asked.samples.num_sequences, count)}, with the actions and durations of real ones"
+    counted = f"{_counted(asked.samples.num_sequences, count)}, with the"
 
     def systems(name: str) -> list[_System]:
         trained = models.value[name]
+        note = f"{counted} {'' if knows_no_conditions(trained.loaded) else 'actions and '}durations of real ones"
         draws = [
             generated_like(asked, trained.loaded, draw, request.seed)
             for draw in tracked(request.on_progress, name, range(count), count)
