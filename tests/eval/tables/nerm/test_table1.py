@@ -82,10 +82,21 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results whose embeddings the first test that asks for some leaves to the others."""
+    return tmp_path_factory.mktemp("kept")
+
+
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    trained_run(tmp_path / "runs" / "nano-fixed")
     return trained_run(tmp_path / "runs" / "nano")
+
+
+@pytest.fixture
+def fixed(run: Path) -> Path:
+    """What was trained at a single framerate, beside the run."""
+    return trained_run(run.with_name("nano-fixed"))
 
 
 @pytest.fixture
@@ -98,7 +109,7 @@ def models(run: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, ScriptedMode
 
 
 def build(store: Path, folder: Path, run: Path | None, **changes: object) -> Result:
-    return table1.build_table1(table_request(store, folder, **{"run": run, "max_motions": 400, **changes}))
+    return table1.build_table1(table_request(store, folder, **{"run": run, "max_motions": TAKES, **changes}))
 
 
 def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:
@@ -106,9 +117,9 @@ def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:
 
 
 def test_a_model_that_is_the_real_motion_scores_like_it(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+    store: Path, kept: Path, run: Path, fixed: Path, models: dict[str, ScriptedModel]
 ) -> None:
-    result = build(store, tmp_path / "results", run)
+    result = build(store, kept, run)
     rows = rows_of(result)
     assert rows["real"][TOP1] > 0.99 and rows["NeRM"][TOP1] > 0.99
     assert rows["NeRM, fixed framerate"][TOP3] == pytest.approx(3 / 32, abs=0.08)
@@ -136,9 +147,9 @@ def test_a_model_that_is_the_real_motion_scores_like_it(
 
 
 def test_the_result_says_what_its_numbers_mean(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+    store: Path, kept: Path, tmp_path: Path, run: Path, fixed: Path, models: dict[str, ScriptedModel]
 ) -> None:
-    result = build(store, tmp_path / "results", run, published="t2m")
+    result = build(store, kept, run, published="t2m")
     assert result.definition["protocol"]["name"] == "t2m"
     assert result.definition["protocol"]["multimodality"]["pairs"] == "shared"
     assert result.definition["real_motions"]["20 fps"]["motions"] == 70
@@ -148,7 +159,7 @@ def test_the_result_says_what_its_numbers_mean(
     assert rows_of(result)["NeRM"]["N"] == 64
     assert title_of("multimodality_shared_pairs") in result.blocks[0].columns
     text = to_markdown(result)
-    assert "N = 64 against 64 real motions, 30 motions of 13 texts" in text
+    assert "N = 64 against 64 real motions, 30 motions of 2 texts" in text
     assert "protocol t2m" in text and "There is one set of motions" in text
     assert "| MDM (paper) | 0.611 ± 0.007 | 5.566 ± 0.027 | 0.544 ± 0.044 |" in text
     assert r"R-Precision, top 1 $\uparrow$ & " in to_latex(result)
@@ -159,15 +170,16 @@ def test_the_result_says_what_its_numbers_mean(
 def test_retrieval_stands_in_blocks_of_its_own(
     published: str,
     store: Path,
-    tmp_path: Path,
+    kept: Path,
     run: Path,
+    fixed: Path,
     models: dict[str, ScriptedModel],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(Shapes, "pair_score", "tmr_score", raising=False)
     sentences = np.random.default_rng(0).normal(size=(TAKES, 40)).astype(np.float32)
     monkeypatch.setattr(table1, "sentence_embeddings", lambda captions: sentences)
-    result = build(store, tmp_path / "results", run, published=published)
+    result = build(store, kept, run, published=published)
     blocks = [block.title for block in result.blocks if block.title.startswith("Retrieval")]
     assert len(blocks) == (4 if published == "tmr" else 1) and "N = 70" in blocks[0]
     assert (
@@ -188,30 +200,30 @@ def test_retrieval_stands_in_blocks_of_its_own(
 def test_embeddings_are_kept_and_motions_are_not_generated_again(
     store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
-    first = build(store, tmp_path / "results", run)
-    assert models["nano"].asked == 70 + 13 * 30
-    again = build(store, tmp_path / "results", run)
-    assert models["nano"].asked == 70 + 13 * 30
+    first = build(store, tmp_path / "results", run, max_motions=40)
+    assert models["nano"].asked == 40 + 30
+    again = build(store, tmp_path / "results", run, max_motions=40)
+    assert models["nano"].asked == 40 + 30
     assert again.blocks == first.blocks
     (run / "denoiser" / "model.safetensors").write_text("trained on")
-    build(store, tmp_path / "results", run)
-    assert models["nano"].asked == 2 * (70 + 13 * 30)
-    build(store, tmp_path / "results", run, draws=3)
-    assert models["nano"].asked == 2 * (70 + 13 * 30) + 2 * 70
+    build(store, tmp_path / "results", run, max_motions=40)
+    assert models["nano"].asked == 2 * (40 + 30)
+    build(store, tmp_path / "results", run, max_motions=40, draws=3)
+    assert models["nano"].asked == 2 * (40 + 30) + 2 * 40
 
 
 def test_fewer_motions_than_real_ones_are_a_random_choice(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+    store: Path, kept: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     for published, reference in (("native", 70), ("nerm", 70), ("momask", 32)):
-        result = build(store, tmp_path / "results", run, max_motions=40, published=published)
+        result = build(store, kept, run, max_motions=40, published=published)
         assert rows_of(result)["NeRM"]["N"] == (32 if published == "momask" else 40)
         notes = {row.name: row.note for row in result.blocks[0].rows}
         assert f"against {reference} real motions, 30 motions of 1 texts" in notes["NeRM"]
 
 
 def test_a_model_that_makes_less_crops_the_real_motions(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+    store: Path, kept: Path, run: Path, fixed: Path, models: dict[str, ScriptedModel]
 ) -> None:
     def check(request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
         raise UsageError("no texts")
@@ -219,13 +231,15 @@ def test_a_model_that_makes_less_crops_the_real_motions(
     models["nano"].max_duration_seconds = 3.0  # type: ignore[misc]
     # Who can have no row cuts nobody's motions.
     models["nano-fixed"].max_duration_seconds, models["nano-fixed"].check = 1.0, check  # type: ignore[misc, attr-defined]
-    result = build(store, tmp_path / "results", run)
+    result = build(store, kept, run)
     assert "NeRM, fixed framerate: no texts" in result.missing
     assert result.definition["real_motions"]["20 fps"]["cropped"] == 23
     assert result.definition["protocol"]["lengths"]["longest_seconds"] == 3.0
 
 
-def test_what_there_is_not_is_named(store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]) -> None:
+def test_what_there_is_not_is_named(
+    store: Path, tmp_path: Path, run: Path, fixed: Path, models: dict[str, ScriptedModel]
+) -> None:
     result = build(store, tmp_path / "results", run.with_name("nowhere"))
     assert set(rows_of(result)) == {ORACLE, FLOOR, "real"}
     assert any("NeRM: there is no run" in line for line in result.missing)
@@ -284,7 +298,7 @@ def test_the_command_passes_everything_on(
         runs=run.parent,
         run=run.name,
         results=tmp_path / "results",
-        motions=64,
+        motions=32,
         protocol="momask",
         compat="float32-distances",
         draws=2,
@@ -293,14 +307,14 @@ def test_the_command_passes_everything_on(
     printed = json.loads(capsys.readouterr().out)
     assert printed["definition"]["protocol"]["name"] == "momask"
     assert printed["definition"]["compat"] == ["float32-distances"]
-    assert models["nano"].asked == 2 * 64 + 2 * 30
+    assert models["nano"].asked == 2 * 32 + 30
     written = json.loads((tmp_path / "results" / "nerm-table1.json").read_text(encoding="utf-8"))
     assert written["blocks"] == printed["blocks"]
     assert "Known bugs switched on: float32-distances." in (tmp_path / "results" / "nerm-table1.md").read_text("utf-8")
 
 
 def test_an_evaluator_that_cannot_read_the_captions_leaves_the_others(
-    store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel], monkeypatch: pytest.MonkeyPatch
+    store: Path, kept: Path, run: Path, models: dict[str, ScriptedModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Deaf(Shapes):
         name = "deaf"
@@ -309,18 +323,18 @@ def test_an_evaluator_that_cannot_read_the_captions_leaves_the_others(
             raise MotionkitError("captions have no word/POS tokens")
 
     monkeypatch.setattr(text_motion, "_guo", lambda request, leak: Deaf())
-    result = build(store, tmp_path / "results", run, features=("guo", "native"))
+    result = build(store, kept, run, features=("guo", "native"))
     assert [block.provenance["evaluator"] for block in result.blocks[:2]] == ["shapes", "shapes"]
     assert "evaluator 'deaf': captions have no word/POS tokens" in result.missing
     with pytest.raises(MotionkitError, match="no word/POS tokens"):
-        build(store, tmp_path / "results", run, features=("guo",))
+        build(store, kept, run, features=("guo",))
 
 
 def test_the_registry_knows_the_table() -> None:
     assert registry.find_table("nerm", "1") is table1.TABLE
 
 
-def test_samples_are_rows(store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]) -> None:
+def test_samples_are_rows(store: Path, kept: Path, tmp_path: Path, models: dict[str, ScriptedModel]) -> None:
     folder = tmp_path / "mine"
     folder.mkdir()
     lines = ["file,caption,group"]
@@ -332,7 +346,7 @@ def test_samples_are_rows(store: Path, tmp_path: Path, run: Path, models: dict[s
     (folder / "captions.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "samples.toml").write_text("fps = 20\n", encoding="utf-8")
     for published, real in (("native", 70), ("mld", 40)):
-        result = build(store, tmp_path / "results", run, samples={"mine": folder}, published=published)
+        result = build(store, kept, None, samples={"mine": folder}, published=published)
         rows = {row.name: row for row in result.blocks[0].rows}
         assert rows["mine"].cells["N"].value == 40
         assert rows["mine"].cells[TOP1].value > 0.9
@@ -343,7 +357,7 @@ def test_samples_are_rows(store: Path, tmp_path: Path, run: Path, models: dict[s
     bare.mkdir()
     np.save(bare / "a.npy", positions_at(np.arange(40) / 20, 3))
     (bare / "samples.toml").write_text("fps = 20\n", encoding="utf-8")
-    told = build(store, tmp_path / "results", run, samples={"bare": bare})
+    told = build(store, kept, None, samples={"bare": bare})
     assert any("bare, shapes: --samples bare: 1 of 1 motions have no caption" in line for line in told.missing)
 
 
