@@ -140,7 +140,7 @@ def test_mixtures_are_of_motions_of_one_action_and_length() -> None:
     assert sum(len(rows) for rows in length_intervals(lengths)) == 160
     rng = np.random.default_rng(0)
     centres = np.array([np.full(16, 2.0), np.full(16, -2.0)])
-    codes = centres.repeat(60, axis=0) + rng.standard_normal((120, 16))
+    codes = centres.repeat(20, axis=0) + rng.standard_normal((40, 16))
     mixture = fit_mixture(codes, np.full_like(codes, 0.1), reseeds=1)
     drawn = torch.stack([mixture.draw(torch.Generator().manual_seed(seed)) for seed in range(400)]).numpy()
     near = np.linalg.norm(drawn[:, None] - centres, axis=2).min(axis=1)
