@@ -15,9 +15,9 @@ demo: $(VENV)/.installed
 test: lint
 	$(MAKE) --jobs 2 types suite
 
-# Each worker has half of the folders, so that what the tests of a module share is made once.
+# Each worker has half of the folders, so that what the tests of a module share is made once; and one core.
 suite: $(VENV)/.installed
-	$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 check: lint types
 
