@@ -152,7 +152,7 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
     install_models(monkeypatch, lambda run: ScriptedModel(listens, 20.0))
     monkeypatch.setattr(text_motion, "_native", lambda request: Lengths())
     both = motionkit(
-        *table, "--evaluator", "native,guo", "--fps", 12.5, "--motions", 64, "--runs", tmp_path / "runs", "--json"
+        *table, "--evaluator", "native,guo", "--fps", 12.5, "--motions", 32, "--runs", tmp_path / "runs", "--json"
     )
     assert both.code == 0, both.stderr
     made = rows_of(both)["NeRM"]

@@ -141,7 +141,7 @@ def test_a_temporary_folder_with_too_long_a_path_is_named(corpus: Path, tmp_path
 
 
 @pytest.mark.parametrize("to_group", [True, False], ids=["to the group", "to the process"])
-@pytest.mark.parametrize(("number", "num_moments"), [(signal.SIGINT, 12), (signal.SIGTERM, 4)], ids=["INT", "TERM"])
+@pytest.mark.parametrize(("number", "num_moments"), [(signal.SIGINT, 6), (signal.SIGTERM, 2)], ids=["INT", "TERM"])
 def test_whenever_it_comes_the_store_stays_and_nothing_is_left(
     corpus: Path,
     seconds_of_all: float,

@@ -196,7 +196,7 @@ def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
 
 
 def test_the_recipe_base_trains_here_with_fewer_steps_and_smaller_batches(store: Path, tmp_path: Path) -> None:
-    settings = ["denoiser.conditions.text_encoder=none", "field.windows.stride_seconds=4"]
+    settings = ["denoiser.conditions.text_encoder=none", "field.windows.stride_seconds=4", "field.contacts.steps=1"]
     for stage in (CODEBOOK, FIELD, DENOISER):
         settings += [f"{stage.name}.schedule.steps=1", f"{stage.name}.schedule.batch_size=2"]
     config = apply_overrides(CODEBOOK.recipe("base"), settings)
