@@ -9,12 +9,12 @@ import pytest
 from motionkit.cli.app import main
 from tests.helpers.outcome import Outcome
 from tests.helpers.small_bvh import bvh_text
+from tests.helpers.small_tables import make_tables_small
 
 
 @pytest.fixture(autouse=True)
-def few_motions_are_searched_for_copies(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half the seconds of a small Table 2 are that search, of which tests/eval knows enough."""
-    monkeypatch.setattr("eval.tables.nerm.copies.MOST_MOTIONS", 3)
+def small_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    make_tables_small(monkeypatch)
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eval.clip_fid import features
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.report.render import to_markdown
 from eval.report.results import Block, Result, Row
@@ -67,7 +66,6 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def smaller(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(features, "FIT_CLIPS", 256)
     monkeypatch.setattr(figure8, "STEPS", (3, 2))
     monkeypatch.setattr(figure8, "REPEATS", 1)
 

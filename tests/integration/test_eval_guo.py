@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval.clip_fid import features
 from eval.text_motion.guo import evaluator
 from eval.text_motion.guo.networks import GuoWidths
 from motionkit.core.motion import Caption, Motion
@@ -54,10 +53,9 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def narrow_and_quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
     loads = evaluator.load_guo
     monkeypatch.setattr(evaluator, "load_guo", lambda files: loads(files, SMALL))
-    monkeypatch.setattr(features, "FIT_CLIPS", 256)
 
 
 def block(outcome: Any, title: str = "") -> dict[str, Any]:

@@ -36,8 +36,8 @@ OF_STORES = (
     ),
     *("push", "remove", "compact", "migrate"),
 )
-# These train first: test_from_takes_to_a_table runs such commands out of README, test_demo the demo. What is pulled has
-# to be pushed: test_publish.
+# These train first: test_from_takes_to_a_table runs such commands out of README, test_front_door the demo. What is
+# pulled has to be pushed: test_publish.
 ELSEWHERE = ("train", "generate", "eval", "report", "demo", "pull")
 
 

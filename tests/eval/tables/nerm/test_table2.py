@@ -95,6 +95,7 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
 ) -> None:
     install_models(monkeypatch, lambda run: ScriptedModel(truth))
     monkeypatch.setattr(copies, "MOST_MOTIONS", 3)
+    monkeypatch.setattr("eval.sets.memorisation.MOST_HELD_OUT", 3)
     result = build(store, tmp_path, run=trained_run(tmp_path / "run"))
     rows = rows_of(result)
     floor = rows[clip_fid_column.P1]
