@@ -1,9 +1,11 @@
 """Every generative network learns four motions by heart, and gives each when its action is asked for."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from math import cos, pi
 
+import jaxtyping
 import numpy as np
 import pytest
 import torch
@@ -27,7 +29,8 @@ from tests.helpers.tiny_peers import tiny_config
 FPS, FRAMES = Fraction(20), 16
 SIZES = ConditionSizes(0, ("a", "b", "c", "d"), 4)
 # Steps of each stage, as many as it takes.
-STEPS = {"mdm": 1000, "mdm-50": 500, "inr-mlp": 1200, "flow": 500, "t2m": 400, "camdm": 600, "mld": 800, "nemf": 500}
+STEPS = {"mdm": 1000, "mdm-50": 500, "inr-mlp": 1200, "flow": 250, "camdm": 600, "mld": 800, "nemf": 500}
+STEPS |= {"t2m-autoencoder": 150, "t2m": 200}
 # A prior from which a VAE's latents are not far, so that its draws say nothing; a motion without a past as often.
 CHANGED = {
     "actor": {"kl_weight": 1e-2},
@@ -40,6 +43,14 @@ EACH = torch.arange(4)
 CONDITIONS = Conditions(torch.zeros(4, 0), EACH, torch.ones(4, dtype=torch.bool))
 # How often each motion is in a batch: of many noises a step, where steps are cheap.
 COPIES = {"mld": 16, "inr-mlp": 4, "flow": 8}
+
+
+@pytest.fixture(autouse=True)
+def unchecked_shapes() -> Iterator[None]:
+    """Thousands of steps; the shapes in them are checked where the same networks take few (test_generative_stages)."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def motions(pose_vectors: str) -> tuple[PoseSpace, Tensor]:
