@@ -207,10 +207,9 @@ def model_of(run: Path) -> str:
     beside = [each for each in run.parent.iterdir() if each.is_dir()] if run.parent.is_dir() else []
     others = sorted(each.name for each in beside if any(model.begun_in(each) for model in installed.values()))
     there = f"; there are {', '.join(others)} (--run {others[0]})" if others else ""
-    raise UsageError(
-        f"{run} holds none of the installed models ({', '.join(installed)}): {first.train_command(run)} trains "
-        f"{first.title}{there}"
-    )
+    none = f"{run} holds none of the installed models ({', '.join(installed)})"
+    lacking = none if run.is_dir() else f"there is no run {run}"
+    raise UsageError(f"{lacking}: {first.train_command(run)} trains {first.title}{there}")
 
 
 def warn_above_training(model: GenerativeModel, fps: Fraction) -> None:

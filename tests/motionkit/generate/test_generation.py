@@ -54,6 +54,8 @@ def test_a_model_is_in_a_run_as_soon_as_one_stage_is(tmp_path: Path, two: None) 
 def test_the_model_of_a_run_is_the_one_that_it_holds(tmp_path: Path, two: None) -> None:
     with pytest.raises(UsageError, match="holds none of the installed models \\(full, plain\\)"):
         model_of(tmp_path)
+    with pytest.raises(UsageError, match="there is no run"):
+        model_of(tmp_path / "none")
     finish(tmp_path, "plain")
     assert model_of(tmp_path) == "plain"
     finish(tmp_path, "first")
